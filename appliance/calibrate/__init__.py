@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING
 from appliance.base import lazy_face
 
 if TYPE_CHECKING:
-    from .air.adjustment import (
-        AirCalibrationError,  # The views do not suffice for a calibration in air; the text says why and what to do
-    )
     from .air.any_board import (
         BoardNotFoundError,  # No picture shows a board of a kind that is known
         Wanted,  # The owner's description of a board; None where it is to be found
@@ -19,6 +16,9 @@ if TYPE_CHECKING:
         BoardError,  # A board cannot be described that way; the text says how it is done
         NoBoard,  # Reason why a pair of images was not used, in a sentence for the person who holds the board
         parse_board,  # Read 15x12x18.0x13.5: squares across and down
+    )
+    from .air.calibrate import (
+        AirCalibrationError,  # The views do not suffice for a calibration in air; the text says why and what to do
     )
     from .air.coverage import (
         coverage,  # Determine what views cover and what they lack

@@ -27,11 +27,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import read_bounded
-from appliance.calibrate.air.adjustment import AirCalibrationError, BoardTolerance, FittedView
+from appliance.calibrate.air.adjustment import BoardTolerance
 from appliance.calibrate.air.any_board import SMALL_SPREAD, FoundBoard, Wanted, find_corners_of, search_board, spread_of
-from appliance.calibrate.air.any_views import AnyCalibration, calibrate_any, check_pairs, view_of
 from appliance.calibrate.air.board import NoBoard
-from appliance.calibrate.air.coverage import Coverage, Sighting, covered
+from appliance.calibrate.air.calibrate import (
+    AirCalibration,
+    AirCalibrationError,
+    FittedView,
+    calibrate_air,
+    check_pairs,
+)
+from appliance.calibrate.air.coverage import Coverage, coverage
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.air.pictures import coverage_picture, residual_picture
 from appliance.calibrate.in_air import KINDS, PicturesError, quiet_decoder
@@ -306,17 +312,17 @@ def calibrate_pictures(
     progress("adjusting", 1.0)
     tolerance = BoardTolerance(bow_mm=FLAT_MM) if flat else BoardTolerance()
     try:
-        found = calibrate_any(looked.views, *size_px, tolerance)
+        found = calibrate_air(looked.views, *size_px, tolerance, with_field=False)
     except AirCalibrationError as error:
         raise AirCalibrationError("; ".join((str(error), *looked.rejected))) from error
-    seen = _coverage(found, looked, size_px)
+    seen = coverage(found.used, *size_px)
     start = _calibration(name, found, board, looked, made_at)
     paths = {kind: out.with_name(f"{out.stem}-{kind}.png") for kind in ("coverage", "residuals")}
-    views = found.air.views
+    views = found.views
     for path, data in (
         (paths["coverage"], coverage_picture(views, seen, *size_px)),
         (paths["residuals"], residual_picture(views, *size_px)),
-        (out.with_suffix(".yml"), opencv_file(found.air.rig)),
+        (out.with_suffix(".yml"), opencv_file(found.rig)),
         (out, encode_calibration(start)),
     ):
         replace_file(LocalFileSystem(), path, data)
@@ -381,7 +387,7 @@ def _look(
             spread = spread_of(np.stack(list(found.values())), image.shape)
             if spread < SMALL_SPREAD:
                 small.append(f"the board fills {100 * spread:.2g} % of the {side} picture")
-        view = view_of(pair.name, board_mm, seen.get("left"), seen.get("right"))
+        view = BoardView.of(pair.name, board_mm, seen.get("left"), seen.get("right"))
         if len(view.corners_mm):
             views.append(view)
             remarks[pair.name] = tuple(small)
@@ -391,41 +397,23 @@ def _look(
     return _Looked(tuple(views), tuple(rejected), remarks, made_from, board_mm)
 
 
-def _coverage(found: AnyCalibration, looked: _Looked, size_px: tuple[int, int]) -> Coverage:
-    """Return what the views used cover; a lean counts whichever camera saw it."""
-    by_place = {}
-    for view in looked.views:
-        for side, px in (("left", view.left_px), ("right", view.right_px)):
-            by_place[view.name, side] = {tuple(uv): mm for uv, mm in zip(px.tolist(), view.corners_mm, strict=True)}
-    sightings: dict[str, list[Sighting]] = {side: [] for side in SIDES}
-    leant = []
-    for used in found.air.views:
-        for side, px in (("left", used.left_px), ("right", used.right_px)):
-            if len(px):
-                known = by_place[used.name, side]
-                sightings[side].append((np.stack([known[tuple(uv)] for uv in px.tolist()]), px))
-        leant.append(sightings["left" if len(used.left_px) else "right"][-1])
-    return covered(sightings["left"], sightings["right"], leant, *size_px)
-
-
 def _calibration(
-    name: str, found: AnyCalibration, board: FoundBoard, looked: _Looked, made_at: datetime
+    name: str, found: AirCalibration, board: FoundBoard, looked: _Looked, made_at: datetime
 ) -> Calibration:
-    air = found.air
-    symmetric = 0.5 * (air.covariance + air.covariance.T)
+    symmetric = 0.5 * (found.covariance + found.covariance.T)
     return Calibration(
         rig_serial=name,
         method=IN_AIR,
         made_at=made_at.astimezone(UTC).isoformat(timespec="seconds"),
-        made_from=(f"board {board}", *(looked.made_from[view.name] for view in air.views)),
+        made_from=(f"board {board}", *(looked.made_from[view.name] for view in found.views)),
         water=FRESH,
-        rig=air.rig,
-        residual_px=air.residual_px,
+        rig=found.rig,
+        residual_px=found.residual_px,
         air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
     )
 
 
-def _board_report(board: FoundBoard, found: AnyCalibration) -> dict[str, Any]:
+def _board_report(board: FoundBoard, found: AirCalibration) -> dict[str, Any]:
     design = board.design
     return {
         "board": str(board),
@@ -438,31 +426,30 @@ def _board_report(board: FoundBoard, found: AnyCalibration) -> dict[str, Any]:
     }
 
 
-def _report(found: AnyCalibration, looked: _Looked, seen: Coverage) -> dict[str, Any]:
-    air = found.air
-    left, right = air.rig.left, air.rig.right
-    sd = dict(zip(PARAMETER_NAMES[AIR], np.sqrt(np.diag(air.covariance)), strict=True))
+def _report(found: AirCalibration, looked: _Looked, seen: Coverage) -> dict[str, Any]:
+    left, right = found.rig.left, found.rig.right
+    sd = dict(zip(PARAMETER_NAMES[AIR], np.sqrt(np.diag(found.covariance)), strict=True))
     baseline = np.array(right.translation_mm)
     baseline_mm = float(np.linalg.norm(baseline))
     # Error of the length along the baseline alone: √(eᵀ Σ e), with its unit vector e.
     way, shifts = baseline / baseline_mm, slice(19, 22)
-    R, T = _opencv_pose(air.rig)
+    R, T = _opencv_pose(found.rig)
     warnings = [f"coverage is poor: {text}" for text in seen.missing]
-    small = [view.name for view in air.views if looked.remarks[view.name]]
+    small = [view.name for view in found.views if looked.remarks[view.name]]
     if small:
         warnings.append(
-            f"the board is small in {len(small)} of {len(air.views)} views ({', '.join(small[:MOST_NAMED])}{', …' if len(small) > MOST_NAMED else ''}): "
+            f"the board is small in {len(small)} of {len(found.views)} views ({', '.join(small[:MOST_NAMED])}{', …' if len(small) > MOST_NAMED else ''}): "
             f"below {100 * SMALL_SPREAD:g} % of the picture a view counts by the little that it tells; bring the board nearer"
         )
     if found.exchanged:
         warnings.insert(0, EXCHANGED)
     return {
-        "views": [_view_report(view, found, looked) for view in air.views],
+        "views": [_view_report(view, looked) for view in found.views],
         "pairs": list(found.pairs),
-        "left_out": [*looked.rejected, *air.left_out],
+        "left_out": [*looked.rejected, *found.left_out],
         "warnings": warnings,
         "exchanged": found.exchanged,
-        "residual_px": air.residual_px,
+        "residual_px": found.residual_px,
         "principal_distance_px": [left.lens.f_px[0], right.lens.f_px[0]],
         "principal_distance_sd_px": [float(sd[f"{side} principal distance (px)"]) for side in SIDES],
         "principal_point_px": [list(left.lens.c_px), list(right.lens.c_px)],
@@ -470,15 +457,15 @@ def _report(found: AnyCalibration, looked: _Looked, seen: Coverage) -> dict[str,
         "rotation": R.tolist(),
         "translation_mm": T.tolist(),
         "baseline_mm": baseline_mm,
-        "baseline_sd_mm": math.sqrt(float(way @ air.covariance[shifts, shifts] @ way)),
+        "baseline_sd_mm": math.sqrt(float(way @ found.covariance[shifts, shifts] @ way)),
     }
 
 
-def _view_report(view: FittedView, found: AnyCalibration, looked: _Looked) -> dict[str, Any]:
+def _view_report(view: FittedView, looked: _Looked) -> dict[str, Any]:
     return {
         "name": view.name,
         "corners": [len(view.left_px), len(view.right_px)],
         "residual_px": view.residual_px,
-        "noise_px": list(found.noise_px[view.name]),
+        "noise_px": list(view.noise_px),
         "remarks": [*looked.remarks[view.name], *view.remarks],
     }

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import ContentError, SealedFile, read_bounded
-from appliance.calibrate.air.adjustment import AirCalibration, AirCalibrationError, calibrate_air
 from appliance.calibrate.air.board import BoardDesign, NoBoard, find_board, parse_board
+from appliance.calibrate.air.calibrate import AirCalibration, AirCalibrationError, calibrate_air
 from appliance.calibrate.air.coverage import Coverage, coverage
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.air.pictures import coverage_picture, residual_picture
@@ -257,9 +257,8 @@ def calibrate_folder(
         air = calibrate_air(found.views, *size_px)
     except AirCalibrationError as error:
         raise AirCalibrationError("; ".join((str(error), *found.rejected))) from error
-    used = {view.name for view in air.views}
     # Views that the adjustment left out do not count as coverage: that region is still missing.
-    seen = coverage([view for view in found.views if view.name in used], *size_px)
+    seen = coverage(air.used, *size_px)
     start = start_of(rig, air, design, found, made_at)
     for path, data in (
         (out.with_name(RESULTS[0]), coverage_picture(air.views, seen, *size_px)),
@@ -274,7 +273,7 @@ def start_of(rig: Rig, air: AirCalibration, design: BoardDesign, found: FoundBoa
     """Return lenses and pose as measured, ports as the rig file draws them: where calibrating in water begins."""
     used = {view.name for view in air.views}
     made_from = (
-        f"board {design}, bent by {air.board_bow_mm:.4f} mm",
+        f"board {design}, bent by {air.shapes_mm[0]:.4f} mm",
         *(text for view, text in zip(found.views, found.made_from, strict=True) if view.name in used),
     )
     start = start_from_air(air, Instrument(rig).design(), made_from)
@@ -335,7 +334,7 @@ def _report(
         "principal_point_px": [list(left.lens.c_px), list(right.lens.c_px)],
         "baseline_mm": baseline_mm,
         "baseline_sd_mm": math.sqrt(float(way @ air.covariance[shifts, shifts] @ way)),
-        "board_bow_mm": air.board_bow_mm,
+        "board_bow_mm": float(air.shapes_mm[0]),
         "hash": start.hash,
     }
 

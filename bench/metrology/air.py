@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibrate.air.board import find_board
+from appliance.calibrate.air.calibrate import AirCalibration, calibrate_air
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.water.start import start_from_air
 from appliance.measure.calibration.design import design_calibration

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import calibrate_air
+from appliance.calibrate.air.calibrate import calibrate_air
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.recordings import Recording
 from appliance.calibrate.water.artefact import fit_plane

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.calibrate.air.adjustment import AirCalibration
+from appliance.calibrate.air.calibrate import AirCalibration
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import Step
 from appliance.calibrate.water.start import start_from_air

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.air.adjustment import BoardTolerance
 from appliance.calibrate.air.any_board import FoundBoard, find_corners_of
-from appliance.calibrate.air.any_views import calibrate_any, has, view_of
 from appliance.calibrate.air.board import BoardDesign, NoBoard
+from appliance.calibrate.air.calibrate import calibrate_air
 from appliance.calibrate.air.linearised import BoardView, bend_of
 from appliance.cli import main
 
@@ -53,7 +53,7 @@ def views(folder: Path) -> list[BoardView]:
             corners = find_corners_of(np.asarray(image, np.uint8), board)
             assert not isinstance(corners, NoBoard), one
             sides.append(corners)
-        found.append(view_of(path.name, board_mm, *sides))
+        found.append(BoardView.of(path.name, board_mm, *sides))
     return found
 
 
@@ -64,7 +64,7 @@ def opencv(views: list[BoardView], shapes_mm: Array) -> tuple[float, float, floa
     board: list[Any] = []
     seen: dict[str, list[Any]] = {"left": [], "right": []}
     for view in views:
-        both = has(view, "left") & has(view, "right")
+        both = view.has("left") & view.has("right")
         corners = view.corners_mm[both].copy()
         corners[:, 2] += bend.of(corners) @ shapes_mm
         board.append(corners.astype(np.float32))
@@ -99,11 +99,13 @@ def test_one_command_calibrates_from_at_least_twelve_of_thirteen_pairs(
 
 def test_a_bent_board_gives_what_opencv_gives_once_it_is_told_how_the_board_is_bent(views: list[BoardView]) -> None:
     """The board stands 0.2 mm off a plane: adjusted, the corners fit better by a sixth, and so do OpenCV's, told of it."""
-    bent = calibrate_any(views, *SIZE)
-    assert bent.air.residual_px <= 0.15
-    rig = bent.air.rig
+    bent = calibrate_air(views, *SIZE, with_field=False)
+    assert bent.residual_px <= 0.15
+    rig = bent.rig
     left_px, right_px, baseline_mm = opencv(views, bent.shapes_mm)
     assert rig.left.lens.f_px[0] == pytest.approx(left_px, rel=0.003)
     assert rig.right.lens.f_px[0] == pytest.approx(right_px, rel=0.003)
     assert float(np.linalg.norm(rig.right.translation_mm)) == pytest.approx(baseline_mm, rel=0.001)
-    assert bent.air.residual_px < 0.9 * calibrate_any(views, *SIZE, BoardTolerance(bow_mm=1e-6)).air.residual_px
+    assert (
+        bent.residual_px < 0.9 * calibrate_air(views, *SIZE, BoardTolerance(bow_mm=1e-6), with_field=False).residual_px
+    )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
+from appliance.calibrate.air.calibrate import AirCalibration, calibrate_air
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.calibrator import Solution, examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, RecordingCheck, Refusal, Session, Step

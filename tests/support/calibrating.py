@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
+from appliance.calibrate.air.calibrate import AirCalibration, calibrate_air
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.artefact import fit_plane, fit_sphere, triangulate

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import MIN_CORNERS
 from appliance.calibrate.air.board import BRIGHT_PERCENTILE, DARK_DN, BoardDesign, NoBoard, refined
+from appliance.calibrate.air.linearised import MIN_CORNERS
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]

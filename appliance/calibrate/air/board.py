@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import MIN_CORNERS
-from appliance.calibrate.air.linearised import BoardView
+from appliance.calibrate.air.linearised import MIN_CORNERS, BoardView
 from appliance.measure import FULL_DN
 
 Array = NDArray[np.float64]

@@ -13,8 +13,6 @@ from appliance.calibrate.air.linearised import BoardView
 from appliance.measure import SIDES
 
 Array = NDArray[np.float64]
-Sighting = tuple[Array, Array]
-"""Corners of a board (n, 3) in mm, and where one camera sees them, (n, 2) px."""
 
 REGIONS = (
     ("at the top left", "at the top", "at the top right"),
@@ -54,17 +52,10 @@ class Coverage:
 
 
 def coverage(views: Sequence[BoardView], width_px: int, height_px: int) -> Coverage:
-    """Determine what ``views`` cover and what they lack."""
-    left = [(view.corners_mm, view.left_px) for view in views]
-    return covered(left, [(view.corners_mm, view.right_px) for view in views], left, width_px, height_px)
-
-
-def covered(
-    left: Sequence[Sighting], right: Sequence[Sighting], leant: Sequence[Sighting], width_px: int, height_px: int
-) -> Coverage:
-    """Determine what each camera's own sightings cover, and which leans are missing among ``leant``."""
+    """Determine what ``views`` cover and what they lack. A lean counts whichever camera saw it."""
     corners, missing = {}, []
-    for side, seen in (("left", [px for _, px in left]), ("right", [px for _, px in right])):
+    for side in SIDES:
+        seen = [view.sighting(side)[1] for view in views]
         counts = np.zeros((3, 3), np.int64)
         for uv in seen:
             column = np.clip(uv[:, 0] * 3 // width_px, 0, 2).astype(np.intp)
@@ -80,6 +71,7 @@ def covered(
                 places.append(f"near the {edge} edge")
         if places:
             missing.append(f"no corners yet {', '.join(places)} of the {side} image")
+    leant = [view.sighting("left" if view.has("left").any() else "right") for view in views]
     slopes = [slope for slope in (_slope(*one, width_px, height_px) for one in leant) if slope is not None]
     least = np.tan(np.radians(LEAST_LEAN_DEG))
     leans = [name for name, (axis, sign) in LEANS.items() if not any(sign * s[axis] > least for s in slopes)]
@@ -95,13 +87,11 @@ def check_tilts(views: Sequence[BoardView], width_px: int, height_px: int) -> tu
     """
     words, enough = [], True
     for side in SIDES:
-        seen = [(view.corners_mm, view.left_px if side == "left" else view.right_px) for view in views]
         told: list[Array] = []
         # Each tilt that is none of those before it; the first is that of a board that faces the camera.
         tilts: list[Array] = [np.zeros(2)]
-        for corners_mm, px in seen:
-            there = np.isfinite(px[:, 0])
-            slope = _slope(corners_mm[there], px[there], width_px, height_px) if there.any() else None
+        for view in views:
+            slope = _slope(*view.sighting(side), width_px, height_px) if view.has(side).any() else None
             if slope is None:
                 continue
             told.append(slope)

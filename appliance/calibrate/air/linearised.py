@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,9 @@ from appliance.measure import AIR, PARAMETER_COUNT, PARAMETER_STEPS, HousedCamer
 
 Array = NDArray[np.float64]
 
+MIN_CORNERS = 12
+ONE_ROW = 1e-3
+"""Spread of corners across their longest direction, as a share of that along it, below which they are in one row."""
 VALUES = 22
 SHAPES = 5
 """Bow, saddle, twist, and an S along each side of the board."""
@@ -31,7 +34,48 @@ class BoardView:
     left_px: Array
     """(n, 2)."""
     right_px: Array
-    """(n, 2)."""
+    """(n, 2). In both: NaN where the camera did not see the corner."""
+
+    @classmethod
+    def of(
+        cls, name: str, board_mm: Array, left: Mapping[int, Array] | None, right: Mapping[int, Array] | None
+    ) -> BoardView:
+        """Return a view of a board with corners (n, 3): what each camera found, by number.
+
+        A camera with fewer corners than tell its place, or with a single row of them, counts as having no view.
+        """
+        numbers = sorted((left or {}).keys() | (right or {}).keys())
+        nowhere = np.full(2, np.nan)
+        both = (np.array([(found or {}).get(n, nowhere) for n in numbers]).reshape(-1, 2) for found in (left, right))
+        return cls(name, board_mm[numbers], *both).without(np.zeros(len(numbers), np.bool_))
+
+    def px(self, side: str) -> Array:
+        """Return where a camera sees the corners (n, 2)."""
+        return self.left_px if side == "left" else self.right_px
+
+    def has(self, side: str) -> NDArray[np.bool_]:
+        """Tell which corners (n,) a camera sees."""
+        return np.asarray(np.isfinite(self.px(side)[:, 0]))
+
+    def sighting(self, side: str) -> tuple[Array, Array]:
+        """Return the corners (m, 3) in mm that a camera sees, and where, (m, 2) px."""
+        rows = self.has(side)
+        return self.corners_mm[rows], self.px(side)[rows]
+
+    def without(self, bad: NDArray[np.bool_]) -> BoardView:
+        """Return the view without its ``bad`` corners (n,), and without a camera whose other corners do not tell its place."""
+        corners_mm, both = self.corners_mm[~bad], [self.left_px[~bad], self.right_px[~bad]]
+        told = [px if _tell_place(corners_mm[np.isfinite(px[:, 0])]) else np.full_like(px, np.nan) for px in both]
+        seen = np.isfinite(told[0][:, 0]) | np.isfinite(told[1][:, 0])
+        return BoardView(self.name, corners_mm[seen], told[0][seen], told[1][seen])
+
+
+def _tell_place(corners_mm: Array) -> bool:
+    """Tell whether corners (n, 3) are enough, and not on one line, about which the board's turn cannot be seen."""
+    if len(corners_mm) < MIN_CORNERS:
+        return False
+    across = np.linalg.svd(corners_mm - corners_mm.mean(axis=0), compute_uv=False)
+    return bool(across[1] >= ONE_ROW * across[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

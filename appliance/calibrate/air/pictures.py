@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import FittedView
+from appliance.calibrate.air.calibrate import FittedView
 from appliance.calibrate.air.coverage import ENOUGH_CORNERS, Coverage
 
 Picture = NDArray[np.uint8]

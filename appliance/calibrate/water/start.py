@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.calibrate.air.adjustment import AirCalibration
+from appliance.calibrate.air.calibrate import AirCalibration
 from appliance.calibrate.recordings import RecordingError
 from appliance.measure import IN_AIR, Calibration
 

@@ -112,7 +112,7 @@ RED[..., 2] = 200
         ("damaged", "02_left.png", 2),
         ("other size", "400x300 px; the rig file has 640x480 px", 2),
         ("colour", "colour", 2),
-        ("few", "2 usable views of the board; 6 are needed", 1),
+        ("few", "the left camera has 2 usable views of the board, the right one 2", 1),
     ],
 )
 def test_what_cannot_be_used_is_named(

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibrate.air.board import NoBoard, find_board
-from appliance.calibrate.air.coverage import EDGES, coverage, covered
+from appliance.calibrate.air.calibrate import AirCalibration, calibrate_air
+from appliance.calibrate.air.coverage import EDGES, coverage
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.air.rest import NEW_PLACE, REST_PX, view_of
 from appliance.calibrate.water.artefact import triangulate
@@ -185,7 +185,7 @@ def test_what_is_missing_is_said_until_it_was_seen() -> None:
     # Six corners are enough at an edge; five are not.
     for count, near in ((6, True), (5, False)):
         four = np.repeat([[10.0, 300.0], [790.0, 300.0], [400.0, 10.0], [400.0, 590.0]], count, axis=0)
-        said = covered([(four, four)], [], [], 800, 600).missing[0]
+        said = coverage([BoardView("v", np.pad(four, ((0, 0), (0, 1))), four, four)], 800, 600).missing[0]
         assert [f"near the {edge} edge" in said for edge in EDGES] == [not near] * 4
     sides = [f"its {side} edge away" for side in ("left", "right", "top", "bottom")]
     for about_deg, wanted in ((11.0, 4), (13.0, 3)):

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.calibrate.air.adjustment import NO_PORT
+from appliance.calibrate.air.calibrate import NO_PORT
 from appliance.calibrate.air.linearised import BoardView, bend_of, each_changed, slopes
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens

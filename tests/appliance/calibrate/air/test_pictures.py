@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import FittedView
+from appliance.calibrate.air.calibrate import FittedView
 from appliance.calibrate.air.coverage import Coverage
 from appliance.calibrate.air.pictures import coverage_picture, residual_picture
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import AirCalibrationError, calibrate_air
-from appliance.calibrate.air.any_views import calibrate_any, check_pairs, view_of
+from appliance.calibrate.air.calibrate import AirCalibrationError, calibrate_air, check_pairs
 from appliance.calibrate.air.linearised import BoardView
 from appliance.measure.calibration.determined import UndeterminedError, solved
 from appliance.measure.calibration.parameters import AIR, PARAMETER_NAMES
@@ -42,7 +41,7 @@ def views(where: Sequence[Pose], corners_mm: Array, noise_px: float = 0.03, miss
     for k, pose in enumerate(where):
         j = k if missing_right < 0 or k < missing_right else k + 1
         right = seen(corners_mm, where[j], "right", noise_px, j) if j < len(where) else None
-        found.append(view_of(f"v{k}", corners_mm, seen(corners_mm, pose, "left", noise_px, k), right))
+        found.append(BoardView.of(f"v{k}", corners_mm, seen(corners_mm, pose, "left", noise_px, k), right))
     return found
 
 
@@ -57,12 +56,12 @@ def leant(*turns_deg: tuple[float, float]) -> list[Pose]:
 
 def test_a_board_of_three_rows_of_corners_calibrates() -> None:
     """An S down such a board is a lean of it: without what is known of boards, nothing would tell them apart."""
-    found = calibrate_any(views(poses(9, 5), board(5, 4)), WIDTH_PX, HEIGHT_PX)
-    sd = np.sqrt(np.diag(found.air.covariance))
-    for k, camera in ((0, found.air.rig.left), (8, found.air.rig.right)):
+    found = calibrate_air(views(poses(9, 5), board(5, 4)), WIDTH_PX, HEIGHT_PX, with_field=False)
+    sd = np.sqrt(np.diag(found.covariance))
+    for k, camera in ((0, found.rig.left), (8, found.rig.right)):
         assert abs(camera.lens.f_px[0] - F_PX) < 5.0 * sd[k]
         assert sd[k] < 0.01 * F_PX
-    assert np.linalg.norm(found.air.rig.right.translation_mm) == pytest.approx(BASE_MM, rel=0.01)
+    assert np.linalg.norm(found.rig.right.translation_mm) == pytest.approx(BASE_MM, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -71,9 +70,8 @@ def test_a_board_of_three_rows_of_corners_calibrates() -> None:
 def test_boards_that_do_not_lean_are_told_tilts_seen_and_wanted(
     turns_deg: list[tuple[float, float]], ways: int
 ) -> None:
-    for calibrate in (calibrate_any, calibrate_air):
-        with pytest.raises(AirCalibrationError, match=f"^tilt missing.*leans in {ways} different ways"):
-            calibrate(views(leant(*turns_deg), board(11, 8)), WIDTH_PX, HEIGHT_PX)
+    with pytest.raises(AirCalibrationError, match=f"^tilt missing.*leans in {ways} different ways"):
+        calibrate_air(views(leant(*turns_deg), board(11, 8)), WIDTH_PX, HEIGHT_PX)
 
 
 def test_what_stays_open_is_named_with_its_size() -> None:
@@ -88,10 +86,10 @@ def test_the_first_pair_after_a_missing_picture_is_named(first: int) -> None:
     where = poses(10, 5)
     shifted = views(where, board(11, 8), missing_right=first)
     with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a right picture is missing"):
-        calibrate_any(shifted, WIDTH_PX, HEIGHT_PX)
+        calibrate_air(shifted, WIDTH_PX, HEIGHT_PX, with_field=False)
     exchanged = [replace(view, left_px=view.right_px, right_px=view.left_px) for view in shifted]
     with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a left picture is missing"):
-        calibrate_any(exchanged, WIDTH_PX, HEIGHT_PX)
+        calibrate_air(exchanged, WIDTH_PX, HEIGHT_PX, with_field=False)
     if first == 0:
         with pytest.raises(AirCalibrationError, match=r"^pair v0: .*a right picture is missing"):
             check_pairs(shifted[:8], WIDTH_PX, HEIGHT_PX)  # told before all are looked at
@@ -103,12 +101,12 @@ def test_one_pair_of_two_moments_costs_itself_alone() -> None:
     where = poses(10, 5)
     good = views(where, board(11, 8))
     mixed = replace(good[4], right_px=views(where[::-1], board(11, 8))[4].right_px)
-    found = calibrate_any([*good[:4], mixed, *good[5:]], WIDTH_PX, HEIGHT_PX)
-    (said,) = found.air.left_out
+    found = calibrate_air([*good[:4], mixed, *good[5:]], WIDTH_PX, HEIGHT_PX, with_field=False)
+    (said,) = found.left_out
     assert said.startswith("v4: the left and the right picture show the board at different places, ")
     assert found.pairs == tuple(f"v{k}" for k in range(10) if k != 4)
     k = PARAMETER_NAMES[AIR].index("left principal distance (px)")
-    assert abs(found.air.rig.left.lens.f_px[0] - F_PX) < 5.0 * np.sqrt(found.air.covariance[k, k])
+    assert abs(found.rig.left.lens.f_px[0] - F_PX) < 5.0 * np.sqrt(found.covariance[k, k])
 
 
 def test_pairs_of_which_no_three_agree_are_no_calibration() -> None:
@@ -116,17 +114,17 @@ def test_pairs_of_which_no_three_agree_are_no_calibration() -> None:
     left, right = views(where[:6], board(11, 8)), views(where[6:], board(11, 8))
     mixed = [replace(view, right_px=other.right_px) for view, other in zip(left, right, strict=True)]
     with pytest.raises(AirCalibrationError, match=r"pair v\d: .* and so do [34] other pairs: only [12] agree"):
-        calibrate_any(mixed, WIDTH_PX, HEIGHT_PX)
+        calibrate_air(mixed, WIDTH_PX, HEIGHT_PX, with_field=False)
 
 
 def test_a_single_row_of_corners_tells_no_place() -> None:
     good, wide = views(poses(8, 5), board(15, 8)), board(15, 8)
     row = {k: px for k, px in seen(wide, poses(1, 9)[0], "left", 0.03, 9).items() if wide[k, 1] == 0.0}
     assert len(row) == 14
-    assert len(view_of("row", wide, row, row).corners_mm) == 0
+    assert len(BoardView.of("row", wide, row, row).corners_mm) == 0
     one = BoardView("row", wide[list(row)], np.stack(list(row.values())), np.stack(list(row.values())))
     found = calibrate_air([*good, one], WIDTH_PX, HEIGHT_PX, with_field=False)
-    assert found.left_out == ("row: the corners seen by both cameras are in one row; show more of the board",)
+    assert found.left_out == ("row: few corners of the board, or a single row of them; show more of it",)
 
 
 UNITS = ("length (mm)", "turn (rad)", "shift (mm)")

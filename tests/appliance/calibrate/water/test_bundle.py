@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from appliance.calibrate.air.adjustment import calibrate_air
+from appliance.calibrate.air.calibrate import calibrate_air
 from appliance.calibrate.recordings import Recording, RecordingError
 from appliance.calibrate.water.bundle import BundleSettings, adjust
 from appliance.calibrate.water.method import Method, WaterResult

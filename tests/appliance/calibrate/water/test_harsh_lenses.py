@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from appliance.calibrate.air.adjustment import calibrate_air
+from appliance.calibrate.air.calibrate import calibrate_air
 from appliance.calibrate.water.bundle import adjust
 from appliance.calibrate.water.method import Method, WaterResult
 from hw_sim.truth import in_air

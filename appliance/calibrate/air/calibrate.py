@@ -1,9 +1,11 @@
-"""Owns the calibration in air from views that differ: boards near and far, sharp and blurred, and some that one camera has alone.
+"""Owns the calibration in air: both lenses and their relative pose from views of a board, and how sure they are.
+
+Views may differ: boards near and far, sharp and blurred, and some that one camera has alone.
 
 What a view tells follows from its corners: their number and places are in the equations of the adjustment, and their noise is
 estimated for each view and camera from what the adjustment leaves of it. A view that one camera has alone tells about that
-camera's lens and about the board. The instrument's own calibration asks for more (``adjustment``): there whoever holds the
-board can be told to hold it better.
+camera's lens and about the board. OpenCV's calibration gives the start, one joint adjustment (``adjustment``) the values and
+the covariance that the bundle in water needs as its prior.
 
 It also owns whether the two pictures of a pair show one board: the cameras' relative pose by each pair, against that by all others.
 
@@ -14,32 +16,30 @@ picture is missing agrees again where the pictures after it are paired one furth
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import (
-    FAR_CORNER,
-    LEAST_FAR_PX,
-    MIN_CORNERS,
-    MIN_VIEWS,
-    NO_PORT,
-    WORST_VIEW,
-    Adjusted,
-    AirCalibration,
-    AirCalibrationError,
-    BoardTolerance,
-    FittedView,
-    adjust,
-    check_certain,
-    determined_by,
-    in_one_row,
-)
+from appliance.calibrate.air.adjustment import Adjusted, BoardTolerance, adjust, adjust_with_field
+from appliance.calibrate.air.coverage import check_tilts
 from appliance.calibrate.air.linearised import VALUES, BoardView, bend_of, each_changed, slopes
-from appliance.measure import SIDES, HousedCamera, Lens, StereoRig, matrix3, rotation_matrix
+from appliance.measure import (
+    AIR,
+    PARAMETER_NAMES,
+    SIDES,
+    AirField,
+    HousedCamera,
+    Lens,
+    Port,
+    StereoRig,
+    UndeterminedError,
+    matrix3,
+    rotation_matrix,
+)
 
 Array = NDArray[np.float64]
 Place = tuple[Array, Array]
@@ -170,6 +170,16 @@ def _rms_px(off_px: Array) -> Array:
     return np.where(np.isfinite(found), found, np.inf)
 
 
+MIN_VIEWS = 6
+WORST_VIEW = 3.0
+"""A view whose residual is this many times the median view's is left out."""
+FAR_CORNER, LEAST_FAR_PX = 6.0, 0.1
+"""A corner that is off by so many times the usual view's residual, and so many pixels, is left out alone."""
+HALF_HIDDEN = 0.55
+"""A view in which a camera sees less than this part of the corners of the fullest view is remarked upon."""
+VAGUE = 0.05
+"""Standard deviation of a principal distance, as a share of it, from which on it counts as not determined."""
+NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 MIN_PAIRS = 3
 """Fewest views that both cameras have: the pose between them is the pairs' alone."""
 NOISE_ROUNDS = 3
@@ -188,56 +198,124 @@ TO_SD = 1.4826
 """Standard deviation of a normal distribution in units of its median absolute value."""
 
 
+class AirCalibrationError(Exception):
+    """The views do not suffice for a calibration in air; the text says why and what to do."""
+
+
+@contextmanager
+def determined_by(views: Sequence[BoardView], width_px: int, height_px: int) -> Iterator[None]:
+    """Raise AirCalibrationError that names what ``views`` lack: at once where tilts are missing, else where the adjustment inside
+    leaves something free."""
+    tilts, enough = check_tilts(views, width_px, height_px)
+    # Of too few views their number is said first.
+    if not enough and len(views) >= MIN_VIEWS:
+        raise AirCalibrationError(f"tilt missing: {tilts}")
+    try:
+        yield
+    except UndeterminedError as error:
+        raise AirCalibrationError(
+            f"the views do not determine {', '.join(error.names)}: {tilts}; hold it near and far, and in every corner"
+        ) from error
+    except cv2.error as error:
+        raise AirCalibrationError(
+            f"OpenCV finds no lens that fits the views ({' '.join(str(error).split())[:120]}): {tilts}"
+        ) from error
+
+
+def check_certain(rig: StereoRig, covariance: Array) -> None:
+    """Raise UndeterminedError where ``covariance`` (22, 22) leaves a principal distance or the baseline open."""
+    base_mm = float(np.linalg.norm(rig.right.translation_mm))
+    known = {0: rig.left.lens.f_px[0], 8: rig.right.lens.f_px[0], **dict.fromkeys((19, 20, 21), base_mm)}
+    vague = [
+        f"{PARAMETER_NAMES[AIR][k]} better than ± {np.sqrt(covariance[k, k]):.3g} of {of:.4g}"
+        for k, of in known.items()
+        if not np.sqrt(covariance[k, k]) < VAGUE * abs(of)
+    ]
+    if vague:
+        raise UndeterminedError(vague)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class AnyCalibration:
-    """A pair of cameras from views that differ."""
+class FittedView:
+    """A view that was used, and what the adjustment left of it."""
 
-    air: AirCalibration
-    """Lenses, pose, covariance. In its views a camera that has no view of the board has no corners."""
-    noise_px: Mapping[str, tuple[float | None, float | None]]
-    """Map from a view's name to each camera's noise of a corner as estimated, per coordinate; ``None`` where it has no view."""
+    name: str
+    left_px: Array
+    """(n, 2): where corners were seen."""
+    right_px: Array
+    """(n, 2)."""
+    left_residual_px: Array
+    """(n, 2): seen less computed."""
+    right_residual_px: Array
+    """(n, 2)."""
+    remarks: tuple[str, ...] = ()
+    """Oddities of the calibration, in words."""
+    noise_px: tuple[float | None, float | None] = (None, None)
+    """Each camera's noise of a corner as estimated, per coordinate; ``None`` where it has no view."""
+
+    @property
+    def residual_px(self) -> float:
+        """RMS per coordinate."""
+        return float(np.sqrt(np.mean(np.concatenate([self.left_residual_px, self.right_residual_px]) ** 2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AirCalibration:
+    """The pair in air: both lenses and the right camera's pose, with covariance."""
+
+    rig: StereoRig
+    """Rig whose ports have no thickness and no distance: air."""
+    covariance: Array
+    """(22, 22), in the units and order of ``parameters.NAMES[AIR]``: noise of the corners, tolerance of the board. What a
+    lens does beyond the model is not in it."""
+    residual_px: float
+    """RMS per coordinate."""
     shapes_mm: Array
-    """(``SHAPES``,): the board's shapes as adjusted (``linearised.Bend``)."""
-    pairs: tuple[str, ...]
-    """Names of the views used that both cameras have."""
-    exchanged: bool
-    """The camera called right stands to the left of the other."""
+    """(``SHAPES``,): the board's shapes as adjusted (``linearised.Bend``). The first is its bow: how far its middle stands back."""
+    left_out: tuple[str, ...]
+    """Views that were not used, each with the reason in words."""
+    views: tuple[FittedView, ...]
+    """Views that were used. A camera that has no view of the board has no corners in it."""
+    used: tuple[BoardView, ...]
+    """The same as the adjustment had them: without corners that were left out."""
+    field: AirField | None = None
+    """Field of each lens beyond ``rig``, adjusted together with all else; ``None`` if it was not asked for."""
+
+    @property
+    def pairs(self) -> tuple[str, ...]:
+        """Names of the views used that both cameras have."""
+        return tuple(view.name for view in self.used if not _alone(view))
+
+    @property
+    def exchanged(self) -> bool:
+        """True where the camera called right stands to the left of the other."""
+        t = np.array(self.rig.right.translation_mm)
+        # Across and to the left: cameras above each other are neither exchanged nor not.
+        return bool(t[0] < -0.5 * np.linalg.norm(t))
 
 
-def view_of(
-    name: str, board_mm: Array, left: Mapping[int, Array] | None, right: Mapping[int, Array] | None
-) -> BoardView:
-    """Return a view of a board with corners (n, 3): what each camera found, by number; NaN where it found none.
+def calibrate_air(
+    views: Sequence[BoardView],
+    width_px: int,
+    height_px: int,
+    tolerance: BoardTolerance | None = None,
+    with_field: bool = True,
+) -> AirCalibration:
+    """Calibrate the pair in air from boards (twenty or so, tilted by up to 35°, filling the images).
 
-    A camera with fewer corners than tell its place, or with a single row of them, counts as having no view.
+    ``views`` are in the order of their pictures. Square pixels are assumed. ``tolerance`` ``None``: that of a good board.
+    ``with_field``: adjust the lenses' fields, too, which takes a second. Raises AirCalibrationError when too few views remain, when
+    a picture is missing among them, or when they do not determine the cameras.
     """
-    both = [{} if found is None or not _tell_place(board_mm[list(found)]) else found for found in (left, right)]
-    numbers = sorted(both[0].keys() | both[1].keys())
-    nowhere = np.full(2, np.nan)
-    left_px, right_px = (np.array([found.get(n, nowhere) for n in numbers]).reshape(-1, 2) for found in both)
-    return BoardView(name, board_mm[numbers], left_px, right_px)
-
-
-def _tell_place(corners_mm: Array) -> bool:
-    return len(corners_mm) >= MIN_CORNERS and not in_one_row(corners_mm)
-
-
-def has(view: BoardView, side: str) -> NDArray[np.bool_]:
-    """Tell which corners (n,) a camera sees."""
-    return np.asarray(np.isfinite((view.left_px if side == "left" else view.right_px)[:, 0]))
-
-
-def calibrate_any(
-    views: Sequence[BoardView], width_px: int, height_px: int, tolerance: BoardTolerance | None = None
-) -> AnyCalibration:
-    """Calibrate two cameras in air from views of ``view_of``. Square pixels are assumed.
-
-    ``views`` are in the order of their pictures. ``tolerance`` ``None``: that of a good board. Raises AirCalibrationError when too few
-    views remain, when a picture is missing among them, or when they do not determine the cameras.
-    """
-    usable = [view for view in views if len(view.corners_mm)]
+    left_out, usable = [], []
+    for view in views:
+        told = view.without(np.zeros(len(view.corners_mm), np.bool_))
+        if len(told.corners_mm):
+            usable.append(told)
+        else:
+            left_out.append(f"{view.name}: few corners of the board, or a single row of them; show more of it")
     with determined_by(usable, width_px, height_px):
-        return _calibrated(usable, width_px, height_px, tolerance or BoardTolerance())
+        return _calibrated(usable, left_out, (width_px, height_px), tolerance or BoardTolerance(), with_field)
 
 
 def check_pairs(views: Sequence[BoardView], width_px: int, height_px: int) -> None:
@@ -250,12 +328,20 @@ def check_pairs(views: Sequence[BoardView], width_px: int, height_px: int) -> No
         _wrong_pairs(pairing)
 
 
-def _calibrated(usable: list[BoardView], width_px: int, height_px: int, allowed: BoardTolerance) -> AnyCalibration:
-    left_out: list[str] = []
-    remarks: dict[str, tuple[str, ...]] = {view.name: _alone(view) for view in usable}
+def _calibrated(
+    usable: list[BoardView],
+    left_out: list[str],
+    size_px: tuple[int, int],
+    allowed: BoardTolerance,
+    with_field: bool,
+) -> AirCalibration:
+    fullest = max((len(view.corners_mm) for view in usable), default=0)
+    remarks = {view.name: (*_alone(view), *_thin(view, fullest)) for view in usable}
+    # Outliers are taken out one view at a time, the worst first, and everything is adjusted anew: one bad view bends
+    # all others, and most of what looks bad beside it is good without it.
     while True:
         _check_enough(usable, left_out)
-        start = _start(usable, width_px, height_px)
+        start = _start(usable, *size_px)
         wrong = _wrong_pairs(start.pairing)
         if wrong:
             left_out += wrong.values()
@@ -281,18 +367,26 @@ def _calibrated(usable: list[BoardView], width_px: int, height_px: int, allowed:
             if bad.any():
                 most = float(np.nanmax(np.abs(adjusted.residuals[k][bad])))
                 remarks[usable[k].name] += (f"{np.count_nonzero(bad)} corners left out, up to {most:.2f} px off",)
-                usable[k] = _without(usable[k], bad)
+                usable[k] = usable[k].without(bad)
         usable = [view for view in usable if len(view.corners_mm)]
-    return _result(adjusted, usable, noise, allowed, left_out, remarks)
+    return _result(adjusted, usable, noise, allowed, left_out, remarks, with_field)
 
 
 def _alone(view: BoardView) -> tuple[str, ...]:
-    sides = [side for side in SIDES if has(view, side).any()]
+    sides = [side for side in SIDES if view.has(side).any()]
     return () if len(sides) == 2 else (f"only the {sides[0]} camera has it",)
 
 
+def _thin(view: BoardView, most: int) -> tuple[str, ...]:
+    """Return a remark on a view in which a camera sees much less of the board than is seen in others."""
+    counts = [count for side in SIDES if (count := int(np.count_nonzero(view.has(side))))]
+    if min(counts) >= HALF_HIDDEN * most:
+        return ()
+    return (f"a camera sees {min(counts)} corners, other views have up to {most}: the board is half hidden",)
+
+
 def _check_enough(views: Sequence[BoardView], left_out: Sequence[str]) -> None:
-    seen = {side: sum(bool(has(view, side).any()) for view in views) for side in SIDES}
+    seen = {side: sum(bool(view.has(side).any()) for view in views) for side in SIDES}
     pairs = sum(not _alone(view) for view in views)
     if min(seen.values()) >= MIN_VIEWS and pairs >= MIN_PAIRS:
         return
@@ -315,8 +409,8 @@ class _Start:
 
 def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> _Start:
     """Return OpenCV's separate calibrations, each from all that its camera saw, and the relative pose of the pairs that agree."""
-    left, at_left = _lens([(v, has(v, "left"), v.left_px) for v in views], width_px, height_px)
-    right, at_right = _lens([(v, has(v, "right"), v.right_px) for v in views], width_px, height_px)
+    left, at_left = _lens(views, "left", width_px, height_px)
+    right, at_right = _lens(views, "right", width_px, height_px)
     pairing = pair_up(views, at_left, at_right, right.lens.f_px[0], width_px)
     R, t = pairing.rotation, pairing.shift_mm
     rig = StereoRig(left, replace(right, rotation=matrix3(R), translation_mm=(float(t[0]), float(t[1]), float(t[2]))))
@@ -356,12 +450,13 @@ def _wrong_pairs(pairing: Pairing) -> dict[str, str]:
 
 
 def _lens(
-    seen: Sequence[tuple[BoardView, NDArray[np.bool_], Array]], width_px: int, height_px: int
+    views: Sequence[BoardView], side: str, width_px: int, height_px: int
 ) -> tuple[HousedCamera, dict[str, Place]]:
     """Return one camera by itself, and where it sees each board, by the view's name."""
-    with_board = [(view, rows, px) for view, rows, px in seen if rows.any()]
-    corners = [view.corners_mm[rows].astype(np.float32) for view, rows, _ in with_board]
-    pixels = [px[rows].astype(np.float32).reshape(-1, 1, 2) for _, rows, px in with_board]
+    names = [view.name for view in views if view.has(side).any()]
+    sightings = [view.sighting(side) for view in views if view.has(side).any()]
+    corners = [corners_mm.astype(np.float32) for corners_mm, _ in sightings]
+    pixels = [px.astype(np.float32).reshape(-1, 1, 2) for _, px in sightings]
     # Square pixels: f_y = f_x. Without it a board that never leans about one axis lets the ratio drift.
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO
     best = None
@@ -378,8 +473,8 @@ def _lens(
     k1, k2, p1, p2, k3 = (float(k) for k in np.ravel(brown)[:5])
     lens = Lens((float(matrix[0, 0]),) * 2, (float(matrix[0, 2]), float(matrix[1, 2])), (k1, k2, p1, p2, k3))
     places = {
-        view.name: (rotation_matrix(np.ravel(r)), np.asarray(np.ravel(t), np.float64))
-        for (view, _, _), r, t in zip(with_board, turns, shifts, strict=True)
+        name: (rotation_matrix(np.ravel(r)), np.asarray(np.ravel(t), np.float64))
+        for name, r, t in zip(names, turns, shifts, strict=True)
     }
     return HousedCamera(width_px, height_px, lens, NO_PORT), places
 
@@ -389,7 +484,7 @@ def _lens(
 
 def _adjusted(start: _Start, views: Sequence[BoardView], allowed: BoardTolerance) -> tuple[Adjusted, list[Array]]:
     """Return the adjustment with each view weighted, and the noise (2,) of each, left and right; NaN where it has no view."""
-    noise = [np.where([has(v, side).any() for side in SIDES], 1.0, np.nan) for v in views]
+    noise = [np.where([v.has(side).any() for side in SIDES], 1.0, np.nan) for v in views]
     rig, boards = start.rig, start.boards
     adjusted: Adjusted | None = None
     for _ in range(NOISE_ROUNDS):
@@ -407,7 +502,7 @@ def _weights(view: BoardView, noise_px: Array, usual_px: float) -> Array:
     """Return the weight of each coordinate (4 n,), zero where it was not seen."""
     parts = []
     for sd, side in zip(noise_px, SIDES, strict=True):
-        rows = has(view, side)
+        rows = view.has(side)
         parts.append(np.repeat(np.where(rows, usual_px / sd if np.isfinite(sd) else 0.0, 0.0), 2))
     return np.concatenate(parts)
 
@@ -465,14 +560,6 @@ def _far(residual: Array) -> NDArray[np.bool_]:
     return bad
 
 
-def _without(view: BoardView, bad: NDArray[np.bool_]) -> BoardView:
-    """Return a view without its ``bad`` corners (n,), and without a camera whose other corners do not tell its place."""
-    corners_mm, both = view.corners_mm[~bad], [view.left_px[~bad], view.right_px[~bad]]
-    told = [px if _tell_place(corners_mm[np.isfinite(px[:, 0])]) else np.full_like(px, np.nan) for px in both]
-    seen = np.isfinite(told[0][:, 0]) | np.isfinite(told[1][:, 0])
-    return BoardView(view.name, corners_mm[seen], told[0][seen], told[1][seen])
-
-
 # ------------------------------------------------------------------------------------------ result
 
 
@@ -483,7 +570,8 @@ def _result(
     allowed: BoardTolerance,
     left_out: Sequence[str],
     remarks: Mapping[str, tuple[str, ...]],
-) -> AnyCalibration:
+    with_field: bool,
+) -> AirCalibration:
     usual = float(np.nanmedian(noise))
     weighted = [
         e.T.ravel() * np.repeat(usual / np.repeat(sd, 2), len(e))
@@ -491,29 +579,32 @@ def _result(
     ]
     every, plain = np.concatenate(weighted), np.concatenate([e.ravel() for e in adjusted.residuals])
     count = np.count_nonzero(np.isfinite(every))
+    # That of unit weight: coordinates less 22 parameters of the rig and six of each view.
     variance = float(np.nansum(every**2)) / (count - VALUES - 6 * len(views))
     covariance = np.asarray(np.linalg.inv(adjusted.information)[:VALUES, :VALUES] * variance, np.float64)
     check_certain(adjusted.rig, covariance)
     # Scale of the print: no image tells it, and every parameter that is a length follows it.
     covariance += allowed.scale**2 * np.outer(adjusted.by_scale, adjusted.by_scale)
     fitted = []
-    for view, e in zip(views, adjusted.residuals, strict=True):
-        left, right = has(view, "left"), has(view, "right")
-        fitted.append(
-            FittedView(
-                view.name, view.left_px[left], view.right_px[right], e[left, :2], e[right, 2:], remarks[view.name]
-            )
+    for view, e, sd in zip(views, adjusted.residuals, noise, strict=True):
+        left, right = view.has("left"), view.has("right")
+        pixels = view.left_px[left], view.right_px[right], e[left, :2], e[right, 2:]
+        known = tuple(None if np.isnan(one) else float(one) for one in sd)
+        fitted.append(FittedView(view.name, *pixels, remarks[view.name], (known[0], known[1])))
+    field = None
+    if with_field:
+        weights = [_weights(view, sd, usual) for view, sd in zip(views, noise, strict=True)]
+        field = adjust_with_field(
+            adjusted.rig,
+            adjusted.boards,
+            views,
+            adjusted.shapes_mm,
+            allowed.bow_mm,
+            allowed.scale,
+            float(np.sqrt(variance)),
+            weights,
         )
     residual_px = float(np.sqrt(np.nanmean(plain**2)))
-    bow_mm = float(adjusted.shapes_mm[0])
-    air = AirCalibration(adjusted.rig, covariance, residual_px, bow_mm, tuple(left_out), tuple(fitted))
-    known = {
-        view.name: (None if np.isnan(sd[0]) else float(sd[0]), None if np.isnan(sd[1]) else float(sd[1]))
-        for view, sd in zip(views, noise, strict=True)
-    }
-    t = np.array(adjusted.rig.right.translation_mm)
-    # Across and to the left: cameras above each other are neither exchanged nor not.
-    exchanged = bool(t[0] < -0.5 * np.linalg.norm(t))
-    return AnyCalibration(
-        air, known, adjusted.shapes_mm, tuple(view.name for view in views if not _alone(view)), exchanged
+    return AirCalibration(
+        adjusted.rig, covariance, residual_px, adjusted.shapes_mm, tuple(left_out), tuple(fitted), tuple(views), field
     )
