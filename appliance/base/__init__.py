@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from .distribution import (
         other_program,  # Return one sentence about another distribution that has our command and import name
     )
+    from .face import (
+        modules_of_face,  # Return the module of each name in the face of a package
+    )
     from .kernel_build import (
         CompileError,  # Some kernels could not be compiled; the text says which and why
         Compiling,  # Progress of compiling: done pieces of of

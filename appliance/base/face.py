@@ -14,27 +14,31 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["lazy_face"]
+__all__ = ["lazy_face", "modules_of_face"]
 
 
-def lazy_face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the package ``room``, after the imports in its
-    ``__init__``'s type-checking block."""
-    package = sys.modules[room]
-    modules = {
-        alias.asname or alias.name: f"{room}.{statement.module}"
-        for block in ast.parse(Path(str(package.__file__)).read_text(encoding="utf-8")).body
+def modules_of_face(package: str) -> dict[str, str]:
+    """Return the module of each name that the type-checking block in ``package``'s ``__init__`` imports."""
+    source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
+    return {
+        alias.asname or alias.name: f"{package}.{statement.module}" if statement.level else str(statement.module)
+        for block in ast.parse(source).body
         if isinstance(block, ast.If)
         for statement in block.body
         if isinstance(statement, ast.ImportFrom)
         for alias in statement.names
     }
 
+
+def lazy_face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the package ``room``, after ``modules_of_face``."""
+    modules = modules_of_face(room)
+
     def load(name: str) -> Any:
         if name not in modules:
             raise AttributeError(f"{room} has no name {name!r}; its face has: {', '.join(sorted(modules))}")
         value = getattr(importlib.import_module(modules[name]), name)
-        setattr(package, name, value)
+        setattr(sys.modules[room], name, value)
         return value
 
     names = sorted(modules)

@@ -260,7 +260,7 @@ if TYPE_CHECKING:
     from .overlap.fine import (
         Fit,  # A fine pose with what is known about it
     )
-    from .overlap.guidance import (
+    from .overlap.next_view import (
         Guide,  # Follows live pictures of one kept scan after another. Used by one thread
         Sight,  # The camera that aims, in its water
     )

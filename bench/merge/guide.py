@@ -14,7 +14,7 @@ from appliance.instrument.service.settings import live_light_of
 from appliance.instrument.worker.live_picture import reduced
 from appliance.measure.guidance import Guidance, Move
 from appliance.measure.light.patterns import Direction
-from appliance.measure.overlap.guidance import Guide, Sight
+from appliance.measure.overlap.next_view import Guide, Sight
 from appliance.measure.overlap.overlap import CoarseView, coarse_view
 from appliance.measure.overlap.patches import projection_of
 from appliance.measure.points.pipeline import Pipeline

@@ -1,4 +1,7 @@
-"""Owns reading pixels of a row where their points went: many of them at once, of each frame the same few lines.
+"""Reads the grey values of one row's pixels in each frame at the places to which the motion has brought their points.
+
+``displacement.py`` gives these places on a coarse grid of nodes, as parabolas in depth; between two nodes of a row they are
+interpolated for all pixels of a list at once.
 
 Grey values between pixels are read with the cubic B-spline, which does not pass through them: it sees a spot of 0.6 px
 (σ) wherever it is read. Sharper kernels see a border of albedo differently by where between pixels it lies, and of four

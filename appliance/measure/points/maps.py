@@ -1,8 +1,11 @@
-"""Points from maps of the pattern's coordinates in both images, whoever decoded them: where two directions were, by the
-instrument's own kernels.
+"""Makes points of two images' maps of the pattern's coordinates, whoever decoded them, where both directions were
+projected.
 
-Symbols: the coordinates are scaled so that one camera pixel sees about as much of the pattern as on the instrument, for
-which the search for neighbours was made; no point depends on their scale.
+Callers are imports of other rigs' images; matching and intersection are the instrument's own kernels. Points of one
+direction alone are ``one_direction.py``'s.
+
+Scale: the coordinates are scaled so that one camera pixel sees about as much of the pattern as on the instrument, for
+which the search for neighbours was made; no point depends on it.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 Symbols: a ray in water is (x, y) = (x0, y0) + (sx, sy)·(z − plane_z_mm), the left one with suffix 1, the right one with
 suffix 2. h and t are the depths, above the plane, of the nearest points of the left and of the right ray. SHIFT is
 ∂x0/∂u of the right ray and SHIFT_SLOPE ∂sx/∂u: so far moves it per px of the right image.
+s and w are scratch rows (``decode/scratch.py``): s has what the whole row keeps, w what only the pixels in work need.
 """
 
 from __future__ import annotations

@@ -29,7 +29,9 @@ import importlib
 import inspect
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` finds each by the table below
+from appliance.base import modules_of_face
+
+if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` reads the same list
     from appliance.base import MissingLibraryError as MissingLibraryError
     from appliance.desk.comparing import Comparison as Comparison
     from appliance.desk.comparing import NominalSurface as NominalSurface
@@ -88,57 +90,18 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.store import UnknownScan as UnknownScan
     from appliance.store import load_calibration as load_calibration
 
-_HOMES = {
-    "appliance.measure.calibration.file": ("Calibration", "CalibrationError"),
-    "appliance.store.instrument": ("load_calibration",),
-    "appliance.store.config": ("ConfigError",),
-    "appliance.desk.export.formats": ("ExportError",),
-    "appliance.desk.comparing": ("Comparison", "NominalSurface", "compare"),
-    "appliance.desk.object_scripting": ("ObjectOfDive", "open_object"),
-    "appliance.desk.objects": ("ready_scan",),
-    "appliance.desk.organised": ("OrganisedScan",),
-    "appliance.desk.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan", "save_calibration"),
-    "appliance.measure.light.water": ("Water",),
-    "appliance.measure.points.organised": ("OrganisedCloud",),
-    "appliance.desk.registration.joint": ("JointErrors", "LengthSigma"),
-    "appliance.measure.overlap.pair": ("ReadyScan", "RegisteredPair", "register"),
-    "appliance.desk.registration.reference": ("SurfaceMatchError",),
-    "appliance.measure.overlap.rigid": ("Rigid",),
-    "appliance.desk.registration.solve": ("Solved", "solve"),
-    "appliance.desk.report.content": (
-        "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
-    ),
-    "appliance.desk.report.page": ("write_report",),
-    "appliance.measure.verdict": ("Grade",),
-    "appliance.store.atomic": ("StorageError",),
-    "appliance.store.library": ("UnknownScan",),
-    "appliance.desk.object_store": ("ObjectError", "StoredObject"),
-    "appliance.store.scan": ("ScanError",),
-    "appliance.desk.surface.deviation": ("Deviation", "deviations"),
-    "appliance.desk.surface.fusion": ("FusedCloud", "PlacedScan", "fuse"),
-    "appliance.base.libraries": ("MissingLibraryError",),
-    "appliance.desk.surface.mesh": ("Mesh", "mesh_of_scan"),
-    "appliance.desk.surface.nominal": ("Nominal", "NominalError", "nominal_of_mesh", "read_nominal"),
-    "appliance.desk.surface.normals": ("normals",),
-    "appliance.desk.surface.object_mesh": ("mesh_of_surface",),
-}  # fmt: skip
-"""Modules with what is taken from each, under its own name or another."""
-_FOUND = {
-    wanted.rpartition(" as ")[2]: (module, wanted.partition(" as ")[0])
-    for module, names in _HOMES.items()
-    for wanted in names
-}
+_MODULES = modules_of_face(__name__)
 
 __version__ = importlib.import_module("appliance").__version__
-__all__ = [*sorted(_FOUND), "__version__"]
+__all__ = [*sorted(_MODULES), "__version__"]
 
 
 def __getattr__(name: str) -> Any:
     """Return one of the names above. Raises AttributeError for any other."""
-    if name not in _FOUND:
+    if name not in _MODULES:
         from appliance.base import other_program
 
-        there = f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_FOUND))}"
+        there = f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_MODULES))}"
         raise AttributeError("; ".join(filter(None, (there, other_program()))))
     return _loaded(name)
 
@@ -148,8 +111,7 @@ def _loaded(name: str) -> Any:
     from appliance.base import use_kernel_cache
 
     use_kernel_cache()
-    module, attribute = _FOUND[name]
-    found = getattr(importlib.import_module(module), attribute)
+    found = getattr(importlib.import_module(_MODULES[name]), name)
     if not inspect.isfunction(found):
         return found
     from appliance.base import refuse_wrong_types

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.worker.live_picture import reduced
 from appliance.measure.guidance import LEAST_GOOD, MOST_GOOD, Guidance, Move
-from appliance.measure.overlap.guidance import Guide, Sight, long_axis
+from appliance.measure.overlap.next_view import Guide, Sight, long_axis
 from appliance.measure.overlap.overlap import CoarseView
 from appliance.measure.overlap.patches import projection_of
 from tests.appliance.desk.registration.test_overlap import coarse, main_at, seen, true_share

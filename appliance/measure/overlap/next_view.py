@@ -1,11 +1,13 @@
-"""Owns where the camera looks while the diver aims, against the scan that was kept: the overlap that a scan from here would have, and the way
-to a good one.
+"""Compares a live picture with the scan that was kept: how much a scan from here would overlap it, and which way leads
+to a good overlap.
 
-Marks of the kept scan's bright picture, with their points, are looked for in a live picture; seen from one pose, they tell the camera's
-(three points and a fourth, M. Fischler and R. Bolles 1981; X. Gao et al. 2003), refraction included. The kept scan's points are then drawn into the live
-picture: the share of what the projector lights there that they cover is the overlap. Nothing is supposed about what lies beyond.
+Marks of the kept scan's bright picture, with their points, are looked for in a live picture; seen from one pose, they
+tell the camera's (three points and a fourth, M. Fischler and R. Bolles 1981; X. Gao et al. 2003), refraction included.
+The kept scan's points are then drawn into the live picture: the share of what the projector lights there that they
+cover is the overlap. Nothing is supposed about what lies beyond.
 
-Symbols: A the kept scan; x a point in A's frame, y the same in the camera's; u, v column and row of a pixel of the full picture
+Symbols: A the kept scan; x a point in A's frame, y the same in the camera's; u, v column and row of a pixel of the full
+picture
 """
 
 from __future__ import annotations
@@ -127,7 +129,8 @@ class Guide:
         return Guidance(Overlap(share), self._way(lit, pose.of(kept.surface()[0]), share))
 
     def _covered(self, kept: CoarseView, lit: NDArray[np.bool_], pose: Rigid) -> float:
-        """Return the share of the cells ``lit`` (h, w) that points of the kept scan cover where the camera is at ``pose``."""
+        """Return the share of the cells ``lit`` (h, w) that points of the kept scan cover where the camera is at
+        ``pose``."""
         points, normals = kept.surface()
         y = pose.of(points)
         facing = -(y * (normals @ pose.rotation.T)).sum(1) > FACING * np.linalg.norm(y, axis=1)
@@ -166,7 +169,8 @@ class Guide:
         return None if length < AWAY_MM else (float(way[0] / length), float(way[1] / length))
 
     def _known_again(self, before: PictureMarks, marks: PictureMarks, picture: NDArray[np.uint8]) -> float:
-        """Return the share of the lit picture that has marks around it which the picture before had, too: with such marks an overlap would show."""
+        """Return the share of the lit picture that has marks around it which the picture before had, too: with such
+        marks an overlap would show."""
         pairs = matches(before.descriptors, marks.descriptors)
         count = np.zeros(picture.shape, np.float32)
         at = np.clip(np.rint(marks.uv_px[pairs[:, 1]]).astype(int), 0, (picture.shape[1] - 1, picture.shape[0] - 1))
@@ -178,8 +182,8 @@ class Guide:
 
 
 def camera_pose(sight: Sight, points_mm: Array, uv_px: Array) -> Rigid | None:
-    """Return where points (n, 3) of A are in the frame of the camera that sees them at pixels (n, 2); ``None``: too few agree, or only along a line, or
-    another pose has as good a claim."""
+    """Return where points (n, 3) of A are in the frame of the camera that sees them at pixels (n, 2); ``None``: too few
+    agree, or only along a line, or another pose has as good a claim."""
     if len(points_mm) < ENOUGH_INLIERS:
         return None
     depth_mm = float(np.median(points_mm[:, 2]))

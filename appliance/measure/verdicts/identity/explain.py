@@ -1,0 +1,258 @@
+"""Owns the explanations of a camera's frames: which of them is taken for which pattern, and which speaks best.
+
+A swap, frames that all come one late or one early, and a repeat with everything after it one late put frames and
+patterns into another order, under which no doubt is left; so is a picture that lies the wrong way round, once it is
+read backwards; the missing pattern of a late sequence is foretold by the others, since four sines add up in pairs. A
+frame that repeats another, or an image that stays, is seen in the frames themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.light.noise import CameraNoise
+from appliance.measure.light.patterns import Direction, PatternSequence
+from appliance.measure.verdicts.identity.evidence import MIN_FRINGE, LineEvidence, Witness
+from appliance.measure.verdicts.identity.lines import Lines
+
+SAME = 2.0
+"""Two frames whose squared difference is less, in units of noise, are one image: noise alone gives 1, a step of the
+faintest fringes that count 4 or more."""
+SAME_MEAN = 0.15
+SHORTEST_STILL = 3
+"""Frames that show the same image to the end of the sequence; two are a repeat."""
+ENOUGH_FRINGE = 2000
+"""Samples with fringes that are asked while explanations compete; the best of them then face all lines."""
+FINALISTS = 6
+CLEARLY_LESS = 0.7
+"""Least drop of the total of all doubts by which a new order is believed: what moves leaves some doubt in any order."""
+
+
+class What(Enum):
+    """The ways in which frames and patterns can disagree."""
+
+    SWAPPED = "swapped"
+    LATE = "late"
+    """Each frame from ``frame`` on shows the pattern before its own."""
+    EARLY = "early"
+    """Each frame from ``frame`` on shows the pattern after its own."""
+    REPEATED = "repeated"
+    """``frame`` shows what ``other`` shows."""
+    STILL = "still"
+    """All frames from ``frame`` on show the same image."""
+    MIRRORED = "mirrored left to right"
+    """All frames are as planned, each row read from its end."""
+    UPSIDE_DOWN = "mirrored top to bottom"
+    """The same of each column."""
+    TURNED = "turned by 180°"
+    """Both."""
+    UNEXPLAINED = "unexplained"
+
+
+WAYS_ROUND = {
+    What.MIRRORED: (Direction.X,),
+    What.UPSIDE_DOWN: (Direction.Y,),
+    What.TURNED: (Direction.X, Direction.Y),
+}
+"""Directions whose lines run backwards where a picture lies the wrong way round."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """One disagreement and the frames it concerns; ``other``: the second of two, where two are concerned."""
+
+    what: What
+    frame: int
+    other: int | None = None
+    identical: bool = False
+    """True if they are equal to the last bit: only a camera's memory repeats an image with its noise."""
+    moved: float = 0.0
+    """Share of what is illuminated that moves by this explanation; see ``moved_share``."""
+    relief: float = 0.0
+    """Drop of the total of all doubts under the order that it says; 0 where it says none."""
+
+
+def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence) -> Explanation:
+    """Return the best explanation of frames that are contradicted by ``doubts``, the evidence for their being as
+    planned."""
+    same = differences(witness, sequence, noise)
+    first = still_from(same)
+    if first is not None and len(sequence) - first >= SHORTEST_STILL:
+        return Explanation(What.STILL, first, identical=not same[first:, first:].any())
+    reordered = _reordered(witness, sequence, noise, doubts)
+    if reordered is not None:
+        return _at_the_second(reordered, same)
+    unordered = _repeated(same, doubts) or Explanation(What.UNEXPLAINED, _suspect(doubts))
+    return replace(unordered, moved=moved_share(witness, sequence, np.arange(len(sequence), dtype=np.int64)))
+
+
+def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Explanation | None:
+    """Return the explanation of frames without fringes across both directions, if it is that the image stays.
+
+    Mere backscatter shows broad stripes only, so that all later frames are alike in it. A still image must have begun
+    before the second stripe image of the last direction, or the fringes of the first one have been seen.
+    """
+    same = differences(witness, sequence, noise)
+    first = still_from(same)
+    if first is None or len(sequence) - first < SHORTEST_STILL:
+        return None
+    fringed = sum(_fringed(lines, sequence, noise).shape[1] for lines in witness.lines.values())
+    if fringed < MIN_FRINGE and first > sequence.axis(Direction.Y).gray[1]:
+        return None
+    return Explanation(What.STILL, first, identical=not same[first:, first:].any())
+
+
+def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.float64]:
+    """Return (n, n) squared differences of frames over illuminated samples, in units of noise: 1 between images of
+    the same."""
+    samples = [_fringed(lines, sequence, noise) for lines in witness.lines.values()]
+    values = np.concatenate(samples, axis=1).astype(np.float64)
+    if values.shape[1] < MIN_FRINGE:
+        values = np.concatenate(
+            [lines.values[:, lines.illuminated] for lines in witness.lines.values()], axis=1
+        ).astype(float)
+    variance = noise.variance_dn2(values.mean(axis=0))
+    # |a − b|² = |a|² + |b|² − 2 a·b, over the variance of a difference of two frames.
+    scaled = (values - values.mean(axis=0)) / np.sqrt(2.0 * variance)
+    squares = (scaled**2).sum(axis=1)
+    apart = squares[:, None] + squares - 2.0 * scaled @ scaled.T
+    result = np.asarray(np.maximum(apart, 0.0) / max(values.shape[1], 1))
+    result[result < 1e-9] = 0.0
+    return result
+
+
+def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.int64]) -> float:
+    """Return the share of illuminated samples whose mean over the sines of one direction is not that over the other's.
+
+    For frame ``order[k]`` taken as showing pattern k. A single sine in a wrong place moves its mean by an eighth of the
+    swing at most.
+    """
+    moved = illuminated = 0
+    for lines in witness.lines.values():
+        means = [lines.values[order[list(sequence.axis(d).sine)]][:, lines.illuminated].mean(axis=0) for d in Direction]
+        swing = (lines.high - lines.low)[lines.illuminated].astype(np.float64)
+        moved += int(np.count_nonzero(abs(means[0] - means[1]) > SAME_MEAN * swing))
+        illuminated += swing.size
+    return moved / max(illuminated, 1)
+
+
+def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.uint8]:
+    """Return (n, samples) those in which the fringes across columns are seen; broad stripes are seen in mere
+    backscatter too."""
+    s0, s1, s2, s3 = (lines.values[k].astype(np.float32) for k in sequence.axis(Direction.X).sine)
+    variance = noise.variance_dn2(lines.high.astype(np.float32))
+    seen = (s0 - s2) ** 2 + (s3 - s1) ** 2 > 72.0 * variance
+    return np.asarray(lines.values[:, lines.illuminated & seen])
+
+
+def still_from(same: NDArray[np.float64]) -> int | None:
+    """Return the first of the frames that show the same image up to the last one; ``None``: the last two differ."""
+    first = len(same) - 1
+    while first > 0 and same[first - 1, -1] < SAME:
+        first -= 1
+    return None if first == len(same) - 1 else first
+
+
+def _reordered(
+    witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence
+) -> Explanation | None:
+    """Return the order under which the least doubt is left, none is decided, and clearly less than of the frames as
+    planned."""
+    every = max(1, min(doubts.fringe // ENOUGH_FRINGE, 8))
+    # Every order is tried on a part of the lines; only the finalists face all of them.
+    thin = {along: _thinned(lines, every) for along, lines in witness.lines.items()}
+    scores = [
+        (found.total, number)
+        for number, (_, order, holder) in enumerate(_ordered(Witness(thin, sequence, noise), sequence, noise))
+        if (found := holder.evidence(order)).judged
+    ]
+    best: tuple[float, Explanation] | None = None
+    chosen = {number for _, number in sorted(scores)[:FINALISTS]}
+    for number, (explanation, order, holder) in enumerate(_ordered(witness, sequence, noise)):
+        if number not in chosen:
+            continue
+        found = holder.evidence(order)
+        clearly = found.total <= doubts.total - CLEARLY_LESS
+        if found.judged and clearly and not found.contradicted and (best is None or found.total < best[0]):
+            relief = doubts.total - found.total
+            best = found.total, replace(explanation, moved=moved_share(holder, sequence, order), relief=relief)
+    return None if best is None else best[1]
+
+
+def _at_the_second(explanation: Explanation, same: NDArray[np.float64]) -> Explanation:
+    """Name the second of two frames of one image as the one at which all begins to be late."""
+    frame = explanation.frame
+    if explanation.what is What.LATE and same[frame, frame + 1] < SAME:
+        return replace(explanation, frame=frame + 1)
+    return explanation
+
+
+def _ordered(
+    witness: Witness, sequence: PatternSequence, noise: CameraNoise
+) -> Iterator[tuple[Explanation, NDArray[np.int64], Witness]]:
+    """Yield explanations that are another order, with the frame that each pattern then is, and who has these frames."""
+    n = len(sequence)
+    straight = np.arange(n, dtype=np.int64)
+    for i in range(n):
+        for j in range(i + 1, n):
+            order = straight.copy()
+            order[[i, j]] = j, i
+            yield Explanation(What.SWAPPED, i, j), order, witness
+    # Row n is the pattern that was not recorded, as the others foretell it.
+    last = Witness({along: _with_last(lines, sequence) for along, lines in witness.lines.items()}, sequence, noise)
+    for first in range(n - 1):
+        yield Explanation(What.LATE, first), np.where(straight < first, straight, straight + 1), last
+    bright = Witness({along: _with(lines, lines.high) for along, lines in witness.lines.items()}, sequence, noise)
+    yield Explanation(What.EARLY, 0), np.where(straight == 0, n, straight - 1), bright
+    # No wrong order, but the right one read from the other end: where nothing else is wrong, all doubts end with it.
+    for what, backwards in WAYS_ROUND.items():
+        turned = {along: _backwards(lines) if along in backwards else lines for along, lines in witness.lines.items()}
+        yield Explanation(what, 0), straight, Witness(turned, sequence, noise)
+
+
+def _backwards(lines: Lines) -> Lines:
+    values, low, high = (np.ascontiguousarray(part[..., ::-1]) for part in (lines.values, lines.low, lines.high))
+    return Lines(lines.along, values, low, high, np.ascontiguousarray(lines.illuminated[..., ::-1]))
+
+
+def _thinned(lines: Lines, every: int) -> Lines:
+    low, high = (np.ascontiguousarray(part[::every]) for part in (lines.low, lines.high))
+    values, illuminated = (
+        np.ascontiguousarray(lines.values[:, ::every]),
+        np.ascontiguousarray(lines.illuminated[::every]),
+    )
+    return Lines(lines.along, values, low, high, illuminated)
+
+
+def _with(lines: Lines, frame: NDArray[np.uint8]) -> Lines:
+    return Lines(lines.along, np.concatenate([lines.values, frame[None]]), lines.low, lines.high, lines.illuminated)
+
+
+def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
+    """Append the last sine step, when everything is one late: those of 90° and 270° add up to those of 0° and 180°."""
+    s0, s1, s2, s3 = sequence.axis(Direction.Y).sine
+    assert s3 == len(sequence) - 1
+    late0, late1, late2 = (lines.values[k + 1].astype(np.int16) for k in (s0, s1, s2))
+    return _with(lines, np.clip(late0 + late2 - late1, 0, 255).astype(np.uint8))
+
+
+def _repeated(same: NDArray[np.float64], doubts: LineEvidence) -> Explanation | None:
+    """Return a frame that is doubted and equals another; neighbours first, then the doubt that is greatest."""
+    n = len(same)
+    named = {doubts.suspects[name]: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
+    pairs = [(i, j) for j in range(1, n) for i in range(j) if same[i, j] < SAME]
+    if not pairs:
+        return None
+    # The second of two is the repeat: time goes one way.
+    i, j = max(pairs, key=lambda pair: (max(named.get(pair[0], 0.0), named.get(pair[1], 0.0)), pair[0] - pair[1]))
+    return Explanation(What.REPEATED, j, i, identical=not same[i, j])
+
+
+def _suspect(doubts: LineEvidence) -> int:
+    about = {name: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
+    return doubts.suspects[max(about, key=lambda name: about[name])] if about else 0
