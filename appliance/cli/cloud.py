@@ -196,7 +196,7 @@ class MakeCloud(WithObjects):
     def _write(self, root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path]) -> None:
         """Write the files of a solved object; the surface and its mesh are made once, when they are first wanted.
         Raises StorageError, ScanError."""
-        from appliance.desk import (  # fmt: skip
+        from appliance.desk import (
             VOXEL_MM,
             about_object,
             mesh_of_surface,

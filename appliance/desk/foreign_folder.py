@@ -41,8 +41,15 @@ def import_folder(
             f"into the folder, or say it under [cameras] in {described.name}, which is written"
         )
     report = import_cloud(described, out, progress, reasons=reasons, picture=picture)
-    return {**report, "program": best.program, "order": joined(best.words), "explained_percent": 100.0 * best.explained,
-            "description": str(described), "roles": str(roles), "picture": str(picture)}  # fmt: skip
+    return {
+        **report,
+        "program": best.program,
+        "order": joined(best.words),
+        "explained_percent": 100.0 * best.explained,
+        "description": str(described),
+        "roles": str(roles),
+        "picture": str(picture),
+    }
 
 
 def guessed_text(candidate: TriedSequence, beside: Path) -> str:

@@ -98,9 +98,14 @@ def check_import(path: Path, out: Path) -> None:
 
 
 def import_cloud(
-    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False, reasons: Path | None = None,
+    path: Path,
+    out: Path,
+    progress: Callable[[str], None],
+    *,
+    as_described: bool = False,
+    reasons: Path | None = None,
     picture: Path | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Write the points of the images that the description at ``path`` describes; the suffix of ``out`` says how.
 
     ``reasons``: a PNG of why pixels have no point, also where hardly any are left; ``picture``: one of the points.
@@ -295,10 +300,17 @@ def _rig(scan: ForeignScan, calibration: Calibration) -> Rig:
 
 
 COLOURS = {
-    Reason.SATURATED: (255, 255, 0), Reason.WEAK: (16, 16, 72), Reason.CONTRADICTION: (214, 39, 40), Reason.OUTSIDE: (148, 103, 189),
-    Reason.NO_RAY: (140, 86, 75), Reason.NO_MATCH: (31, 119, 180), Reason.GAP: (255, 127, 14), Reason.SIGMA: (44, 160, 44),
-    Reason.DEPTH: (23, 190, 207), Reason.NEIGHBOURS: (227, 119, 194),
-}  # fmt: skip
+    Reason.SATURATED: (255, 255, 0),
+    Reason.WEAK: (16, 16, 72),
+    Reason.CONTRADICTION: (214, 39, 40),
+    Reason.OUTSIDE: (148, 103, 189),
+    Reason.NO_RAY: (140, 86, 75),
+    Reason.NO_MATCH: (31, 119, 180),
+    Reason.GAP: (255, 127, 14),
+    Reason.SIGMA: (44, 160, 44),
+    Reason.DEPTH: (23, 190, 207),
+    Reason.NEIGHBOURS: (227, 119, 194),
+}
 """Red, green, blue of each reason."""
 LINE_PX = 24
 

@@ -105,9 +105,13 @@ def exposure_found(source: SourceScan) -> ExposureFound:
             f"{scan.folder}: too few points to tell how straight its fringes are; scan a surface that fills the image"
         )
     return ExposureFound(
-        scan.manifest.scan_id, Instrument(source.rig).exposure_of_scan(record), source.rig.board.trigger_delay_us, bend.rms_px,
-        bend.noise_px, math.sqrt(bend.variance_factor(sequence.period_px)),
-    )  # fmt: skip
+        scan.manifest.scan_id,
+        Instrument(source.rig).exposure_of_scan(record),
+        source.rig.board.trigger_delay_us,
+        bend.rms_px,
+        bend.noise_px,
+        math.sqrt(bend.variance_factor(sequence.period_px)),
+    )
 
 
 def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, CameraNoise]]:

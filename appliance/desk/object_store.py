@@ -213,9 +213,12 @@ def _refuse_names(stored: StoredObject) -> None:
 
 
 OBJECT = SealedFile(
-    StoredObject, schema=1, max_bytes=50_000_000, check=_refuse_names,
+    StoredObject,
+    schema=1,
+    max_bytes=50_000_000,
+    check=_refuse_names,
     remedy="the scans are untouched: move the folder away and make the object again",
-)  # fmt: skip
+)
 
 
 def checked_name(name: str) -> str:

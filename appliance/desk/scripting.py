@@ -253,7 +253,7 @@ def export(
 
     ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's. Raises
     ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.
-    """  # fmt: skip
+    """
     target = Path(path)
     about = About(
         title or target.stem, frame or (OBJECT_FRAME if isinstance(what, FusedCloud) else CAMERA_FRAME), notes

@@ -269,9 +269,14 @@ def _client(dask: Any, scheduler: str | None, processes: int | None) -> Any:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what it says of lost workers is told by rows
     if scheduler is None:
         return dask.Client(
-            n_workers=processes or len(os.sched_getaffinity(0)), threads_per_worker=1, memory_limit=WORKER_MEMORY,
-            dashboard_address=":0", security=True, silence_logs=logging.CRITICAL, preload=_UNINTERRUPTED,
-        )  # fmt: skip
+            n_workers=processes or len(os.sched_getaffinity(0)),
+            threads_per_worker=1,
+            memory_limit=WORKER_MEMORY,
+            dashboard_address=":0",
+            security=True,
+            silence_logs=logging.CRITICAL,
+            preload=_UNINTERRUPTED,
+        )
     try:
         client = dask.Client(scheduler, timeout=CONNECT_S, name="kingfisher-reprocess")
         client.wait_for_workers(1, timeout=CONNECT_S)

@@ -1,9 +1,9 @@
 """Owns what each image of a sequence looks like, and how well that agrees with what it is said to show.
 
-What is looked at, of each pixel over the whole sequence: an image of a code is near the pixel's darkest or brightest value, a sine
-is often between; stripes of X change along the rows and those of Y along the columns; an image and its inverse add up to the same
-everywhere. Stripes finer than the camera's pixels look like neither, so that no look decides by itself: looks choose which
-sequences are tried.
+What is looked at, of each pixel over the whole sequence: an image of a code is near the pixel's darkest or brightest
+value, a sine is often between; stripes of X change along the rows and those of Y along the columns; an image and its
+inverse add up to the same everywhere. Stripes finer than the camera's pixels look like neither, so that no look decides
+by itself: looks choose which sequences are tried.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ LEAST_PIXELS = 1000
 SAMPLES = 20_000
 BETWEEN = (0.2, 0.8)
 SINE_BETWEEN = 0.3
-"""Share of the pixels between a fifth and four fifths of their range in a clear sine: 0.41 are expected, 0.03 of wide stripes."""
+"""Share of the pixels between a fifth and four fifths of their range in a clear sine: 0.41 are expected, 0.03 of wide
+stripes."""
 BLURRED = 0.6
 """Agreement of an image of a code that looks like a sine: fine stripes do."""
 WIDE = 0.3
@@ -54,7 +55,8 @@ class Looks:
 
 
 def share_of_range(images: NDArray[Any]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the ``images`` (n, h, w), 0 where a pixel is darkest and 1 where it is brightest, and the pixels (h, w) that change.
+    """Return the ``images`` (n, h, w), 0 where a pixel is darkest and 1 where it is brightest, and the pixels (h, w)
+    that change.
 
     Raises ForeignError where hardly any does.
     """

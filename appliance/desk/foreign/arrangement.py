@@ -1,4 +1,5 @@
-"""Owns the tests of what is said of the cameras and, where one is a projector, of the pattern on it: hypotheses, and what each explains.
+"""Owns the tests of what is said of the cameras and, where one is a projector, of the pattern on it: hypotheses, and
+what each explains.
 
 Points of every so many pixels are made along epipolar curves, as described and otherwise. Three things can contradict them.
 *Share*: cameras that look elsewhere have few points in common.
@@ -42,18 +43,21 @@ from appliance.measure import (
 COARSE_PX, LEAST_NEIGHBOURS = 160, 3
 """Largest width of what points are made of, and neighbours that a point has there."""
 POOR, NONE = 0.25, 0.02
-"""Share of the left pixels with coordinates that have a point: what is said is doubtful with fewer, and wrong with next to none."""
+"""Share of the left pixels with coordinates that have a point: what is said is doubtful with fewer, and wrong with next
+to none."""
 CLEARLY = 2.0
 """Another hypothesis is better by so many times more points, or a smaller offset."""
 SAME_SIDE = 0.8
 MOST_ASIDE_PX, MOST_ASIDE_PERIODS, SURE_PX = 2.0, 0.06, 1.0
-"""Offset that right numbers leave: of two cameras, and of a projector besides by the error of its phase; and the least that contradicts."""
+"""Offset that right numbers leave: of two cameras, and of a projector besides by the error of its phase; and the least
+that contradicts."""
 FOUND_SHARE, PATCHES = 0.15, 1200
 OTHER_INDEX = 0.03
 SCALES, SHIFTS = (0.5, 0.8, 1.25, 2.0), (-0.125, 0.125)
 """Other periods of a projector, over the one that was said, and other starts, over its size."""
 CENTRED, NEARLY_CENTRED = 0.12, 0.06
-"""Distance of a principal point from the middle of its image, over its size: of a whole sensor, and after another size was put right."""
+"""Distance of a principal point from the middle of its image, over its size: of a whole sensor, and after another size
+was put right."""
 POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a turn about the columns", 0.3
 WHICH_IS_LEFT = "cameras: which is left"
 REMEDIES = (
@@ -187,17 +191,23 @@ def _standing(setting: _Setting, rig: ForeignRig) -> list[_Hypothesis]:
     turn = np.asarray(cv2.Rodrigues(np.deg2rad(TURN_DEG) * np.eye(3)[1 if abs(T[0]) >= abs(T[1]) else 0])[0])
     found = []
     for about, text, other_R, other_T in (
-        (POSE, "they are R and T of right to left", R.T, -R.T @ T), (POSE, "R is transposed", R.T, T), (POSE, "T is negated", R, -T),
-        (POSE, "R is transposed and T negated", R.T, -T), (TURN, f"it is {TURN_DEG:g}° more", turn @ R, T), (TURN, f"it is {TURN_DEG:g}° less", turn.T @ R, T),
-    ):  # fmt: skip
+        (POSE, "they are R and T of right to left", R.T, -R.T @ T),
+        (POSE, "R is transposed", R.T, T),
+        (POSE, "T is negated", R, -T),
+        (POSE, "R is transposed and T negated", R.T, -T),
+        (TURN, f"it is {TURN_DEG:g}° more", turn @ R, T),
+        (TURN, f"it is {TURN_DEG:g}° less", turn.T @ R, T),
+    ):
         x, y, z = (float(one) for one in -other_R.T @ other_T)
         other = replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z))
         found.append(_Hypothesis(about, text, {"right": other}))
     if right.lens_in_water:
         return found
     for word in ("distance_mm", "thickness_mm") if rig.calibration is None else ():
-        half = {side: replace(one, port=replace(one.port, **{word: 0.5 * getattr(one.port, word)}))
-                for side, one in (("left", left), ("right", right))}  # fmt: skip
+        half = {
+            side: replace(one, port=replace(one.port, **{word: 0.5 * getattr(one.port, word)}))
+            for side, one in (("left", left), ("right", right))
+        }
         found.append(_Hypothesis(f"ports.{word}", "it is half as much", half))
     others = 1.0, setting.index + OTHER_INDEX
     return found + [_Hypothesis("water.index", f"it is {index:.4g}", {"index": index}) for index in others]
@@ -253,7 +263,8 @@ def _patterns(setting: _Setting, description: Description, left: DecodedCamera) 
 def _extent(
     description: Description, rig: ForeignRig, left: DecodedCamera, said: list[ExaminedAssumption]
 ) -> list[ExaminedAssumption]:
-    """Say whether the projector's size is too small, or what checks it: the words of its calibration, else what checks the period."""
+    """Say whether the projector's size is too small, or what checks it: the words of its calibration, else what checks
+    the period."""
     for axis in description.axes:
         if axis.bits and np.any(left.placed[axis.name].reason == Reason.OUTSIDE):
             whole = place(left.measured[axis.name], axis, axis.covered_px)
@@ -358,7 +369,8 @@ def _maps(camera: DecodedCamera) -> Maps:
 
 
 def _coarse(camera: HousedCamera, whole_px: Floats) -> tuple[HousedCamera, Floats, int]:
-    """Return the lens that sees every so many pixels, what these see of the pattern, and how many of the map's pixels each one is.
+    """Return the lens that sees every so many pixels, what these see of the pattern, and how many of the map's pixels
+    each one is.
 
     The map may itself be of every so many of the camera's own pixels.
     """

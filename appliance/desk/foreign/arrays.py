@@ -1,6 +1,7 @@
 """Owns the arrays in NumPy's files: what each is by its header alone, and its numbers once their size is allowed.
 
-Five megabytes of an ``.npz`` may unpack to as many gigabytes, so that nothing is unpacked to learn its shape. Format: NEP 1, versions 1 to 3.
+Five megabytes of an ``.npz`` may unpack to as many gigabytes, so that nothing is unpacked to learn its shape. Format:
+NEP 1, versions 1 to 3.
 """
 
 from __future__ import annotations
@@ -49,7 +50,10 @@ def array_heads(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def load_array(path: Path, name: str, most_bytes: int) -> NDArray[Any]:
-    """Return one of ``array_heads``; of an ``.npy`` the file is mapped, not read. Raises ArrayError for one of more than ``most_bytes``."""
+    """Return one of ``array_heads``; of an ``.npy`` the file is mapped, not read.
+
+    Raises ArrayError for one of more than ``most_bytes``.
+    """
     with _told(path):
         if path.suffix.lower() != ZIPPED:
             return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))

@@ -1,4 +1,5 @@
-"""Owns the tests of a description against its images: what can be told from them, and what fits instead where it is wrong.
+"""Owns the tests of a description against its images: what can be told from them, and what fits instead where it is
+wrong.
 
 *Code*: from one pixel to the next a stripe's number changes by one, or by nothing; in another order of the bits it leaps.
 *Phase against code*: over two whole stripes the mean of their numbers is the coordinate to a fraction of a period. The phase
@@ -36,29 +37,38 @@ LEAST_RUN_PX = 3.0
 LEAST_CHANGES = 200
 """Number of borders between stripes from which on something is concluded."""
 CLEARLY_BETTER, GOOD_CODE = 0.25, 0.6
-"""A convention of the code is wrong where less than this share of its borders are between neighbours, and another one has so much more."""
+"""A convention of the code is wrong where less than this share of its borders are between neighbours, and another one
+has so much more."""
 GOOD_FIT, POOR_FIT = 0.6, 0.45
 """R from which on phase and code belong together, and below which they do not."""
 MOST_START, HALF_OFF = 0.09, 0.38
 """Allowed error of where the phase begins, in turns; and that from which on the code is half a period off."""
 MOST_MISFIT, BENT = 0.6, 0.15
-"""Allowed misfit of the steps, as a share of the modulation: a bent response of the projector alone makes up to a half. A line from
-the second on."""
+"""Allowed misfit of the steps, as a share of the modulation: a bent response of the projector alone makes up to a half.
+
+A line from the second on.
+"""
 GOOD_OF_CHANCE, POOR_OF_CHANCE, GOES_ON, LEAPS = 0.45, 0.8, 0.7, 0.15
-"""Disagreement of the phases of several periods over that of phases that have nothing to do with each other: good below, wrong above;
-share of the borders of fringes at which the coordinate goes on, of periods that belong together, and of others."""
+"""Disagreement of the phases of several periods over that of phases that have nothing to do with each other: good
+below, wrong above; share of the borders of fringes at which the coordinate goes on, of periods that belong together,
+and of others."""
 FEW, START_DEG, NEARLY = 3000, 5, 1.3
-"""Pixels that are asked which steps fit, and where the phases of several periods begin, the steps in which it is searched, and how much worse the sign that was
-said may do: of two cameras a pattern that is mirrored makes the same points."""
+"""Pixels that are asked which steps fit, and where the phases of several periods begin, the steps in which it is
+searched, and how much worse the sign that was said may do: of two cameras a pattern that is mirrored makes the same
+points."""
 MOST_BEYOND = 0.02
-"""Largest share of the coordinates that may lie beyond the pattern: of rightly described sets a quarter of a percent does."""
+"""Largest share of the coordinates that may lie beyond the pattern: of rightly described sets a quarter of a percent
+does."""
 SAME_TURNS = 0.02
 """Difference of phases that come back, by how exactly periods are written."""
 CODE = ("fine_first", "inverted", "plain_binary")
 WORDS: Mapping[str, tuple[str, Mapping[Any, str]]] = {
-    "fine_first": ("code_order", {False: '"coarse-first"', True: '"fine-first"'}), "inverted": ("code_inverted", {False: "false", True: "true"}),
-    "plain_binary": ("code", {False: '"gray"', True: '"binary"'}), "sign": ("sign", {1: '"+"', -1: '"-"'}), "periods_px": ("period_px", {}),
-}  # fmt: skip
+    "fine_first": ("code_order", {False: '"coarse-first"', True: '"fine-first"'}),
+    "inverted": ("code_inverted", {False: "false", True: "true"}),
+    "plain_binary": ("code", {False: '"gray"', True: '"binary"'}),
+    "sign": ("sign", {1: '"+"', -1: '"-"'}),
+    "periods_px": ("period_px", {}),
+}
 """Words of a description for fields of a convention and for their values, where these are called otherwise."""
 
 
@@ -150,7 +160,8 @@ def _along(values: NDArray[Any], axis: AxisConvention) -> NDArray[Any]:
 
 
 def _wide_enough(bits: NDArray[np.bool_], both: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return bits without the images at either end whose stripes are hardly wider than a pixel: numbers leap at their borders."""
+    """Return bits without the images at either end whose stripes are hardly wider than a pixel: numbers leap at their
+    borders."""
     pixels = np.count_nonzero(both)
     wide = [bool(LEAST_RUN_PX * np.count_nonzero(np.diff(bit, axis=1) & both) <= pixels) for bit in bits]
     return bits[wide.index(True) : len(wide) - wide[::-1].index(True)] if sum(wide) >= LEAST_BITS else bits
@@ -210,8 +221,11 @@ def _phase_against_code(
         return [told(word, False, f"{changes} borders of stripes are seen, which is too few") for word in words]
     turns = _along(found.turns[axis.numbered], axis)[good].astype(np.float64)
     coordinate = mean[good].astype(np.float64)
-    sums = {(sign, factor): np.exp(2j * np.pi * (sign * turns - factor * coordinate / period)).mean()
-            for sign in (1, -1) for factor in (1.0, 0.5, 2.0)}  # fmt: skip
+    sums = {
+        (sign, factor): np.exp(2j * np.pi * (sign * turns - factor * coordinate / period)).mean()
+        for sign in (1, -1)
+        for factor in (1.0, 0.5, 2.0)
+    }
     fits = {one: float(abs(sum_)) for one, sum_ in sums.items()}
     best, fit = max(fits, key=lambda one: fits[one]), fits[1, 1.0]
     if fit < POOR_FIT and fits[best] > GOOD_FIT:
@@ -221,8 +235,10 @@ def _phase_against_code(
         text = f"phase and code do not belong together (R = {fit:.2f}; other signs and stripes of half and double width fit no better)"
         return [wrong(f"{axis.name}.period_px", f"{text}: check it, the order of the steps, and which images are gray")]
     rivals = fits[-1, 1.0], max(fits[1, 0.5], fits[1, 2.0])
-    said = [told(word, rival < POOR_FIT, f"R of phase and code is {fit:.2f}, {rival:.2f} with another one")
-            for word, rival in zip(words, rivals, strict=False)]  # fmt: skip
+    said = [
+        told(word, rival < POOR_FIT, f"R of phase and code is {fit:.2f}, {rival:.2f} with another one")
+        for word, rival in zip(words, rivals, strict=False)
+    ]
     away = float(np.angle(sums[1, 1.0])) / (2.0 * np.pi) - axis.begins_deg[axis.numbered] / 360.0
     away -= round(away)
     text = f"phase and code are {360 * abs(away):.0f} degrees apart"
@@ -295,7 +311,8 @@ def misfit(stack: NDArray[np.float64], steps_deg: tuple[float, ...]) -> float:
 
 
 def measured_steps(stack: NDArray[np.float64]) -> tuple[float, ...]:
-    """Return the steps of images (n, pixels) by their own principal components, beginning with 0; their sign cannot be told."""
+    """Return the steps of images (n, pixels) by their own principal components, beginning with 0; their sign cannot be
+    told."""
     centred = stack - stack.mean(axis=0)
     _, vectors = np.linalg.eigh(centred @ centred.T)
     degrees = np.rad2deg(np.arctan2(vectors[:, -1], vectors[:, -2]))
@@ -348,7 +365,8 @@ def _periods(found: Measured, axis: AxisConvention, coordinate_px: Floats) -> li
         k = int(np.argmin(lefts))
         if lefts[k] < min(GOOD_OF_CHANCE * chance, 0.6 * here):
             return [corrected(axis, f"{text}, and {360 * lefts[k]:.1f}° with", **tried[k])]
-    # A bent response moves the phase of a coarse period by as much as a fine one has fringes in it: then each fringe must follow the last.
+    # A bent response moves the phase of a coarse period by as much as a fine one has fringes in it: then each fringe
+    # must follow the last.
     text += f", and would be {360 * chance:.1f}° by chance; {leaps}"
     if goes_on < GOES_ON and here > POOR_OF_CHANCE * chance and (goes_on < LEAPS or len(axis.periods_px) > 2):
         return [wrong(about, f"{text}: check it or {axis.name}.fringes, and the order of the images")]
@@ -356,7 +374,8 @@ def _periods(found: Measured, axis: AxisConvention, coordinate_px: Floats) -> li
 
 
 def _unrepeated_px(axis: AxisConvention) -> float:
-    """Return the length, at least the pattern's, up to which its phases come back nowhere together; of long ones, twice the pattern's."""
+    """Return the length, at least the pattern's, up to which its phases come back nowhere together; of long ones, twice
+    the pattern's."""
     ends_px = axis.period_px * np.arange(
         np.ceil(axis.size_px / axis.period_px - SAME_TURNS), 2.0 * axis.size_px / axis.period_px
     )
@@ -379,7 +398,8 @@ def beyond(axis: AxisConvention, coordinate_px: Floats) -> list[ExaminedAssumpti
 
 
 def _goes_on(coordinate_px: Floats, axis: AxisConvention) -> float:
-    """Return the share of the borders of fringes, along the direction, at which the coordinate goes on; NaN where too few are seen."""
+    """Return the share of the borders of fringes, along the direction, at which the coordinate goes on; NaN where too
+    few are seen."""
     along = coordinate_px if axis.name == "x" else coordinate_px.T
     with np.errstate(invalid="ignore"):
         border = np.diff(np.floor((along + np.float32(0.5)) / np.float32(axis.period_px)), axis=1)

@@ -1,4 +1,5 @@
-"""Owns one camera of a foreign set after decoding: coordinates with their noise, edges masked, and a picture of what it saw."""
+"""Owns one camera of a foreign set after decoding: coordinates with their noise, edges masked, and a picture of what it
+saw."""
 
 from __future__ import annotations
 
@@ -18,8 +19,8 @@ from appliance.measure import CoordinateMap
 
 MAD_TO_SIGMA = 1.4826
 JUMP_STEPS, BEND_STEPS, EDGE_SIGMAS = 6.0, 1.5, 8.0
-"""A pixel sees two surfaces where its coordinate jumps by so many times what it usually changes by, or bends by so many times that;
-its noise may have so many standard deviations besides."""
+"""A pixel sees two surfaces where its coordinate jumps by so many times what it usually changes by, or bends by so many
+times that; its noise may have so many standard deviations besides."""
 RIPPLE_STRIPES = (1.0, 1.5, 2.0)
 """Distances in stripes over which coordinates drawn between their borders are compared."""
 CUT = 8.0
@@ -28,7 +29,10 @@ MOST_SAMPLES = 4_000_000
 """Pixels from which on every second line is asked for a usual value."""
 _EVERY = 3
 _OF_DIFFERENCE = 1.0 / 70.0
-"""Variance of a fourth difference a − 4b + 6c − 4d + e is 70 times that of a coordinate: its inverse. Curvature does not count in it."""
+"""Variance of a fourth difference a − 4b + 6c − 4d + e is 70 times that of a coordinate: its inverse.
+
+Curvature does not count in it.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +43,8 @@ class DecodedCamera:
     measured: Mapping[str, Measured]
     placed: Mapping[str, PlacedAxis]
     grey: NDArray[np.uint8]
-    """Picture of what the camera saw in even light: the bright image, else the mean of the sines, else the brightest of each pixel."""
+    """Picture of what the camera saw in even light: the bright image, else the mean of the sines, else the brightest of
+    each pixel."""
 
 
 def decode_camera(images: ImageSet, description: Description) -> DecodedCamera:
@@ -49,7 +54,8 @@ def decode_camera(images: ImageSet, description: Description) -> DecodedCamera:
 
 
 def placed_again(camera: DecodedCamera, description: Description) -> DecodedCamera:
-    """Return the camera with coordinates by another convention that reads the same images; phase steps are turned, not fitted again."""
+    """Return the camera with coordinates by another convention that reads the same images; phase steps are turned, not
+    fitted again."""
     return replace(camera, placed=_placed(camera.measured, description))
 
 
@@ -75,7 +81,8 @@ class CleanCamera:
     modulation_dn: Floats
     """Least one of all directions, in 255ths of full scale."""
     reason: NDArray[np.uint8]
-    """Values of ``Reason``: of the first direction that has no coordinate; what has one and sees two surfaces is NEIGHBOURS."""
+    """Values of ``Reason``: of the first direction that has no coordinate; what has one and sees two surfaces is
+    NEIGHBOURS."""
     decoded: float
     """Share of the pixels with light that have all coordinates, edges among them; 0 where there is no light."""
 
@@ -116,7 +123,8 @@ def clean(placed: PlacedAxis) -> CoordinateMap:
     kept = np.where(edge, np.float32(np.nan), coordinate)
     noise = np.float32(1.0) / np.maximum(placed.modulation, np.float32(1e-3))
     if placed.mean is not None:
-        # Photons that are counted scatter by the root of their number: bright places have more noise, and less than they have light.
+        # Photons that are counted scatter by the root of their number: bright places have more noise, and less than
+        # they have light.
         noise *= np.sqrt(np.maximum(placed.mean, np.float32(1.0)))
     known = noise[np.isfinite(kept)]
     sigma_px = noise * np.float32(typical_px / np.median(known) if known.size else typical_px)
@@ -142,9 +150,11 @@ def _noise(coordinate: Floats) -> float:
 
 
 def _ripple(coordinate: Floats, width: float) -> float:
-    """Return the usual standard deviation of coordinates that were drawn between borders of stripes ``width`` camera pixels apart.
+    """Return the usual standard deviation of coordinates that were drawn between borders of stripes ``width`` camera
+    pixels apart.
 
-    A line from border to border has no fourth difference from pixel to pixel, however wrong the borders are; over whole stripes it has.
+    A line from border to border has no fourth difference from pixel to pixel, however wrong the borders are; over whole
+    stripes it has.
     """
     usual = 0.0
     for lag in sorted({max(1, round(stripes * width)) for stripes in RIPPLE_STRIPES}):

@@ -1,10 +1,12 @@
-"""Owns what names in camera files mean: OpenCV's and those of other programs, each bound to the file in which it stands.
+"""Owns what names in camera files mean: OpenCV's and those of other programs, each bound to the file in which it
+stands.
 
-Two cameras are ``1`` and ``2``, left and right, or counted from 0; a projector takes the right one's place, or is a third. Where they stand is
-said by R and T between them (x_right = R x_left + T), by R and T of the world into each, by projection matrices P = K (R | t), or by the rectification
-that brings both to one plane. Two places that say the same thing differently are refused.
-Sources of ``DIALECTS``: Kalibr's wiki, "Yaml formats"; MathWorks, ``stereoParametersToOpenCV``; J.-Y. Bouguet, Camera Calibration Toolbox for
-Matlab; SLStudio's CalibrationData; SLMaster's caliInfo; Middlebury Stereo 2014, calib.txt.
+Two cameras are ``1`` and ``2``, left and right, or counted from 0; a projector takes the right one's place, or is a
+third. Where they stand is said by R and T between them (x_right = R x_left + T), by R and T of the world into each, by
+projection matrices P = K (R | t), or by the rectification that brings both to one plane. Two places that say the same
+thing differently are refused. Sources of ``DIALECTS``: Kalibr's wiki, "Yaml formats"; MathWorks,
+``stereoParametersToOpenCV``; J.-Y. Bouguet, Camera Calibration Toolbox for Matlab; SLStudio's CalibrationData;
+SLMaster's caliInfo; Middlebury Stereo 2014, calib.txt.
 """
 
 from __future__ import annotations
@@ -26,8 +28,14 @@ Array = NDArray[np.float64]
 NumbersOf = Mapping[str, Array]
 """The numbers of a file by name; those in tables as TABLE.NAME."""
 
-WANTED = {"left_matrix": ("left", "matrix"), "right_matrix": ("right", "matrix"), "left_distortion": ("left", "distortion"),
-          "right_distortion": ("right", "distortion"), "rotation": ("both", "rotation"), "translation": ("both", "translation")}  # fmt: skip
+WANTED = {
+    "left_matrix": ("left", "matrix"),
+    "right_matrix": ("right", "matrix"),
+    "left_distortion": ("left", "distortion"),
+    "right_distortion": ("right", "distortion"),
+    "rotation": ("both", "rotation"),
+    "translation": ("both", "translation"),
+}
 """Side and kind of all that is wanted, by its name in a description."""
 MOST = 1e9
 """Numbers of cameras are smaller than this."""
@@ -41,8 +49,14 @@ SAME_DEG = 1.0
 # ------------------------------------------------------------------------------------------------ the tables
 
 KINDS: Mapping[str, tuple[Sequence[int], str]] = {
-    "matrix": ((9,), "m k kk cameramatrix camera cameraint intrinsic intrinsics intrinsicmatrix mtx matrix int intr cam kmatrix"),
-    "distortion": (range(2, 15), "d distcoeffs distcoeff distcoef distortion distorsion distortioncoefficients distortioncoeffs dist kc distortions"),
+    "matrix": (
+        (9,),
+        "m k kk cameramatrix camera cameraint intrinsic intrinsics intrinsicmatrix mtx matrix int intr cam kmatrix",
+    ),
+    "distortion": (
+        range(2, 15),
+        "d distcoeffs distcoeff distcoef distortion distorsion distortioncoefficients distortioncoeffs dist kc distortions",
+    ),
     "rotation": ((9, 3), "r rotation rotationmatrix rot rmatrix rvec om"),
     "translation": ((3,), "t translation translationvector trans tvec"),
     "projection": ((12,), "p projection projectionmatrix projmatrix"),
@@ -50,15 +64,17 @@ KINDS: Mapping[str, tuple[Sequence[int], str]] = {
     "size": ((2,), "imagesize imgsize size s resolution imageresolution framesize"),
     "width": ((1,), "imagewidth width framewidth imgwidth nx resx"),
     "height": ((1,), "imageheight height frameheight imgheight ny resy"),
-}  # fmt: skip
-"""Kinds of what a camera file says: how many numbers each may have, and its names, in small letters without anything between."""
+}
+"""Kinds of what a camera file says: how many numbers each may have, and its names, in small letters without anything
+between."""
 WHOSE = ("matrix", "projection")
 """Kinds by which a camera is told."""
 PROJECTOR = ("proj", "projector", "prj")
 
 
 def _known(first: int) -> dict[tuple[str, str], str]:
-    """Return the side by name and kind, for every known name where cameras are counted from ``first``; empty where a name has none."""
+    """Return the side by name and kind, for every known name where cameras are counted from ``first``; empty where a
+    name has none."""
     sides = {"both": ("lr", "stereo", "12"), "projector": (*PROJECTOR, "screen")}
     for n, side in ((first, "left"), (first + 1, "right")):
         sides[side] = (side, side[0], f"{n}", f"cam{n}", f"camera{n}")
@@ -128,7 +144,8 @@ DIALECTS: tuple[tuple[Says, ...], ...] = (
     # Bouguet
     *(((side, "matrix", f"fc{behind} cc{behind} alpha_c{behind}?", _four),) for behind, side in (("_left", "left"), ("_right", "right"), ("", ""))),
 )  # fmt: skip
-"""Rows by program of what it says in its own way; a file is of such a program where it has the names of the first row, behind the same tables if any."""
+"""Rows by program of what it says in its own way; a file is of such a program where it has the names of the first row,
+behind the same tables if any."""
 
 LENSES = {
     "camera_model": ("pinhole",),
@@ -153,7 +170,8 @@ def refuse_other_lenses(source: str, content: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """Numbers of one kind, and of whom: ``left``, ``right``, ``projector``, ``both``: between them; empty: whoever's file it is."""
+    """Numbers of one kind, and of whom: ``left``, ``right``, ``projector``, ``both``: between them; empty: whoever's
+    file it is."""
 
     side: str
     kind: str
@@ -176,7 +194,8 @@ class CameraNumbers:
     found: Mapping[str, Array]
     """``WANTED``; those of distortion may be empty."""
     sizes: Mapping[str, Fact]
-    """Sizes by side as far as they are stated; the right one is a projector's where it takes that place, else that is a third."""
+    """Sizes by side as far as they are stated; the right one is a projector's where it takes that place, else that is a
+    third."""
     has_projector: bool
     notes: tuple[str, ...]
 
@@ -187,8 +206,11 @@ class CameraNumbers:
 
 
 def understood(files: Mapping[str, NumbersOf], names: Table, of_projector: bool) -> CameraNumbers:
-    """Return what ``files`` say of two cameras, or of one and a projector. ``names`` are the description's own for single numbers: NAME,
-    FILE:NAME or the FILE of a single matrix. Raises ForeignError."""
+    """Return what ``files`` say of two cameras, or of one and a projector.
+
+    ``names`` are the description's own for single numbers: NAME, FILE:NAME or the FILE of a single matrix. Raises
+    ForeignError.
+    """
     names.only(*WANTED)
     facts: Facts = {}
     for wanted in names.content:
@@ -235,9 +257,11 @@ def _named(files: Mapping[str, NumbersOf], names: Table, wanted: str) -> Fact:
     text, (side, kind) = names.text(wanted), WANTED[wanted]
     counts = KINDS[kind][0]
     hits = [
-        Fact(side, kind, numbers.ravel(), file, name) for file, values in files.items() for name, numbers in values.items()
+        Fact(side, kind, numbers.ravel(), file, name)
+        for file, values in files.items()
+        for name, numbers in values.items()
         if (text in (name, f"{file}:{name}") or (text == file and len(values) == 1)) and numbers.size in counts
-    ]  # fmt: skip
+    ]
     if not hits:
         allowed = f"a name of {' or '.join(map(str, counts))} numbers in one of cameras.files, as NAME or FILE:NAME"
         raise names.wrong(wanted, allowed, "correct it")
@@ -247,7 +271,8 @@ def _named(files: Mapping[str, NumbersOf], names: Table, wanted: str) -> Fact:
 
 
 def facts_of(files: Mapping[str, NumbersOf], of_projector: bool = False) -> list[Fact]:
-    """Return all that is known in ``files`` with the side of each: by its name, else by its file's, else by the order of files."""
+    """Return all that is known in ``files`` with the side of each: by its name, else by its file's, else by the order
+    of files."""
     # Folders and names that all have in common tell nothing, whatever words are in them.
     shared = set.intersection(*(set(Path(file).parts) for file in files)) if files else set()
     paths = {file: [part for part in Path(file).parts if part not in shared] for file in files}
@@ -299,7 +324,8 @@ def _side_of(parts: Sequence[str], first: int) -> str:
 
 
 def _spellings(name: str) -> Iterator[str]:
-    """Yield how a name may be known: with the tables in which it stands, or the last one of them, and without a word for camera."""
+    """Yield how a name may be known: with the tables in which it stands, or the last one of them, and without a word
+    for camera."""
     parts = name.lower().split(".")
     for k in range(max(1, len(parts) - 1)):
         plain = re.sub(r"[^a-z0-9]", "", "".join(parts[k:]))
@@ -371,7 +397,8 @@ Pose = tuple[str, Array, Array]
 
 
 def _pose(facts: Facts, notes: list[str]) -> dict[str, Array]:
-    """Return rotation and translation from left to right by whatever says them. Raises ForeignError where two ways say them differently.
+    """Return rotation and translation from left to right by whatever says them. Raises ForeignError where two ways say
+    them differently.
 
     ``facts`` get the camera matrices that only projection matrices say.
     """

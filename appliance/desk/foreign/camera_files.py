@@ -1,11 +1,14 @@
-"""Owns the reading of other people's camera files: whatever their format, numbers by name, which ``camera_dialects`` understands.
+"""Owns the reading of other people's camera files: whatever their format, numbers by name, which ``camera_dialects``
+understands.
 
-OpenCV's YAML, XML and JSON and those of others; NumPy's .npz; MATLAB's .mat; one matrix a file, as .npy, .txt or .csv, which is called as the
-file is; text of ``name = numbers``, or with the numbers below it.
+OpenCV's YAML, XML and JSON and those of others; NumPy's .npz; MATLAB's .mat; one matrix a file, as .npy, .txt or .csv,
+which is called as the file is; text of ``name = numbers``, or with the numbers below it.
 
-It also owns the reading of MATLAB's files, versions 4 to 7: by scipy, in a process of its own with little time and memory.
+It also owns the reading of MATLAB's files, versions 4 to 7: by scipy, in a process of its own with little time and
+memory.
 
-A damaged file may end the process that reads it. This module is that process's program, too, and imports nothing of ours.
+A damaged file may end the process that reads it. This module is that process's program, too, and imports nothing of
+ours.
 """
 
 from __future__ import annotations
@@ -46,9 +49,13 @@ def matlab_tables(raw: bytes) -> dict[str, Any]:
     """Return numbers, lists of them and texts by name; structures are tables. Raises MatlabError."""
     try:
         done = subprocess.run(
-            [sys.executable, "-I", __file__], input=raw, capture_output=True, timeout=MOST_S,
-            env={"OPENBLAS_NUM_THREADS": "1"}, check=False,
-        )  # fmt: skip
+            [sys.executable, "-I", __file__],
+            input=raw,
+            capture_output=True,
+            timeout=MOST_S,
+            env={"OPENBLAS_NUM_THREADS": "1"},
+            check=False,
+        )
     except subprocess.TimeoutExpired as error:
         raise MatlabError(f"reading takes longer than {MOST_S} s") from error
     if done.returncode:
@@ -110,7 +117,10 @@ _BREAKS = re.compile(r"[\[\](){},;]")
 
 
 def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumbers:
-    """Return what ``cameras.files``, relative to ``folder``, say of two cameras, or of one and a projector. Raises ForeignError."""
+    """Return what ``cameras.files``, relative to ``folder``, say of two cameras, or of one and a projector.
+
+    Raises ForeignError.
+    """
     value = table.content["files"]
     names = [value] if isinstance(value, str) else value
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -120,7 +130,8 @@ def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumb
 
 
 def cameras_in(folder: Path) -> dict[str, Any]:
-    """Return what a folder has about cameras, as [cameras] would say it: a calibration of ours, else files of which something is known."""
+    """Return what a folder has about cameras, as [cameras] would say it: a calibration of ours, else files of which
+    something is known."""
     files: dict[str, NumbersOf] = {}
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in FORMATS and path.is_file():
@@ -207,7 +218,8 @@ def _numpy(path: Path, _: bytes) -> dict[str, Any]:
 
 
 def _lines(path: Path, raw: bytes) -> dict[str, Any]:
-    """Return ``name = numbers`` or ``name: numbers`` of each line, and of lines below it; before any name, a matrix called as the file is."""
+    """Return ``name = numbers`` or ``name: numbers`` of each line, and of lines below it; before any name, a matrix
+    called as the file is."""
     found: dict[str, list[float]] = {}
     name = path.stem
     for line in raw.decode("utf-8-sig", "replace").splitlines():
@@ -289,6 +301,9 @@ def _scalar(text: str) -> float | str:
 
 
 FORMATS: Mapping[str, tuple[str, Callable[[Path, bytes], Any]]] = {
-    **dict.fromkeys((".npz", ".npy"), ("NumPy's file", _numpy)), ".mat": ("MATLAB's .mat", lambda _, raw: matlab_tables(raw)),
-    **dict.fromkeys((".txt", ".csv"), ("text", _lines)), ".json": ("JSON", _tree), **dict.fromkeys((".yml", ".yaml", ".xml"), ("YAML or XML", _tree)),
-}  # fmt: skip
+    **dict.fromkeys((".npz", ".npy"), ("NumPy's file", _numpy)),
+    ".mat": ("MATLAB's .mat", lambda _, raw: matlab_tables(raw)),
+    **dict.fromkeys((".txt", ".csv"), ("text", _lines)),
+    ".json": ("JSON", _tree),
+    **dict.fromkeys((".yml", ".yaml", ".xml"), ("YAML or XML", _tree)),
+}

@@ -1,7 +1,7 @@
 """Owns the cameras of a foreign rig: from OpenCV's files, from ours, or from matrices in the description.
 
-OpenCV's R and T map a point of the left camera into the right one: x_right = R x_left + T. Ours is the other way, the right camera's
-frame in that of the left one. Lengths become mm by ``cameras.unit``.
+OpenCV's R and T map a point of the left camera into the right one: x_right = R x_left + T. Ours is the other way, the
+right camera's frame in that of the left one. Lengths become mm by ``cameras.unit``.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ USUAL_MM = (10.0, 3000.0)
 ASIDE = 0.3
 """Distance of a principal point from the middle, in sizes of the image, that is worth a line."""
 MOST_BESIDE = 2.5
-"""Largest distance of a principal point beside its image, in sizes of it: projectors shift theirs by half a picture, and a cropped image
-may lie where it likes."""
+"""Largest distance of a principal point beside its image, in sizes of it: projectors shift theirs by half a picture,
+and a cropped image may lie where it likes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +184,8 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
 
 
 def _our_own(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig | None:
-    """Return the cameras of a file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None`` where none is named."""
+    """Return the cameras of a file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None``
+    where none is named."""
     table = description.cameras
     named = "calibration" in table.content
     files = table.content.get("files")
@@ -224,7 +225,8 @@ def _index_of(medium: Medium) -> float:
 
 
 def _behind_ports(description: Description, rig: StereoRig) -> ForeignRig:
-    """Return the cameras behind the description's ports; without these rays go straight, in water too: so they were calibrated there."""
+    """Return the cameras behind the description's ports; without these rays go straight, in water too: so they were
+    calibrated there."""
     ports = description.ports
 
     def housed(camera: HousedCamera, normal: int) -> HousedCamera:

@@ -1,11 +1,11 @@
 """Owns the stripes' numbers: bits of a pixel from the images of a code, and the number that they write.
 
-A bit is set where the image is brighter than its inverse; without inverses, brighter than the middle between bright and dark; without
-these, brighter than the mean of the sines; without any of them, brighter than the middle between the pixel's darkest and brightest
-image of the code.
+A bit is set where the image is brighter than its inverse; without inverses, brighter than the middle between bright and
+dark; without these, brighter than the mean of the sines; without any of them, brighter than the middle between the
+pixel's darkest and brightest image of the code.
 
-Stripes finer than the camera's pixels tell nothing, and their images are left out: a Gray code without its finest image numbers stripes
-of twice the width. What was left out is said.
+Stripes finer than the camera's pixels tell nothing, and their images are left out: a Gray code without its finest image
+numbers stripes of twice the width. What was left out is said.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ Floats = NDArray[np.float32]
 TOLD = 0.25
 """Least share of the full difference at which a pixel tells a stripe from the next."""
 WINDOW_PX, LEAST_TOLD, MODULATED = 9, 0.7, 0.1
-"""Stripes as wide as a pixel leave a quarter of all pixels below that, and finer ones ever more: in a window of so many pixels an image is
-resolved where so large a share tells them apart, and seen at all from the second share on."""
+"""Stripes as wide as a pixel leave a quarter of all pixels below that, and finer ones ever more: in a window of so many
+pixels an image is resolved where so large a share tells them apart, and seen at all from the second share on."""
 LIT = 0.2
 """Largest difference of a pixel that is asked, over that of the brightest ones."""
 LEAST_BITS = 3
 LINES_AT_ONCE = 14 * WINDOW_PX
 NEARLY_FULL = 0.8
-"""Share of the full difference that the two pixels beside a border's own have at least where no other border is near."""
+"""Share of the full difference that the two pixels beside a border's own have at least where no other border is near.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,17 +45,22 @@ class CodeBits:
     """(n / 8, h, w): ``bits``, eight to a byte."""
     count: int
     contrast: Floats
-    """(h, w): the swing that all but a quarter of the bits reach, in grey values; that of the references or the range without inverses; 0
-    where the finest image does not light the pixel: what coarse stripes light by way of the room."""
+    """(h, w): the swing that all but a quarter of the bits reach, in grey values; that of the references or the range
+    without inverses; 0 where the finest image does not light the pixel: what coarse stripes light by way of the room.
+    """
     left_out: tuple[int, int]
-    """Number of images that were left out at the beginning and at the end, because their stripes are finer than the camera's pixels."""
+    """Number of images that were left out at the beginning and at the end, because their stripes are finer than the
+    camera's pixels."""
     borders: Floats | None = None
-    """Place between two neighbours along the direction, 0 … 1, at which a bit turns: (h, w − 1), of y (w, h − 1); NaN where none does.
-    ``None`` where fringes make the coordinate."""
+    """Place between two neighbours along the direction, 0 … 1, at which a bit turns: (h, w − 1), of y (w, h − 1); NaN
+    where none does. ``None`` where fringes make the coordinate."""
 
     @property
     def bits(self) -> NDArray[np.bool_]:
-        """(n, h, w) in the order of the images: the stripe is bright. Images at either end that the camera cannot resolve are left out."""
+        """(n, h, w) in the order of the images: the stripe is bright.
+
+        Images at either end that the camera cannot resolve are left out.
+        """
         return np.unpackbits(self.packed, axis=0, count=self.count).view(np.bool_)
 
     def numbered(self, axis: AxisConvention, rows: slice) -> tuple[NDArray[np.int32], float]:
@@ -74,7 +80,8 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
         return (image[:, part].T if turned else image[part]).astype(np.float32)
 
     def signed(part: slice) -> tuple[Floats, Floats | None]:
-        """Return the differences from the threshold (n, lines, length) of some lines along the direction, and the swing that is known."""
+        """Return the differences from the threshold (n, lines, length) of some lines along the direction, and the swing
+        that is known."""
         stack = np.stack([lines(one, part) for one in gray])
         if len(inverse):
             for one, other in zip(stack, inverse, strict=True):
@@ -90,7 +97,8 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
 
     count, length = images.shape[::-1] if turned else images.shape
     parts = [slice(begin, begin + LINES_AT_ONCE) for begin in range(0, count, LINES_AT_ONCE)]
-    # Twice over the lines: what is left out is known when all windows were seen, and no stack of floats lives longer than its lines.
+    # Twice over the lines: what is left out is known when all windows were seen, and no stack of floats lives longer
+    # than its lines.
     windows = [_windows(signed(part)[0]) for part in parts]
     shares, largest = (
         np.concatenate([one.reshape(len(one), -1) for one in kind], axis=1) for kind in zip(*windows, strict=True)
@@ -105,7 +113,8 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
         stack = stack[kept]
         packed[:, part] = np.packbits(stack > 0.0, axis=0)
         if swing is None:
-            # One bit, and of narrow stripes two, may be in the middle of turning: the others tell how much light there is.
+            # One bit, and of narrow stripes two, may be in the middle of turning: the others tell how much light there
+            # is.
             swing = np.partition(np.abs(stack), len(stack) // 4, axis=0)[len(stack) // 4]
         seen = told[kept][0 if axis.fine_first else -1] >= MODULATED
         contrast[part] = swing * cv2.resize(seen.astype(np.float32), swing.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -117,8 +126,8 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
 
 
 def _windows(signed: Floats) -> tuple[Floats, Floats]:
-    """Return, by image and window, the share of the pixels that tell a stripe from the next, of differences (n, lines, length); and each
-    window's mean largest difference (1, …)."""
+    """Return, by image and window, the share of the pixels that tell a stripe from the next, of differences (n, lines,
+    length); and each window's mean largest difference (1, …)."""
     size = np.abs(signed)
     largest = size.max(axis=0)
     grid = tuple(max(1, length // WINDOW_PX) for length in largest.shape[::-1])
@@ -128,9 +137,11 @@ def _windows(signed: Floats) -> tuple[Floats, Floats]:
 
 
 def _unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
-    """Return how many images at the beginning and at the end have stripes that the camera cannot tell, from what ``_windows`` found.
+    """Return how many images at the beginning and at the end have stripes that the camera cannot tell, from what
+    ``_windows`` found.
 
-    Windows are asked that stripes four times as wide modulate: coarse ones light the room as well, which tells nothing of finer ones.
+    Windows are asked that stripes four times as wide modulate: coarse ones light the room as well, which tells nothing
+    of finer ones.
     """
     ordered = shares[::-1] if fine_first else shares
     count, windows = ordered.shape
@@ -143,11 +154,13 @@ def _unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
 
 
 def _borders(signed: Floats) -> Floats:
-    """Return where bits turn between neighbours, from signed differences (n, lines, length); several that do are averaged.
+    """Return where bits turn between neighbours, from signed differences (n, lines, length); several that do are
+    averaged.
 
-    A pixel is the mean over its area: with t the difference over the full one, 1 before the border and −1 behind it, the sum of t over
-    pixels on both sides is twice the distance of the border from their middle. Two pixels are asked, and four where two on either
-    side are nearly full: what a lens blurs beyond two of them counts then, and another border does not.
+    A pixel is the mean over its area: with t the difference over the full one, 1 before the border and −1 behind it,
+    the sum of t over pixels on both sides is twice the distance of the border from their middle. Two pixels are asked,
+    and four where two on either side are nearly full: what a lens blurs beyond two of them counts then, and another
+    border does not.
     """
     full = np.maximum(np.abs(signed).max(axis=0), np.float32(1e-3))
     lines = signed / full
@@ -170,7 +183,8 @@ def _borders(signed: Floats) -> Floats:
 
 
 def stripe_numbers(bits: NDArray[np.bool_], axis: AxisConvention) -> NDArray[np.int32]:
-    """Return the number (h, w) int32 of each pixel's stripe that ``bits`` (n, h, w) write by the convention of ``axis``."""
+    """Return the number (h, w) int32 of each pixel's stripe that ``bits`` (n, h, w) write by the convention of
+    ``axis``."""
     ordered = bits[::-1] if axis.fine_first else bits
     number = np.zeros(bits.shape[1:], np.int32)
     last = np.zeros(bits.shape[1:], np.bool_)
@@ -187,8 +201,8 @@ def numbered_stripes(
 ) -> tuple[NDArray[np.int32], float]:
     """Return the stripes' numbers and their width in px of the pattern.
 
-    Without its last digit a number counts stripes of twice the width: so it is where the finest images were left out, and where stripes
-    are finer than half a fringe, which tells the fringe already.
+    Without its last digit a number counts stripes of twice the width: so it is where the finest images were left out,
+    and where stripes are finer than half a fringe, which tells the fringe already.
     """
     number = stripe_numbers(bits, axis)
     stripe_px = axis.stripe_px * 2.0 ** left_out[0 if axis.fine_first else 1]

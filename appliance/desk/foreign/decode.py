@@ -1,10 +1,12 @@
-"""Owns decoding by a description: one camera's images become pattern coordinates, modulation, and reasons where there are none.
+"""Owns decoding by a description: one camera's images become pattern coordinates, modulation, and reasons where there
+are none.
 
-Two steps, so that other conventions can be tried on the same images: ``measure`` reads from the images what no convention changes
-but the phase steps, ``place`` makes coordinates of it.
+Two steps, so that other conventions can be tried on the same images: ``measure`` reads from the images what no
+convention changes but the phase steps, ``place`` makes coordinates of it.
 
-Symbols: P is the finest period, turns its phase φ/2π, m the middle of a stripe in periods, off = turns − start − m wrapped to −½ … ½; the
-coordinate is p = P (m + off) − ½, which is right at any phase as long as the stripe is at most a period wide.
+Symbols: P is the finest period, turns its phase φ/2π, m the middle of a stripe in periods, off = turns − start − m
+wrapped to −½ … ½; the coordinate is p = P (m + off) − ½, which is right at any phase as long as the stripe is at most a
+period wide.
 """
 
 from __future__ import annotations
@@ -37,14 +39,16 @@ from appliance.desk.foreign.reasons import Reason
 from appliance.measure import choose_fringes
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
-"""Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within these."""
+"""Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within
+these."""
 NOISE_SIGMAS = 6.0
 LEAST_CONTRAST = 4.0 / 255.0
 """Least swing of a code without sines, as a share of full scale."""
 SLACK_PERIODS = 0.11
 """Allowed distance of the phase beyond the border of its stripe, in periods: blur and noise."""
 UNSURE_PERIODS = 0.36
-"""Distance from the stripe's middle beyond which a stripe of a whole period is a coin's toss, and the neighbours are asked."""
+"""Distance from the stripe's middle beyond which a stripe of a whole period is a coin's toss, and the neighbours are
+asked."""
 MAX_PERIODS_MISFIT = 0.09
 """Largest disagreement of the phases of several periods, as root mean square in turns."""
 PIXELS_AT_ONCE = 1 << 13
@@ -52,9 +56,11 @@ PIXELS_AT_ONCE = 1 << 13
 MOST_FINER = 0.35
 """Largest disagreement of a period with the next finer one, in turns of that."""
 DRAWN = 0.008
-"""Error of a coordinate between two borders of a stripe, as a share of it: measured on rendered sets with stripes of 4 and 8 px."""
+"""Error of a coordinate between two borders of a stripe, as a share of it: measured on rendered sets with stripes of 4
+and 8 px."""
 MOST_SKIPPED = 2
-"""Largest change of a stripe's number at a border that a coordinate is drawn from: one stripe in between may be too narrow to be seen."""
+"""Largest change of a stripe's number at a border that a coordinate is drawn from: one stripe in between may be too
+narrow to be seen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +80,8 @@ class Measured:
     singles: tuple[Floats, ...] = ()
     """Cosine (h, w) of each further period of micro phase shifting, of which one image was taken."""
     sines: tuple[NDArray[Any], ...] = ()
-    """Grey values (n, pixels) of each period's sines at some pixels (``some_pixels``); none where they are micro or modulated."""
+    """Grey values (n, pixels) of each period's sines at some pixels (``some_pixels``); none where they are micro or
+    modulated."""
     misfit_share: float | None = None
     """Misfit of the finest period's steps, over its modulation; ``None`` where three steps or none fit anything."""
     bend_turns: float = 0.0
@@ -115,8 +122,11 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
         across = axis.carriers[period] if axis.carriers else 0
         kind = Shows.MICRO if axis.micro else Shows.MODULATED if across else Shows.SINE
         shot = images.all_of(kind, axis.name, period)
-        fit = (_fit_modulated(shot, steps_deg, across, images.white) if across
-               else fit_sine(shot[: len(steps_deg)], steps_deg, images.white))  # fmt: skip
+        fit = (
+            _fit_modulated(shot, steps_deg, across, images.white)
+            if across
+            else fit_sine(shot[: len(steps_deg)], steps_deg, images.white)
+        )
         if axis.micro:
             modulation = np.maximum(fit.modulation, np.float32(1e-3))
             singles = [np.asarray((one - fit.offset) / modulation, np.float32) for one in shot[len(steps_deg) :]]
@@ -152,7 +162,8 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
 
 
 def _fit_modulated(images: NDArray[Any], steps_deg: tuple[float, ...], across: int, white: float) -> SineFit:
-    """Fit fringes times a carrier: what varies with the carrier's steps is the light that came straight from the projector.
+    """Fit fringes times a carrier: what varies with the carrier's steps is the light that came straight from the
+    projector.
 
     Source: Chen, Seidel, Lensch, CVPR 2008.
     """
@@ -198,7 +209,8 @@ def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float])
 
 
 def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the coordinates, and what contradicts: the code numbers the fringes of one period, and that those of each finer one."""
+    """Return the coordinates, and what contradicts: the code numbers the fringes of one period, and that those of each
+    finer one."""
     k, shape = axis.numbered, found.weak.shape
     period, begin = np.float32(axis.periods_px[k]), np.float32(axis.begins_deg[k] / 360.0)
     assert found.bits is not None
@@ -219,7 +231,8 @@ def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.
         # Before neighbours are asked, which lie at the same end.
         coordinate_px[coordinate_px < -0.5] += np.float32(axis.covered_px[1])
     if not sure.all():
-        # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period apart.
+        # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period
+        # apart.
         sure &= found.usable
         coordinate_px, lost = _asked_neighbours(coordinate_px, sure, axis)
     finer = zip(axis.periods_px, found.turns, axis.begins_deg, strict=False)
@@ -235,7 +248,8 @@ def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.
 def _asked_neighbours(
     coordinate_px: Floats, sure: NDArray[np.bool_], axis: AxisConvention
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the coordinates, those that are not ``sure`` moved by whole periods to the mean of the sure ones about them."""
+    """Return the coordinates, those that are not ``sure`` moved by whole periods to the mean of the sure ones about
+    them."""
     period = np.float32(axis.periods_px[axis.numbered])
     # The usual width of a period in the camera's image.
     along = 1 if axis.name == "x" else 0
@@ -261,11 +275,12 @@ def by_periods(
     usable: NDArray[np.bool_] | None = None,
     singles: Sequence[Floats] = (),
 ) -> tuple[Floats, Floats]:
-    """Choose the number of the finest fringe with which the phases of all other periods agree best (temporal unwrapping).
+    """Choose the number of the finest fringe with which the phases of all other periods agree best (temporal
+    unwrapping).
 
-    Returns the coordinates (h, w) in px, and the root mean square by which those phases disagree, in turns; NaN where nothing is ``usable``.
-    Of micro phase shifting cosines take the phases' place, and all images together the finest period's.
-    Sources: Huntley, Saldner, Appl. Opt. 32 (1993) 3047; Gupta, Nayar, CVPR 2012.
+    Returns the coordinates (h, w) in px, and the root mean square by which those phases disagree, in turns; NaN where
+    nothing is ``usable``. Of micro phase shifting cosines take the phases' place, and all images together the finest
+    period's. Sources: Huntley, Saldner, Appl. Opt. 32 (1993) 3047; Gupta, Nayar, CVPR 2012.
     """
     conventions = np.array([axis.periods_px, np.divide(axis.begins_deg, 360.0)], np.float32)
     others = singles or [one for k, one in enumerate(turns) if k != axis.finest]
@@ -289,7 +304,8 @@ def by_periods(
 
 
 def _all_together(edge_px: Floats, cosines: Floats, conventions: Floats, period: np.float32) -> Floats:
-    """Return what least squares over all images of micro phase shifting add to what the first period says (one step of Gauss and Newton)."""
+    """Return what least squares over all images of micro phase shifting add to what the first period says (one step of
+    Gauss and Newton)."""
     weight = np.full(edge_px.shape, np.float32(1.5 * (TURN / period) ** 2))
     total = np.zeros_like(weight)
     for cosine, other, begin in zip(cosines, *conventions, strict=True):
@@ -304,8 +320,8 @@ def _all_together(edge_px: Floats, cosines: Floats, conventions: Floats, period:
 def chance_misfit(axis: AxisConvention) -> float:
     """Return the median of what ``by_periods`` leaves of phases that have nothing to do with each other, in turns.
 
-    The m other phases disagree by a place in a cube of side 1; the best of K fringes is nearer to its middle than r with probability
-    1 − (1 − V r^m)^K, V being the volume of the unit ball.
+    The m other phases disagree by a place in a cube of side 1; the best of K fringes is nearer to its middle than r
+    with probability 1 − (1 − V r^m)^K, V being the volume of the unit ball.
     """
     others = len(axis.periods_px) - 1
     if others < 1:
@@ -321,7 +337,8 @@ def _fringes(axis: AxisConvention) -> int:
 
 
 def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, float]:
-    """Return coordinates of a code without sines: between two borders of stripes along the image, linear; else the stripe's middle.
+    """Return coordinates of a code without sines: between two borders of stripes along the image, linear; else the
+    stripe's middle.
 
     Besides, the stripes' width in px.
     """
@@ -352,7 +369,8 @@ def _between_borders(rows: NDArray[np.int32], usable: NDArray[np.bool_], borders
     last = np.minimum.accumulate(np.where(changed[:, 1:], place, width - 1)[:, ::-1], axis=1)[:, ::-1]
     before = np.take_along_axis(rows, np.maximum(first - 1, 0), 1) - rows
     behind = np.take_along_axis(rows, np.minimum(last + 1, width - 1), 1) - rows
-    # Between stripes i and i + 1 lies the border i + 1; where one is too narrow to be seen, i and i + 2, it is the middle of both.
+    # Between stripes i and i + 1 lies the border i + 1; where one is too narrow to be seen, i and i + 2, it is the
+    # middle of both.
     begin = first - 1 + np.take_along_axis(borders, np.clip(first - 1, 0, width - 2), 1)
     end = last + np.take_along_axis(borders, np.clip(last, 0, width - 2), 1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,7 +1,7 @@
 """Owns the description of a foreign set of images: which image is what, and by which convention it is to be read.
 
-Symbols of a direction: e = p + ½ is the distance of pattern coordinate p from the edge of the pattern, in px; its phase is
-φ = 2π e / period + begin. Step k shows A + B cos(φ + sign · step_k). Stripe number i of the code covers e from
+Symbols of a direction: e = p + ½ is the distance of pattern coordinate p from the edge of the pattern, in px; its phase
+is φ = 2π e / period + begin. Step k shows A + B cos(φ + sign · step_k). Stripe number i of the code covers e from
 offset + i · stripe to offset + (i + 1) · stripe. ``docs/foreign.md`` has the language by examples.
 """
 
@@ -44,8 +44,10 @@ class AxisConvention:
     periods_px: tuple[float, ...]
     """Fringe periods; empty: stripes of the code alone."""
     steps_deg: tuple[tuple[float, ...], ...]
-    """Phase steps of each period in the order of its images, as they are written. A period of one image shares mean and modulation with
-    the first one (micro phase shifting)."""
+    """Phase steps of each period in the order of its images, as they are written.
+
+    A period of one image shares mean and modulation with the first one (micro phase shifting).
+    """
     sign: int = 1
     """1: a step adds to the phase; −1: it takes away."""
     start_deg: float = 0.0
@@ -55,8 +57,8 @@ class AxisConvention:
     from_middle: bool = False
     """True if phases begin at the middle of column 0, half a px behind the edge."""
     carriers: tuple[int, ...] = ()
-    """Number of steps across, by period, of a carrier that multiplies its fringes (modulated phase shifting); 0 of a period without one;
-    empty: none has one."""
+    """Number of steps across, by period, of a carrier that multiplies its fringes (modulated phase shifting); 0 of a
+    period without one; empty: none has one."""
     bits: int = 0
     """Number of images of the code; 0: there is none."""
     stripe_px: float = 0.0
@@ -84,7 +86,8 @@ class AxisConvention:
 
     @property
     def numbered(self) -> int:
-        """Number of the period whose fringes the code numbers: the finest one, or the coarsest where stripes are wider than that."""
+        """Number of the period whose fringes the code numbers: the finest one, or the coarsest where stripes are wider
+        than that."""
         return self.finest if self.stripe_px <= 1.01 * self.period_px else self.periods_px.index(max(self.periods_px))
 
     @property
@@ -100,7 +103,8 @@ class AxisConvention:
 
     @property
     def period_px(self) -> float:
-        """The period that makes the coordinate: the finest one, or the only one of several steps; of a code alone, its stripe."""
+        """The period that makes the coordinate: the finest one, or the only one of several steps; of a code alone, its
+        stripe."""
         return self.periods_px[0] if self.micro else min(self.periods_px, default=self.stripe_px)
 
     @property
@@ -123,7 +127,8 @@ class ImageFiles:
     words: tuple[str, ...] = ()
     """The kind of image that each name stands for (``gray-x``); empty where ``order`` says it."""
     sides: str = ""
-    """Sides in whose turn the files of both cameras come, again and again, or one of ``HALVES``; empty: all are this camera's."""
+    """Sides in whose turn the files of both cameras come, again and again, or one of ``HALVES``; empty: all are this
+    camera's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +136,8 @@ class Medium:
     """Medium between cameras and object."""
 
     index: float | None = None
-    """Refractive index of the water relative to air; ``None``: it follows from temperature and salinity, or it is air."""
+    """Refractive index of the water relative to air; ``None``: it follows from temperature and salinity, or it is air.
+    """
     temperature_c: float | None = None
     salinity_psu: float = 0.0
     wavelength_nm: float = 530.0
@@ -183,7 +189,8 @@ class Description:
         return len(self.axes) == 1
 
     def extent_px(self, axis: AxisConvention) -> tuple[float, float]:
-        """Return where the pattern begins and ends: of two cameras, what the code covers, whatever the projector's size."""
+        """Return where the pattern begins and ends: of two cameras, what the code covers, whatever the projector's
+        size."""
         return axis.covered_px if axis.bits and "right" in self.files else (0.0, axis.size_px)
 
     def axis(self, name: str) -> AxisConvention | None:
@@ -207,7 +214,10 @@ def load_description(path: Path) -> Description:
 
 
 def parse_description(text: str, folder: Path, name: str, source: str) -> Description:
-    """Read a description from ``text``; file names are relative to ``folder``. Raises ForeignError, which begins with ``source``."""
+    """Read a description from ``text``; file names are relative to ``folder``.
+
+    Raises ForeignError, which begins with ``source``.
+    """
     try:
         content = parse_toml(text)
     except ValueError as error:
@@ -263,7 +273,8 @@ def _names(table: Table, key: str) -> tuple[str, ...]:
 
 
 def _files(images: Table) -> dict[str, ImageFiles]:
-    """Return the files of each camera: named for each in order or by kind, or for both together, and how they share them."""
+    """Return the files of each camera: named for each in order or by kind, or for both together, and how they share
+    them."""
     if "both" not in images.content and "sides" not in images.content:
         return {side: _of_one(images, side) for side in SIDES if side == "left" or side in images.content}
     if "left" in images.content or "right" in images.content:
@@ -342,14 +353,21 @@ def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> Ax
                 "stripe_px", f"up to the coarsest period, {max(periods_px):g} px", "wider stripes do not number fringes"
             )
     return AxisConvention(
-        name, size_px, periods_px, _steps(table, len(periods_px), micro) if fringed else (),
-        1 if table.choice("sign", ("+", "-"), "+") == "+" else -1, start_deg=common[0], starts_deg=common[1],
-        from_middle=table.choice("start_at", ("edge", "middle"), "edge") == "middle", stripe_px=stripe_px,
+        name,
+        size_px,
+        periods_px,
+        _steps(table, len(periods_px), micro) if fringed else (),
+        1 if table.choice("sign", ("+", "-"), "+") == "+" else -1,
+        start_deg=common[0],
+        starts_deg=common[1],
+        from_middle=table.choice("start_at", ("edge", "middle"), "edge") == "middle",
+        stripe_px=stripe_px,
         code_offset_px=table.number("code_offset_px", -MOST_PX, MOST_PX, offset * stripe_px),
         plain_binary=table.choice("code", ("gray", "binary"), "gray") == "binary",
         fine_first=table.choice("code_order", ("coarse-first", "fine-first"), "coarse-first") == "fine-first",
-        inverted=table.flag("code_inverted"), wraps=gray == "shifted",
-    )  # fmt: skip
+        inverted=table.flag("code_inverted"),
+        wraps=gray == "shifted",
+    )
 
 
 def _periods(table: Table, size_px: float) -> tuple[float, ...]:
@@ -369,7 +387,8 @@ def _periods(table: Table, size_px: float) -> tuple[float, ...]:
 
 
 def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], ...]:
-    """Return the steps of each period: one list is that of all, but of micro phase shifting that of the first, the others having one."""
+    """Return the steps of each period: one list is that of all, but of micro phase shifting that of the first, the
+    others having one."""
     if "steps" in table.content and "steps_deg" in table.content:
         raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both there; give one of them")
     said = table.content.get("steps_deg")
@@ -399,8 +418,11 @@ def _medium(top: Table) -> Medium:
     if (index is None) == (temperature_c is None):
         raise ForeignError("water.index or water.temperature_c: give one of them; for air take [water] out")
     return Medium(
-        index, temperature_c, water.number("salinity_psu", 0.0, 45.0, 0.0), water.number("wavelength_nm", 380.0, 750.0, 530.0)
-    )  # fmt: skip
+        index,
+        temperature_c,
+        water.number("salinity_psu", 0.0, 45.0, 0.0),
+        water.number("wavelength_nm", 380.0, 750.0, 530.0),
+    )
 
 
 def _ports(top: Table) -> Ports | None:
@@ -416,14 +438,18 @@ def _ports(top: Table) -> Ports | None:
         x, y, z = normal
         found.append((x / length, y / length, z / length))
     return Ports(
-        ports.number("distance_mm", 0.0, 1000.0), ports.number("thickness_mm", 0.0, 100.0), ports.number("glass_index", 1.0, 3.0),
+        ports.number("distance_mm", 0.0, 1000.0),
+        ports.number("thickness_mm", 0.0, 100.0),
+        ports.number("glass_index", 1.0, 3.0),
         (found[0], found[1]),
-    )  # fmt: skip
+    )
 
 
 def counted(description: Description, images: tuple[ShownImage, ...]) -> Description:
-    """Return the description with the numbers of bits of the ``images`` that are really there. Raises ForeignError where a direction has
-    other numbers of steps, bits or inverses than its convention allows."""
+    """Return the description with the numbers of bits of the ``images`` that are really there.
+
+    Raises ForeignError where a direction has other numbers of steps, bits or inverses than its convention allows.
+    """
     axes = []
     for axis in description.axes:
         mine = [one for one in images if one.axis == axis.name]

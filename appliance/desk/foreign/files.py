@@ -145,7 +145,8 @@ def _best(names: list[str]) -> dict[str, list[str]] | None:
 
 
 def _patterns(name: str) -> Iterator[str]:
-    """Yield the patterns that a name may share with the others of its camera, the likeliest first; empty where it has no such part."""
+    """Yield the patterns that a name may share with the others of its camera, the likeliest first; empty where it has
+    no such part."""
     path = Path(name)
     yield str(path.with_name(f"*{path.suffix}"))
     # One of the numbers in a name counts the images: the last one, or the one before, …

@@ -12,7 +12,8 @@ from appliance.desk.foreign.problem import ForeignError
 
 
 def look_first(path: Path) -> tuple[Description, Mapping[str, ImageSet]]:
-    """Check all of a description that takes no time: its words, that its images are there, and the cameras' numbers. Raises ForeignError.
+    """Check all of a description that takes no time: its words, that its images are there, and the cameras' numbers.
+    Raises ForeignError.
 
     Returns the description and, by side, what the images show with the first of them (``first_of_side``).
     """
@@ -23,8 +24,10 @@ def look_first(path: Path) -> tuple[Description, Mapping[str, ImageSet]]:
 def checked(
     path: Path, said: Description, sets: Mapping[str, ImageSet]
 ) -> tuple[Description, Mapping[str, ImageSet], ForeignRig]:
-    """Return the description with its images counted, the images, and the cameras that took them. Raises ForeignError where they do not
-    belong together."""
+    """Return the description with its images counted, the images, and the cameras that took them.
+
+    Raises ForeignError where they do not belong together.
+    """
     description = counted(said, sets["left"].shown)
     if "right" in sets and set(sets["right"].shown) != set(sets["left"].shown):
         raise ForeignError(f"{path}: left and right have other images; name the same for both")

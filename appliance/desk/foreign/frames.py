@@ -1,7 +1,9 @@
-"""Owns where a single image of a foreign set lies: a file of its own, a page of a TIFF, or one of an array that NumPy wrote.
+"""Owns where a single image of a foreign set lies: a file of its own, a page of a TIFF, or one of an array that NumPy
+wrote.
 
-Stacks are (n, h, w), or (h, w, n) as MATLAB's programs leave them: n is the least of the three; colours are a fourth dimension, blue
-first, as OpenCV has them. An array of several in an ``.npz`` is named behind ``#``: ``frames.npz#left``.
+Stacks are (n, h, w), or (h, w, n) as MATLAB's programs leave them: n is the least of the three; colours are a fourth
+dimension, blue first, as OpenCV has them. An array of several in an ``.npz`` is named behind ``#``:
+``frames.npz#left``.
 """
 
 from __future__ import annotations
@@ -55,8 +57,12 @@ class Frame:
     def cut(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return the part of a picture (h, w) that is this image."""
         rows, columns = (size // 2 for size in image.shape[:2])
-        parts = {"left half": (slice(None), slice(columns)), "right half": (slice(None), slice(columns, None)),
-                 "upper half": (slice(rows),), "lower half": (slice(rows, None),)}  # fmt: skip
+        parts = {
+            "left half": (slice(None), slice(columns)),
+            "right half": (slice(None), slice(columns, None)),
+            "upper half": (slice(rows),),
+            "lower half": (slice(rows, None),),
+        }
         return image[parts.get(self.half, ())]
 
 
@@ -109,7 +115,8 @@ class FrameReader:
 
 
 def frame_head(frame: Frame) -> NDArray[Any] | None:
-    """Return an image (h, w) by its file's header: its size and type, and no number; ``None`` where nothing but reading it tells."""
+    """Return an image (h, w) by its file's header: its size and type, and no number; ``None`` where nothing but reading
+    it tells."""
     if frame.path.suffix.lower() in STACKS:
         head = _stack(frame.path, frame.array, head=True)
         head = head if frame.page is None else head[frame.page]
@@ -159,7 +166,10 @@ def _refuse_other_files(path: Path) -> None:
 
 
 def _stack(path: Path, array: str, head: bool = False) -> NDArray[Any]:
-    """Return the array of a file, its images along the first dimension, or its ``head`` alone; one image is (h, w). Raises ForeignError."""
+    """Return the array of a file, its images along the first dimension, or its ``head`` alone; one image is (h, w).
+
+    Raises ForeignError.
+    """
     try:
         heads = array_heads(path)
         name = array or (next(iter(heads)) if len(heads) == 1 else "")

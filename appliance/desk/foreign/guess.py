@@ -1,20 +1,24 @@
-"""Owns the guess at images that nobody has described: hypotheses are tried on reduced images until one of them stands out.
+"""Owns the guess at images that nobody has described: hypotheses are tried on reduced images until one of them stands
+out.
 
-Hypotheses are data: the sequences of known programs (``sequences``), and what each image looks like by itself. Looks choose a few of
-them; each of these is decoded, what its tests find instead is taken over, and it counts how much of the images it explains
-(``expectation``). Of a rig whose numbers are known, rays decide which camera is which and where the pattern lies.
+Hypotheses are data: the sequences of known programs (``sequences``), and what each image looks like by itself. Looks
+choose a few of them; each of these is decoded, what its tests find instead is taken over, and it counts how much of the
+images it explains (``expectation``). Of a rig whose numbers are known, rays decide which camera is which and where the
+pattern lies.
 
-It also owns how well a description explains its images: each is predicted from the coordinates that all of them make, and compared.
+It also owns how well a description explains its images: each is predicted from the coordinates that all of them make,
+and compared.
 
-Coordinates are smoothed first: those of a wrong order are noise, and predict nothing. The share of an image's variation that its
-prediction explains is near 1 where the description is right, near 0 where an image shows something else, and near 0, too, for
-stripes that the camera does not resolve: these vary little, and weigh so much less.
+Coordinates are smoothed first: those of a wrong order are noise, and predict nothing. The share of an image's variation
+that its prediction explains is near 1 where the description is right, near 0 where an image shows something else, and
+near 0, too, for stripes that the camera does not resolve: these vary little, and weigh so much less.
 
-It also owns which periods several sets of fringes have, by their phases alone: how fast each runs, and on which whole numbers all agree.
+It also owns which periods several sets of fringes have, by their phases alone: how fast each runs, and on which whole
+numbers all agree.
 
-From a pixel to the next, phase k runs r_k times as fast as that of the finest fringes: r_k is the ratio of their numbers. Of all whole
-numbers in such ratios those are right with which the phases agree on one fringe; that they do so by chance is the less likely
-the fewer fringes there are.
+From a pixel to the next, phase k runs r_k times as fast as that of the finest fringes: r_k is the ratio of their
+numbers. Of all whole numbers in such ratios those are right with which the phases agree on one fringe; that they do so
+by chance is the less likely the fewer fringes there are.
 """
 
 from __future__ import annotations
@@ -121,7 +125,8 @@ RATIO_SLACK = 0.03
 LEAST_RUN_TURNS = 0.004
 """Slowest phase of the finest fringes, from a pixel to the next, that a ratio is taken of."""
 LAGS_PX = (1, 4, 16)
-"""Distances over which phases are compared; the longest over which the finest fringes run less than half a turn counts."""
+"""Distances over which phases are compared; the longest over which the finest fringes run less than half a turn counts.
+"""
 PIXELS = 1000
 STRONG = 0.5
 
@@ -172,7 +177,8 @@ def _speed(turns: NDArray[Any], strong: NDArray[np.bool_], name: str) -> float:
 
 
 def _ratio(slow: NDArray[Any], fast: NDArray[Any], strong: NDArray[np.bool_], name: str) -> float:
-    """Return how fast one phase runs over how fast another does: the longest lag whose whole turns the shorter one tells."""
+    """Return how fast one phase runs over how fast another does: the longest lag whose whole turns the shorter one
+    tells."""
     ratio, near = 1.0, None
     for lag in LAGS_PX:
         of_slow, of_fast = (_differences(one, strong, name, lag) for one in (slow, fast))
@@ -194,7 +200,8 @@ MOST_PIXELS = 400_000
 BY_LOOKS = "what each image looks like"
 MOST_TRIED = 10
 SURE, NEARLY = 0.9, 0.3
-"""Share explained from which on no hypotheses are tried whose looks agree less by the second number than the best one's."""
+"""Share explained from which on no hypotheses are tried whose looks agree less by the second number than the best
+one's."""
 ROUNDS = 3
 EVERY = 4
 GUESSED_PX = (1024.0, 768.0)
@@ -208,7 +215,8 @@ MOST_RIVALS = 4
 PER_WRONG = 0.2
 COLOURED = 1.06
 LEAST_ALIKE, LEAST_SPREAD = 0.5, 4.0
-"""Least correlation of the channels of a picture that shows one pattern, and least deviation of their grey values that tells."""
+"""Least correlation of the channels of a picture that shows one pattern, and least deviation of their grey values that
+tells."""
 PROJECTORS_PX = (
     (608, 684), (640, 480), (640, 360), (800, 600), (854, 480), (848, 480), (912, 1140), (1024, 768), (1280, 800), (1280, 720), (1280, 1024),
     (1366, 768), (1400, 1050), (1440, 900), (1600, 1200), (1824, 1140), (1920, 1080), (1920, 1200), (2560, 1600), (3840, 2160),
@@ -245,7 +253,8 @@ class TriedSequence:
 
     @property
     def standing(self) -> tuple[int, int, bool]:
-        """Order of sequences that explain as much: by contradictions, by what could have been one, and by whether it is known."""
+        """Order of sequences that explain as much: by contradictions, by what could have been one, and by whether it is
+        known."""
         # Words that could have been contradicted and were not, less those that nothing tells.
         evidence = self._count(Outcome.FITS) - self._count(Outcome.UNCHECKED)
         return -self.contradictions - bool(self.notes), evidence, self.program != BY_LOOKS
@@ -369,7 +378,8 @@ def _all_hypotheses(looks: Looks) -> Iterator[ProjectedSequence]:
 
 
 def _channel(files: Sequence[Frame]) -> str:
-    """Return the channel that tells most, or that each is an image of its own: of the first picture, or of one in the middle."""
+    """Return the channel that tells most, or that each is an image of its own: of the first picture, or of one in the
+    middle."""
     for frame in (files[0], files[len(files) // 2]):
         image = FrameReader().raw(frame)
         if image.ndim < 3 or image.shape[2] < len(CHANNEL_NUMBER):
@@ -382,13 +392,15 @@ def _channel(files: Sequence[Frame]) -> str:
 
 
 def _alike(channels: NDArray[Any]) -> bool:
-    """Tell whether ``channels`` (3, h, w) show one pattern: light of one colour is reflected by all alike, but for what each has been sent."""
+    """Tell whether ``channels`` (3, h, w) show one pattern: light of one colour is reflected by all alike, but for what
+    each has been sent."""
     few = channels.reshape(len(channels), -1).astype(np.float64)
     return float(few.std(axis=1).min()) < LEAST_SPREAD or float(np.corrcoef(few).min()) >= LEAST_ALIKE
 
 
 def _different(images: NDArray[Any]) -> list[int]:
-    """Return the numbers of the channels (n, h, w), three of each picture, that are images of their own: of a grey picture the first."""
+    """Return the numbers of the channels (n, h, w), three of each picture, that are images of their own: of a grey
+    picture the first."""
     return [
         k
         for first in range(0, len(images), 3)
@@ -400,7 +412,10 @@ def _different(images: NDArray[Any]) -> list[int]:
 
 
 def _conventions(sequence: ProjectedSequence, images: NDArray[Any]) -> tuple[AxisConvention, ...]:
-    """Return the conventions by which ``images`` (n, h, w) are first read; tests say what fits instead. Raises ForeignError."""
+    """Return the conventions by which ``images`` (n, h, w) are first read; tests say what fits instead.
+
+    Raises ForeignError.
+    """
     names = [name for name in "xy" if any(one.axis == name for one in sequence.shown)]
     axes = [_convention(name, sequence, images) for name in names]
     code_alone = [axis.stripe_px for axis in axes if not axis.periods_px]
@@ -417,8 +432,14 @@ def _convention(name: str, sequence: ProjectedSequence, images: NDArray[Any]) ->
         size_px = float(2 ** max(round(np.log2(size_px)), bits))
         stripe_px = max(size_px / 2**bits, 0.5)
     fields = {"size_px": size_px, "periods_px": (), "steps_deg": (), **sequence.conventions}
-    fringes = [[k for k, one in enumerate(sequence.shown) if one.axis == name and one.shows in FRINGES and one.period == period]
-               for period in sorted({one.period for one in mine if one.shows in FRINGES})]  # fmt: skip
+    fringes = [
+        [
+            k
+            for k, one in enumerate(sequence.shown)
+            if one.axis == name and one.shows in FRINGES and one.period == period
+        ]
+        for period in sorted({one.period for one in mine if one.shows in FRINGES})
+    ]
     if fringes and not fields["periods_px"]:
         fields["steps_deg"] = tuple(_steps(images[group]) for group in fringes)
         fields["periods_px"] = (stripe_px,)
@@ -430,7 +451,10 @@ def _convention(name: str, sequence: ProjectedSequence, images: NDArray[Any]) ->
 
 
 def _steps(images: NDArray[Any]) -> tuple[float, ...]:
-    """Return the steps of images (n, h, w) of one period: equal ones where they fit. Raises ForeignError where no steps do."""
+    """Return the steps of images (n, h, w) of one period: equal ones where they fit.
+
+    Raises ForeignError where no steps do.
+    """
     steps = equal_steps(len(images))
     if len(steps) < LEAST_STEPS:
         raise ForeignError(f"{len(images)} images tell no phase")
@@ -451,7 +475,8 @@ def _explained(candidate: TriedSequence, places: Sequence[int], pictures: _Reduc
     candidate, decoded = _fitted(candidate, pictures)
     shares, weights = explained_shares(candidate.description, decoded["left"])
     kept = [k for k, word in enumerate(candidate.words) if word != "-"]
-    # What no role explains counts as not explained; images that vary little weigh little: of stripes finer than pixels nothing can be.
+    # What no role explains counts as not explained; images that vary little weigh little: of stripes finer than pixels
+    # nothing can be.
     total = float((shares * weights).sum() / max(weights.sum() + 0.25 * (len(places) - len(kept)), 1e-9))
     by_image = np.full(len(candidate.images), np.nan)
     by_image[kept] = shares
@@ -459,8 +484,8 @@ def _explained(candidate: TriedSequence, places: Sequence[int], pictures: _Reduc
 
 
 def _fitted(candidate: TriedSequence, pictures: _ReducedPictures) -> tuple[TriedSequence, dict[str, DecodedCamera]]:
-    """Return the candidate with what fits in place of what its tests contradict, and its cameras: the left one alone where nothing says
-    how both stand. Raises ForeignError."""
+    """Return the candidate with what fits in place of what its tests contradict, and its cameras: the left one alone
+    where nothing says how both stand. Raises ForeignError."""
     for _ in range(ROUNDS):
         description = candidate.description
         with_rays = bool(description.cameras.content)
@@ -486,7 +511,8 @@ def _image_set(camera: CameraFiles, description: Description, images: NDArray[An
 
 
 def _with_instead(candidate: TriedSequence) -> TriedSequence:
-    """Return the candidate with what fits in place of what was contradicted: fields of its conventions, or the cameras exchanged."""
+    """Return the candidate with what fits in place of what was contradicted: fields of its conventions, or the cameras
+    exchanged."""
     cameras, description = candidate.cameras, candidate.description
     for one in candidate.tested:
         if one.outcome is not Outcome.WRONG:
@@ -522,7 +548,8 @@ def _on_rig(candidate: TriedSequence, table: Mapping[str, Any], pictures: _Reduc
 
 
 def _on_projectors(description: Description, left_px: tuple[int, int]) -> Iterator[Description]:
-    """Yield the description with each size that the projector may have: the one its calibration states, else those by its axis."""
+    """Yield the description with each size that the projector may have: the one its calibration states, else those by
+    its axis."""
     table = description.cameras
     stated_px = None
     if "files" in table.content:

@@ -1,7 +1,8 @@
 """Owns the images of a foreign set: which files a description means, and their grey values.
 
-Any format that OpenCV reads, pages of a TIFF and NumPy's stacks (``frames``), 8 or 16 bits, grey or colour; files of one name with
-wildcards come in natural order (2 before 10). Pictures are read when they are asked for, and what is small is kept.
+Any format that OpenCV reads, pages of a TIFF and NumPy's stacks (``frames``), 8 or 16 bits, grey or colour; files of
+one name with wildcards come in natural order (2 before 10). Pictures are read when they are asked for, and what is
+small is kept.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ class Pictures:
 
     @classmethod
     def of(cls, frames: Sequence[Frame], channel: str) -> Pictures:
-        """Return the images ``frames``, which must be alike. Raises ForeignError for others, and for files that are none."""
+        """Return the images ``frames``, which must be alike.
+
+        Raises ForeignError for others, and for files that are none.
+        """
         heads = [frame_head(frame) for frame in frames]
         first = heads[0]
         if first is None:
@@ -113,15 +117,19 @@ def natural_key(text: str) -> list[tuple[int, int, str]]:
 
 
 def read_side(description: Description, side: str) -> ImageSet:
-    """Return the images of one camera, of which those of 16 bits are read. Raises ForeignError for files that are missing, of different
-    sizes, or no images."""
+    """Return the images of one camera, of which those of 16 bits are read.
+
+    Raises ForeignError for files that are missing, of different sizes, or no images.
+    """
     found = first_of_side(description, side)
     return replace(found, white=description.white or _white(found.images))
 
 
 def first_of_side(description: Description, side: str) -> ImageSet:
-    """Return the images of one camera by the headers of their files, none of which is decoded. Raises ForeignError for files that are
-    missing, of different sizes, or no images."""
+    """Return the images of one camera by the headers of their files, none of which is decoded.
+
+    Raises ForeignError for files that are missing, of different sizes, or no images.
+    """
     kept = [
         (file, one) for file, one in zip(*named_files(description, side), strict=True) if one.shows is not Shows.OTHER
     ]
@@ -132,8 +140,10 @@ def first_of_side(description: Description, side: str) -> ImageSet:
 
 
 def _white(images: Pictures) -> float:
-    """Return the least grey value of saturation that no pixel exceeds. Sensors of fewer bits may lie at the upper end of 16, where each
-    value is a multiple of their last one."""
+    """Return the least grey value of saturation that no pixel exceeds.
+
+    Sensors of fewer bits may lie at the upper end of 16, where each value is a multiple of their last one.
+    """
     if images.dtype == np.uint8:
         return FULL_SCALES[0]
     brightest, bits = 0, 0
@@ -159,7 +169,10 @@ def _grey(frame: Frame, image: NDArray[Any], channel: str) -> NDArray[Any]:
 
 
 def named_files(description: Description, side: str) -> tuple[list[Frame], tuple[ShownImage, ...]]:
-    """Return the files of one camera and what they show. Raises ForeignError for files that are missing, too few or too many."""
+    """Return the files of one camera and what they show.
+
+    Raises ForeignError for files that are missing, too few or too many.
+    """
     wanted = description.files[side]
     key = f"images.{'both' if wanted.sides else side}"
     named = [
@@ -186,7 +199,10 @@ def of_channel(frames: Sequence[Frame], channel: str) -> list[Frame]:
 
 
 def of_side(frames: Sequence[Frame], sides: str, side: str) -> list[Frame]:
-    """Return one camera's images of those that both share, ``sides`` saying how; all where it is empty. Raises ForeignError."""
+    """Return one camera's images of those that both share, ``sides`` saying how; all where it is empty.
+
+    Raises ForeignError.
+    """
     if sides in HALVES:
         return [replace(frame, half=HALVES[sides][SIDES.index(side)]) for frame in frames]
     turns = words_in(sides, "images.sides") or [side]
@@ -199,7 +215,10 @@ def of_side(frames: Sequence[Frame], sides: str, side: str) -> list[Frame]:
 
 
 def matching(folder: Path, named: str, key: str) -> list[Frame]:
-    """Return the images of the files that a name with wildcards means, in natural order. Raises ForeignError where there is none."""
+    """Return the images of the files that a name with wildcards means, in natural order.
+
+    Raises ForeignError where there is none.
+    """
     pattern, array = split_name(named)
     place = Path(pattern)
     try:

@@ -1,13 +1,14 @@
 """Owns the words in which a description says what each image shows, and in which order.
 
-``bright dark gray-x*6 sine-x*4`` is one such text; ``(gray-x ~gray-x)*10`` repeats two images ten times, the second one with its
-stripes inverted; ``sine-x2`` is of the second period of X; ``modulated-x*9`` is nine images of fringes times a carrier, ``micro-x*12``
-twelve of many periods; ``-`` is an image that shows something else.
+``bright dark gray-x*6 sine-x*4`` is one such text; ``(gray-x ~gray-x)*10`` repeats two images ten times, the second one
+with its stripes inverted; ``sine-x2`` is of the second period of X; ``modulated-x*9`` is nine images of fringes times a
+carrier, ``micro-x*12`` twelve of many periods; ``-`` is an image that shows something else.
 
-It also owns the sequences of images that known programs project: one row each, from which hypotheses about a folder are made.
+It also owns the sequences of images that known programs project: one row each, from which hypotheses about a folder are
+made.
 
-``{x}`` and ``{y}`` stand for the numbers of bits of a direction, ``{s}`` for a number of steps; everything else is the language of
-``images.order``. A row says what its images show; how wide its stripes are follows from the projector.
+``{x}`` and ``{y}`` stand for the numbers of bits of a direction, ``{s}`` for a number of steps; everything else is the
+language of ``images.order``. A row says what its images show; how wide its stripes are follows from the projector.
 """
 
 from __future__ import annotations
@@ -83,7 +84,10 @@ def parse_order(text: str, key: str) -> tuple[ShownImage, ...]:
 
 
 def words_in(text: str, key: str, most: int = MOST_IMAGES) -> list[str]:
-    """Return the words of ``text`` with repetitions spelt out, up to ``most`` of them. Raises ForeignError, which names ``key``."""
+    """Return the words of ``text`` with repetitions spelt out, up to ``most`` of them.
+
+    Raises ForeignError, which names ``key``.
+    """
 
     def spelt_out(found: re.Match[str]) -> str:
         words, count = (found["group"] or found["word"] or "").split(), int(found["count"] or 1)
@@ -200,7 +204,8 @@ SEQUENCES = (
 
 
 def hypotheses(count: int) -> Iterator[ProjectedSequence]:
-    """Yield what ``count`` images may show, by the rows of the table whose numbers of bits and steps come out; references both ways."""
+    """Yield what ``count`` images may show, by the rows of the table whose numbers of bits and steps come out;
+    references both ways."""
     for row in SEQUENCES:
         names = [name for name in NUMBERS if f"{{{name}}}" in row.order]
         ones = dict.fromkeys(NUMBERS, 1)

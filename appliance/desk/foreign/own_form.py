@@ -1,6 +1,8 @@
-"""Owns which foreign sets are scans of our own form: what ``PatternSequence`` promises, if the images are put into another order.
+"""Owns which foreign sets are scans of our own form: what ``PatternSequence`` promises, if the images are put into
+another order.
 
-Such a set becomes a scan folder that everything else accepts; of any other one the reason is said, and there is a cloud.
+Such a set becomes a scan folder that everything else accepts; of any other one the reason is said, and there is a
+cloud.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
 """Owns the phase of any number of steps: least squares over sine images whose steps are known.
 
-Image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k with C = B cos φ and S = B sin φ: linear in A, C and S, so that
-their best values are fixed weights times the images (the pseudo-inverse of the columns 1, cos δ_k, −sin δ_k). The kernel that does it
-stands beside the instrument's own for four steps (``appliance/measure/decode/phase.py``;
-``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``).
-Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
+Image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k with C = B cos φ and S = B sin φ: linear in A, C and
+S, so that their best values are fixed weights times the images (the pseudo-inverse of the columns 1, cos δ_k, −sin
+δ_k). The kernel that does it stands beside the instrument's own for four steps (``appliance/measure/decode/phase.py``;
+``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``). Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
 
-A response that is no straight line adds harmonics, of which N equal steps leave an error that repeats N times in a period. Phases that are
-spread evenly are then denser at some places than at others: how many lie below one is its true value (``unbend``).
-Source: Guo, He, Chen, Appl. Opt. 43 (2004) 2906.
+A response that is no straight line adds harmonics, of which N equal steps leave an error that repeats N times in a
+period. Phases that are spread evenly are then denser at some places than at others: how many lie below one is its true
+value (``unbend``). Source: Guo, He, Chen, Appl. Opt. 43 (2004) 2906.
 """
 
 from __future__ import annotations
@@ -33,11 +32,13 @@ ROWS_AT_ONCE = 64
 TURN = 2.0 * math.pi
 BINS, SOME = 1024, 1_000_000
 CLEARLY = 2.0
-"""A response is bent where its harmonic of the phases' histogram is so many times that of its neighbours, which the thing itself makes."""
+"""A response is bent where its harmonic of the phases' histogram is so many times that of its neighbours, which the
+thing itself makes."""
 LEAST_LEFT = 2.0
 """A bent response leaves at least so many times as much of the steps as it bends the phase, in radians."""
 REST = 0.25
-"""Share of a bend that remains, since bright and dark places are bent differently: measured on rendered sets with 16 and 64 fringes."""
+"""Share of a bend that remains, since bright and dark places are bent differently: measured on rendered sets with 16
+and 64 fringes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,13 +52,17 @@ class SineFit:
     offset: NDArray[Any]
     """Mean A."""
     misfit: NDArray[np.floating[Any]] | None
-    """Root mean square of what is left, with the degrees of freedom that are left; ``None`` for three steps, which always fit."""
+    """Root mean square of what is left, with the degrees of freedom that are left; ``None`` for three steps, which
+    always fit."""
     saturated: NDArray[np.bool_]
     """True where an image is at full scale."""
 
 
 def step_weights(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
-    """Return the (3, n) weights that make A, C and S of n images. Raises ForeignError for steps that cannot tell a phase."""
+    """Return the (3, n) weights that make A, C and S of n images.
+
+    Raises ForeignError for steps that cannot tell a phase.
+    """
     angles = np.deg2rad(np.asarray(steps_deg, np.float64))
     columns = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
     singular = np.linalg.svd(columns, compute_uv=False)
@@ -70,7 +75,10 @@ def step_weights(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
 
 
 def fit_sine(images: Sequence[NDArray[Any]] | NDArray[Any], steps_deg: tuple[float, ...], white: float) -> SineFit:
-    """Fit the ``images`` (h, w) of the steps ``steps_deg``, whose saturated grey value is ``white``. Raises ForeignError."""
+    """Fit the ``images`` (h, w) of the steps ``steps_deg``, whose saturated grey value is ``white``.
+
+    Raises ForeignError.
+    """
     # To twelve digits: weights of four steps of 90° are halves and noughts then, and exact.
     weights = np.round(step_weights(steps_deg), 12).astype(np.float32)
     angles = np.deg2rad(np.asarray(steps_deg, np.float64))
@@ -95,7 +103,8 @@ def misfit_samples(fit: SineFit) -> tuple[Floats, Floats] | None:
 
 
 def misfit_share(samples: tuple[Floats, Floats] | None, usable: NDArray[np.bool_]) -> float | None:
-    """Return what the best sine leaves of the steps, over its modulation; ``None`` where they fit anything, or nothing is seen."""
+    """Return what the best sine leaves of the steps, over its modulation; ``None`` where they fit anything, or nothing
+    is seen."""
     known = some_pixels(usable)
     if samples is None or not known.any():
         return None

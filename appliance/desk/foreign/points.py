@@ -1,7 +1,8 @@
-"""Owns the way from decoded foreign images to points: two directions by the instrument's own kernels, one along epipolar curves; and of
-each left pixel without a point the reason.
+"""Owns the way from decoded foreign images to points: two directions by the instrument's own kernels, one along
+epipolar curves; and of each left pixel without a point the reason.
 
-A projector that was calibrated takes the right camera's place: its "image" has, at each pixel, the coordinates of that pixel.
+A projector that was calibrated takes the right camera's place: its "image" has, at each pixel, the coordinates of that
+pixel.
 """
 
 from __future__ import annotations
@@ -40,13 +41,16 @@ NEAR_OF_CROSSING, FAR_OF_CROSSING = 0.3, 4.0
 LEAST_CROSSING = 0.2
 """Depth of the crossing over the baseline, below which the cameras look past each other: axes at 79°."""
 NEAR_BASELINES, FAR_BASELINES = 1.0, 60.0
-"""Depths that are searched where nothing is said: about where the cameras' axes cross, or from so many baselines to so many."""
+"""Depths that are searched where nothing is said: about where the cameras' axes cross, or from so many baselines to so
+many."""
 NARROWER = (1.0, 0.6, 0.35)
-"""Shares of that range (of its logarithm, about its middle) that are searched one after the other, until curves can follow it."""
+"""Shares of that range (of its logarithm, about its middle) that are searched one after the other, until curves can
+follow it."""
 ROWS = 256
 """Left rows that are judged together: what is compared needs room."""
 MOST_PX = 65_535
-"""Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each."""
+"""Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +84,8 @@ class ForeignCloud:
         return {one.word: counts[one] for one in sorted(counts, key=lambda k: -counts[k]) if counts[one]}
 
     def largest_reasons(self, *, of_lit: bool = False) -> list[str]:
-        """Return the two reasons why most left pixels, or most of those ``of_lit`` with coordinates, have no point, as a line each."""
+        """Return the two reasons why most left pixels, or most of those ``of_lit`` with coordinates, have no point, as
+        a line each."""
         counts = {word: count for word, count in self.reasons.items() if not (of_lit and word in BEFORE_POINTS)}
         pixels = self.points + sum(counts.values())
         lines = []
@@ -159,9 +164,15 @@ def _one_direction(
     """Return the points along epipolar curves. Raises OneDirectionError, CurveError."""
     (mine,) = left.axes.values()
     found = match_along_curves(
-        mine.coordinate_px, other.coordinate_px, rig, index, depths_mm, (mine.sigma_px, other.sigma_px), OneDirectionLimits(min_neighbours=0),
+        mine.coordinate_px,
+        other.coordinate_px,
+        rig,
+        index,
+        depths_mm,
+        (mine.sigma_px, other.sigma_px),
+        OneDirectionLimits(min_neighbours=0),
         partners=False,
-    )  # fmt: skip
+    )
     # A copy: what breaks a limit is taken out of the cloud.
     return OrganisedCloud(
         found.points_mm, found.sigma_mm, left.modulation_dn.copy(), np.full_like(found.sigma_mm, np.nan), left.grey
@@ -175,7 +186,8 @@ def _judge(
     f_px: float,
     max_sigma_mm: float | None,
 ) -> float:
-    """Say of each point which limit it breaks, and take out those that break one; return the median of the expected errors that were too large."""
+    """Say of each point which limit it breaks, and take out those that break one; return the median of the expected
+    errors that were too large."""
     over_mm = [np.zeros(0, np.float32)]
     height, width = reason.shape
     z_mm = np.pad(cloud.points_mm[..., 2], 1, constant_values=np.nan)
@@ -210,7 +222,8 @@ def _judge(
 
 
 def _lenient(camera: HousedCamera) -> HousedCamera:
-    """Return the camera with a lens that has no rays where its distortion folds over: nobody asks others to calibrate again."""
+    """Return the camera with a lens that has no rays where its distortion folds over: nobody asks others to calibrate
+    again."""
     lens = camera.lens
     return replace(camera, lens=FoldingLens(lens.f_px, lens.c_px, lens.distortion))
 

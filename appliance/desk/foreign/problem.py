@@ -9,7 +9,8 @@ from typing import Any
 
 
 class ForeignError(Exception):
-    """A description cannot be followed, or its images are not there or show something else; says which, why and what to do."""
+    """A description cannot be followed, or its images are not there or show something else; says which, why and what to
+    do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,8 @@ class Table:
                 raise ForeignError(f"{self.name}{key:.60}: unknown key; {hint}")
 
     def table(self, key: str, *known: str) -> Table | None:
-        """Return the table below ``key``, which has no keys but those ``known``, if any are; ``None`` where there is none."""
+        """Return the table below ``key``, which has no keys but those ``known``, if any are; ``None`` where there is
+        none."""
         value = self.content.get(key)
         if value is None:
             return None

@@ -57,7 +57,8 @@ def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
 def examine(
     description: Description, cameras: Mapping[str, DecodedCamera], rig: ForeignRig | None
 ) -> tuple[ExaminedAssumption, ...]:
-    """Test all that is said of decoded images, and of ``rig`` where it is known; images may be thinned by a whole number.
+    """Test all that is said of decoded images, and of ``rig`` where it is known; images may be thinned by a whole
+    number.
 
     A word that one test leaves open does not fit because of another one.
     """

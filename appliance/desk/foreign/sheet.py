@@ -15,7 +15,8 @@ _PLAIN, _POOR = (235, 235, 235), (80, 160, 255)
 
 
 def contact_sheet(images: Sequence[NDArray[Any]], words: Sequence[str], explained: Sequence[float]) -> bytes:
-    """Return a PNG of ``images`` (h, w) with the words and the explained share (NaN: nothing) below each; poor shares are orange."""
+    """Return a PNG of ``images`` (h, w) with the words and the explained share (NaN: nothing) below each; poor shares
+    are orange."""
     height_px = round(WIDTH_PX * images[0].shape[0] / images[0].shape[1])
     columns = min(MOST_COLUMNS, len(images))
     rows = -(-len(images) // columns)

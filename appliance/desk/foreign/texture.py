@@ -1,8 +1,9 @@
 """Owns the witness of texture: whether patches of the left image lie in the right one where their points are projected.
 
-Along the disparity the fringes have put each point where it is, whatever is said of the cameras; across it nothing has, and cameras that
-stand otherwise than said move the patches. A turn about the axis across the disparity moves them along it alone: texture does not see it.
-A patch counts where one place is clearly the best by normalised correlation of what is neither noise nor shading.
+Along the disparity the fringes have put each point where it is, whatever is said of the cameras; across it nothing has,
+and cameras that stand otherwise than said move the patches. A turn about the axis across the disparity moves them along
+it alone: texture does not see it. A patch counts where one place is clearly the best by normalised correlation of what
+is neither noise nor shading.
 """
 
 from __future__ import annotations

@@ -230,8 +230,10 @@ def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled)
         copy, written = add_beside(fs, target / path, data)
         if copy is None:
             done.add(
-                path, PullOutcome.DIFFERS, "is here twice with other content; move away the one with a checksum in its name"
-            )  # fmt: skip
+                path,
+                PullOutcome.DIFFERS,
+                "is here twice with other content; move away the one with a checksum in its name",
+            )
         elif written:
             done.add(path, PullOutcome.TAKEN, "" if copy == target / path else f"as {copy.name}", len(data))
         else:

@@ -73,12 +73,17 @@ class SshLink:
         user, _, address = self._host.name.rpartition("@")
         try:
             options = library.SSHClientConnectionOptions(
-                config=(), host=address, port=self._host.port, username=user or USER, preferred_auth="publickey",
+                config=(),
+                host=address,
+                port=self._host.port,
+                username=user or USER,
+                preferred_auth="publickey",
                 # The instrument has one host key; asked only for kinds that are known already, it would not show another one.
                 server_host_key_algs="default",
                 # Done by the processor itself, and so twice as fast as the library's first choice.
-                encryption_algs="^aes128-gcm@openssh.com", **self._keys(),
-            )  # fmt: skip
+                encryption_algs="^aes128-gcm@openssh.com",
+                **self._keys(),
+            )
             files = options.known_hosts if self._host.known_hosts is None else [str(self._host.known_hosts)]
             files = [str(Path(one).expanduser()) for one in files or [KNOWN_HOSTS]]
             known = library.read_known_hosts([one for one in files if Path(one).exists()])

@@ -203,9 +203,11 @@ def _require_room(found: FoundRecording, fs: AppendingFileSystem, target: Path) 
     missing = found.size_bytes - already_here_bytes(found, target) + ROOM_LEFT_BYTES - free_bytes
     if missing > 0:
         raise StorageError(
-            "cannot take a scan to", target.parent, f"the disk lacks {missing / 1e6:.1f} MB for the next one",
+            "cannot take a scan to",
+            target.parent,
+            f"the disk lacks {missing / 1e6:.1f} MB for the next one",
             "free space on it, and call again: what was taken stays",
-        )  # fmt: skip
+        )
 
 
 def _take_file(

@@ -1,8 +1,10 @@
-"""Owns the smooth depth error that all scans of one calibration share, as some numbers: what residuals of a merge do not show.
+"""Owns the smooth depth error that all scans of one calibration share, as some numbers: what residuals of a merge do
+not show.
 
-An error of 30 µm, smooth over the view and the same in every scan, fits every pair: each neighbour is only turned a little, always in the
-same sense, and twelve scans in a row bend by more than half a millimetre. So the shared error is carried as unknowns with a prior: what
-overlaps tell about it (turned or nearer views, loops that close) makes it smaller, and what they do not tell stays in the budget.
+An error of 30 µm, smooth over the view and the same in every scan, fits every pair: each neighbour is only turned a
+little, always in the same sense, and twelve scans in a row bend by more than half a millimetre. So the shared error is
+carried as unknowns with a prior: what overlaps tell about it (turned or nearer views, loops that close) makes it
+smaller, and what they do not tell stays in the budget.
 
 ``measure/calibration/depth_error.py`` has its shapes φ; c are their coefficients, mm.
 """
@@ -30,17 +32,19 @@ LEAST_MM = 0.006
 
 
 def known_before(stated_mm2: Array | None) -> Array:
-    """Return the covariance (k, k), mm², of the shared error before any overlap is seen. ``stated_mm2``: the calibration's own
-    (``Calibration.depth_error_mm2``); ``None``: it states none."""
+    """Return the covariance (k, k), mm², of the shared error before any overlap is seen.
+
+    ``stated_mm2``: the calibration's own (``Calibration.depth_error_mm2``); ``None``: it states none.
+    """
     return PRIOR_MM2 if stated_mm2 is None else np.asarray(stated_mm2 + LEAST_MM**2 * np.eye(len(PRIOR_MM2)))
 
 
 def bow_score(found_mm: Array, known_mm2: Array, left_mm2: Array) -> float | None:
-    """Return how far an estimate (k,) lies from what was known before, in standard deviations; about 1 where that was right, ``None`` where the overlaps
-    tell too little.
+    """Return how far an estimate (k,) lies from what was known before, in standard deviations; about 1 where that was
+    right, ``None`` where the overlaps tell too little.
 
-    ``known_mm2`` and ``left_mm2``: covariances (k, k) before and after. If the prior is right, the estimate scatters by their difference.
-    Directions that the overlaps tell little about do not count.
+    ``known_mm2`` and ``left_mm2``: covariances (k, k) before and after. If the prior is right, the estimate scatters by
+    their difference. Directions that the overlaps tell little about do not count.
     """
     told = known_mm2 - left_mm2
     # In units of the prior: an eigenvalue is the share of its variance that the overlaps have taken away.
@@ -55,8 +59,8 @@ def bow_score(found_mm: Array, known_mm2: Array, left_mm2: Array) -> float | Non
 
 
 def spread_mm(covariance_mm2: Array) -> float:
-    """Return the RMS depth over the view that coefficients of this covariance (k, k) may have, at 525 mm in the standard housing, and
-    at as much in proportion in any other."""
+    """Return the RMS depth over the view that coefficients of this covariance (k, k) may have, at 525 mm in the
+    standard housing, and at as much in proportion in any other."""
     u, v = np.meshgrid(np.linspace(-1.0, 1.0, 9), np.linspace(-0.75, 0.75, 7))
     points = DISTANCE_MM * np.stack([BORDER * u, BORDER * v, np.ones_like(u)], axis=-1)
     of_view = shapes(points)

@@ -1,8 +1,9 @@
-"""Owns the places of many scans from the poses of their pairs: loops closed, wrong pairs found by them, and how certain each place is.
+"""Owns the places of many scans from the poses of their pairs: loops closed, wrong pairs found by them, and how certain
+each place is.
 
-Every pair says where one scan lies in another's frame, with a covariance. All places are adjusted at once by least squares (Gauss-Newton
-on small motions), together with the depth error that all scans share (``bow``). A pair that contradicts the loops it is in is taken out
-and named. What no loop checks is said, too.
+Every pair says where one scan lies in another's frame, with a covariance. All places are adjusted at once by least
+squares (Gauss-Newton on small motions), together with the depth error that all scans share (``bow``). A pair that
+contradicts the loops it is in is taken out and named. What no loop checks is said, too.
 
 Symbols: T_i  rigid motion from scan i's frame into the object's (that of the first scan);  ξ = (ω rad, τ mm)  a small motion of T_i, in
          the object's frame;  δ  discrepancy of a pair, a turn (mm at its lever) and a shift;  W  its weight, 1/mm²
@@ -22,9 +23,11 @@ FLOOR_MM = 0.015
 """Standard deviation that every pair has besides its own: what calibrations leave between places of the image."""
 ROUNDS = 25
 WRONG = 45.0
-"""Squared discrepancy of a pair over its variance above which it is wrong; χ² with 6 degrees of freedom exceeds 39 in one of a million."""
+"""Squared discrepancy of a pair over its variance above which it is wrong; χ² with 6 degrees of freedom exceeds 39 in
+one of a million."""
 WRONG_MM = 0.25
-"""Pairs that discrepancies of less than this are found in are kept: such a thing is the calibrations', and is in the variance factor."""
+"""Pairs that discrepancies of less than this are found in are kept: such a thing is the calibrations', and is in the
+variance factor."""
 _IDENTITY = Rigid(np.eye(3), np.zeros(3))
 
 
@@ -44,7 +47,8 @@ class Placed:
     poses: Mapping[int, Rigid]
     """Motion from each scan's frame into the object's; scans that nothing ties to the others are not in it."""
     covariance: Mapping[int, Array]
-    """(6, 6) of ω and τ of each place, rad and mm, about the scan's own middle, relative to the first scan; shared error included."""
+    """(6, 6) of ω and τ of each place, rad and mm, about the scan's own middle, relative to the first scan; shared
+    error included."""
     wrong: tuple[Edge, ...]
     """Pairs that contradict their loops, taken out."""
     unchecked: tuple[Edge, ...]
@@ -63,7 +67,8 @@ class Placed:
     bending_unaided_mm: Mapping[int, float]
     """The same with what was known of the shared error before any overlap."""
     joint_covariance: Array
-    """(6 n, 6 n) of the places of all n scans in ascending order, turns about the object's origin (rad) and shifts (mm); without the shared error."""
+    """(6 n, 6 n) of the places of all n scans in ascending order, turns about the object's origin (rad) and shifts
+    (mm); without the shared error."""
     follow: Array
     """(6 n, k): how these places follow the coefficients of the shared error, rad and mm per mm."""
 
@@ -77,9 +82,9 @@ def place(
 ) -> Placed:
     """Place ``count`` scans by ``edges``; ``middles_mm``: the middle (3,) of each scan's points in its own frame.
 
-    ``with_bow``: the shared depth error is estimated, too; else it is taken for zero, and its whole prior is in the budget. ``known_mm2``:
-    that prior, the covariance (k, k) of its coefficients before any overlap is seen.
-    The largest set of connected scans is placed, in the frame of its first scan.
+    ``with_bow``: the shared depth error is estimated, too; else it is taken for zero, and its whole prior is in the
+    budget. ``known_mm2``: that prior, the covariance (k, k) of its coefficients before any overlap is seen. The largest
+    set of connected scans is placed, in the frame of its first scan.
     """
     kept = list(edges)
     wrong: list[Edge] = []

@@ -1,12 +1,15 @@
-"""Owns how the errors of all places of an object hang together: what they make of a point, and of a length between two scans.
+"""Owns how the errors of all places of an object hang together: what they make of a point, and of a length between two
+scans.
 
 A point of scan s that is at x in the object's frame is off by
 
     τ + ω × x + R ρ φ c      with  (ω, τ) = r − F c
 
-r are the errors that the pairs leave in the place, F how the places follow the depth error that all scans share, when nothing tells of it, and
-R ρ φ c what that error does to the point in its own scan (``measure/calibration/depth_error.py``): c are its coefficients, φ its shapes, ρ the way along the ray, R
-the place's rotation. r of all scans are one vector and c is the same everywhere, so that errors of neighbours cancel in a length and those along a row add up.
+r are the errors that the pairs leave in the place, F how the places follow the depth error that all scans share, when
+nothing tells of it, and R ρ φ c what that error does to the point in its own scan
+(``measure/calibration/depth_error.py``): c are its coefficients, φ its shapes, ρ the way along the ray, R the place's
+rotation. r of all scans are one vector and c is the same everywhere, so that errors of neighbours cancel in a length
+and those along a row add up.
 
 Both covariances are kept as roots: L with L L' the covariance.
 """
@@ -31,7 +34,8 @@ _LEAST_HELD = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LengthSigma:
-    """Standard deviation of the distance between two points, by its sources; that of the points in their own scans is not in it."""
+    """Standard deviation of the distance between two points, by its sources; that of the points in their own scans is
+    not in it."""
 
     length_mm: float
     places_mm: float
@@ -52,7 +56,8 @@ class JointErrors:
     poses: tuple[Rigid, ...]
     """Motion from each scan's frame into the object's, n of them."""
     own_root: Array
-    """(6 n, r): root of the covariance of r, rad and mm, of turns about the object's origin and shifts of each scan in turn."""
+    """(6 n, r): root of the covariance of r, rad and mm, of turns about the object's origin and shifts of each scan in
+    turn."""
     follow: Array
     """(6 n, k): F, per mm of each coefficient."""
     shared_root: Array
@@ -64,9 +69,11 @@ class JointErrors:
     def sigma_along(
         self, points_mm: NDArray[np.floating], directions: NDArray[np.floating], scan: NDArray[np.integer]
     ) -> tuple[Array, Array]:
-        """Return the standard deviations (n,), mm, of points along unit vectors: by the places, and by the shared depth error.
+        """Return the standard deviations (n,), mm, of points along unit vectors: by the places, and by the shared depth
+        error.
 
-        ``points_mm`` (n, 3) in the object's frame, ``directions`` (n, 3), ``scan`` (n,): the scan that each is a point of.
+        ``points_mm`` (n, 3) in the object's frame, ``directions`` (n, 3), ``scan`` (n,): the scan that each is a point
+        of.
         """
         places, bending = np.zeros(len(points_mm)), np.zeros(len(points_mm))
         for of in np.unique(scan).tolist():
@@ -82,7 +89,8 @@ class JointErrors:
         return places, bending
 
     def of_length(self, first: int, at_first_mm: Array, second: int, at_second_mm: Array) -> LengthSigma:
-        """Return the standard deviation of the distance between two points (3,) in the object's frame, one of scan ``first`` and one of ``second``."""
+        """Return the standard deviation of the distance between two points (3,) in the object's frame, one of scan
+        ``first`` and one of ``second``."""
         x, y = np.asarray(at_first_mm, np.float64), np.asarray(at_second_mm, np.float64)
         length = float(np.linalg.norm(y - x))
         u = ((y - x) / max(length, 1e-9))[None]
@@ -95,9 +103,11 @@ class JointErrors:
     def settled(
         self, points_mm: NDArray[np.floating], normals: NDArray[np.floating], scan: NDArray[np.integer]
     ) -> JointErrors:
-        """Return the same errors once the object lies on something by its surface: what one motion of all of it takes away is gone.
+        """Return the same errors once the object lies on something by its surface: what one motion of all of it takes
+        away is gone.
 
-        ``points_mm`` and ``normals`` (n, 3), ``scan`` (n,): some thousand points over the surface, in the object's frame.
+        ``points_mm`` and ``normals`` (n, 3), ``scan`` (n,): some thousand points over the surface, in the object's
+        frame.
         """
         # Nothing to lie on anything by: the errors stay what they are.
         if not len(points_mm):
@@ -126,7 +136,8 @@ class JointErrors:
         return self.own_root[6 * scan : 6 * scan + 6]
 
     def _by_shared(self, x: Array, directions: Array, motion: Array, scan: int) -> Array:
-        """Return (n, k): displacement along ``directions`` per mm of each coefficient, by the place and in the scan itself."""
+        """Return (n, k): displacement along ``directions`` per mm of each coefficient, by the place and in the scan
+        itself."""
         pose = self.poses[scan]
         # The shapes are those of the scan's own view, whatever its place.
         own = pose.inverse.of(x)

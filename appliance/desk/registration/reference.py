@@ -1,14 +1,16 @@
-"""Owns where a measured surface lies on another one, from shape alone: a CAD model's triangles, or an object that was measured before.
+"""Owns where a measured surface lies on another one, from shape alone: a CAD model's triangles, or an object that was
+measured before.
 
-First guesses come from pairs of oriented points (B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match locally",
-2010): two points with normals have four numbers that no motion changes, and every pair of the one surface votes for the motions that lay
-it on a pair of the other with the same numbers. So a part of a surface finds its place on the whole, wherever both are. The best
-guesses are led by planes (``equations.py``), and what resists a displacement is known as it is of two scans.
+First guesses come from pairs of oriented points (B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match
+locally", 2010): two points with normals have four numbers that no motion changes, and every pair of the one surface
+votes for the motions that lay it on a pair of the other with the same numbers. So a part of a surface finds its place
+on the whole, wherever both are. The best guesses are led by planes (``equations.py``), and what resists a displacement
+is known as it is of two scans.
 
-Guesses are ranked by **all** points, near and far alike: most of a pipe lies well wherever it is slid to, and only its flange tells. So what the
-equations call loose is not taken for free: it is slid along all of its way, and the place with the most points near the
-surface is taken. Only the way that remains, on which hardly a point changes, is called free, and what deviates at its ends is measured there.
-A start that is given is kept along it.
+Guesses are ranked by **all** points, near and far alike: most of a pipe lies well wherever it is slid to, and only its
+flange tells. So what the equations call loose is not taken for free: it is slid along all of its way, and the place
+with the most points near the surface is taken. Only the way that remains, on which hardly a point changes, is called
+free, and what deviates at its ends is measured there. A start that is given is kept along it.
 """
 
 from __future__ import annotations
@@ -52,7 +54,8 @@ _MOST_REFERENCE, _MOST_MEASURED = 1_500, 400
 _FIRSTS = 48
 """Measured points that vote, each with all the others."""
 _COMMON = 200
-"""Largest number of pairs that one pair votes for; where more have its four numbers (those of a plane), so many of them by lot."""
+"""Largest number of pairs that one pair votes for; where more have its four numbers (those of a plane), so many of them
+by lot."""
 _TURNS = 30
 _ROUGHLY = 40_000
 """Samples of the reference while guesses are led."""
@@ -144,7 +147,8 @@ class LaidOnto:
     """Other poses that fit as well."""
 
     def sigma_at(self, points_mm: Array, normals: Array) -> Array:
-        """Return the standard deviation (n,), mm, that the pose adds to deviations of ``points_mm`` (n, 3) along ``normals``."""
+        """Return the standard deviation (n,), mm, that the pose adds to deviations of ``points_mm`` (n, 3) along
+        ``normals``."""
         arm = points_mm - self.middle_mm
         rows = np.concatenate([np.cross(arm, normals) / self.lever_mm, normals], axis=1)
         return np.asarray(np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", rows, self.covariance, rows), 0.0)))
@@ -153,8 +157,8 @@ class LaidOnto:
 def lay_onto(measured: OrientedPoints, reference: ReferenceSurface, start: Rigid | None = None) -> LaidOnto:
     """Return the place of ``measured`` on ``reference``.
 
-    ``start``: where it lies within some millimetres, kept along what nothing holds; ``None``: anywhere. Raises SurfaceMatchError where most of
-    it lies nowhere on the reference.
+    ``start``: where it lies within some millimetres, kept along what nothing holds; ``None``: anywhere. Raises
+    SurfaceMatchError where most of it lies nowhere on the reference.
     """
     if len(measured.points_mm) < FEWEST:
         raise SurfaceMatchError(f"it has {len(measured.points_mm)} points; at least {FEWEST} must lie on the reference")
@@ -218,7 +222,8 @@ def _is_slid(pose: Rigid, best: _Fit, kept: Array, used: OrientedPoints) -> bool
 
 
 def _along(fit: _Fit, direction: Array, amounts: Array) -> list[Rigid]:
-    """Return the fit's pose, moved by each of the ``amounts`` of δ as one screw: a turn stays about its axis however far it goes."""
+    """Return the fit's pose, moved by each of the ``amounts`` of δ as one screw: a turn stays about its axis however
+    far it goes."""
     turn, shift, middle = direction[:3] / fit.system.lever, direction[3:], fit.system.middle
     return [fit.pose.then(Rigid.along_screw(amount * turn, amount * shift, middle)) for amount in amounts]
 
@@ -357,7 +362,10 @@ class _Fit:
 
     @property
     def support(self) -> float:
-        """All points in one number, as in MSAC (P. Torr, A. Zisserman 2000): 1 if each lies on the reference, 0 if none is near it."""
+        """All points in one number, as in MSAC (P.
+
+        Torr, A. Zisserman 2000): 1 if each lies on the reference, 0 if none is near it.
+        """
         return _support(self.apart_mm, FITS_MM)
 
     @property
@@ -395,8 +403,8 @@ class _Sampled:
         return cls(points, tree, 2.0 * float(np.percentile(tree.query(some, 2)[0][:, 1], 99)))
 
     def nearest(self, points_mm: Array, limit_mm: float) -> PlacesOn:
-        """Return the plane of the nearest sample to each point; beside the border there is none: its last sample is farther than
-        samples are apart."""
+        """Return the plane of the nearest sample to each point; beside the border there is none: its last sample is
+        farther than samples are apart."""
         far, at = self.tree.query(points_mm, distance_upper_bound=limit_mm + self.spacing_mm)
         at = np.minimum(at, len(self.points.points_mm) - 1)
         normals, way = self.points.normals[at], points_mm - self.points.points_mm[at]
@@ -408,7 +416,8 @@ class _Sampled:
 
 
 def _led(measured: OrientedPoints, reference: _Sampled | ReferenceSurface, guess: Rigid, gate_mm: float) -> _Fit | None:
-    """Return the fit that ``guess`` leads to, unmoved along what nothing holds; ``None`` where too little lies on the reference to tell."""
+    """Return the fit that ``guess`` leads to, unmoved along what nothing holds; ``None`` where too little lies on the
+    reference to tell."""
     pose, gate = guess, gate_mm
     for _ in range(ROUNDS):
         system, _ = _lay(measured, reference, pose, gate)
@@ -428,8 +437,8 @@ def _led(measured: OrientedPoints, reference: _Sampled | ReferenceSurface, guess
 def _lay(
     measured: OrientedPoints, reference: _Sampled | ReferenceSurface, pose: Rigid, gate_mm: float
 ) -> tuple[System | None, Array]:
-    """Lay the measured points upon the reference, each on the plane of its nearest place; return the equations, ``None`` of too few, and
-    the distance (n,) of all points, infinite where there is nothing like them."""
+    """Lay the measured points upon the reference, each on the plane of its nearest place; return the equations,
+    ``None`` of too few, and the distance (n,) of all points, infinite where there is nothing like them."""
     x, m = pose.of(measured.points_mm), measured.normals @ pose.rotation.T
     on = reference.nearest(x, max(gate_mm, FITS_MM))
     alike = (on.normals * m).sum(1) > MIN_ALIKE
@@ -487,7 +496,8 @@ def _voted(few: OrientedPoints, model: OrientedPoints, tree: cKDTree, reach_mm: 
         if not count.sum():
             continue
         number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        # Of more pairs than may vote every so-manieth does; their order is the reference's, which no place on it is favoured by.
+        # Of more pairs than may vote every so-manieth does; their order is the reference's, which no place on it is
+        # favoured by.
         step = np.repeat((high - low) / np.maximum(count, 1), count)
         row = np.repeat(low, count) + ((number + lots.random(len(number))) * step).astype(np.int64)
         # The turn about the first point's normal that lays the one pair on the other.

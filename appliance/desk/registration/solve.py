@@ -1,4 +1,5 @@
-"""Owns how many scans become one object: which pairs are compared, what they say, and where every scan lies, or why it is left out.
+"""Owns how many scans become one object: which pairs are compared, what they say, and where every scan lies, or why it
+is left out.
 
 It also owns which pairs of scans are worth comparing, so that forty scans need not be compared 780 times.
 """
@@ -34,7 +35,8 @@ def by_time(count: int) -> list[tuple[int, int]]:
 
 
 def by_features(descriptors: Sequence[NDArray[np.float32]]) -> list[tuple[int, int]]:
-    """Return the pairs, ascending, of scans whose features (n, 128), the strongest first, vote for each other, at most ``PER_SCAN`` of each scan.
+    """Return the pairs, ascending, of scans whose features (n, 128), the strongest first, vote for each other, at most
+    ``PER_SCAN`` of each scan.
 
     Every voter finds its best match in each other scan at once; a match counts for the scan in which it is best.
     """
@@ -148,10 +150,12 @@ def solve(
     with_bow: bool = False,
     stated_mm2: Array | None = None,
 ) -> Solved:
-    """Place ``scans``, in the order in which they were taken. ``progress``: told what is being done, and how much is done (0..1).
+    """Place ``scans``, in the order in which they were taken. ``progress``: told what is being done, and how much is
+    done (0..1).
 
-    ``with_bow``: the depth error that all scans share is estimated and believed; ``stated_mm2``: what their calibration states of it
-    (``Calibration.depth_error_mm2``). Pairs: each scan with the next, with those its features vote for, then with all that the places found so far put beside it.
+    ``with_bow``: the depth error that all scans share is estimated and believed; ``stated_mm2``: what their calibration
+    states of it (``Calibration.depth_error_mm2``). Pairs: each scan with the next, with those its features vote for,
+    then with all that the places found so far put beside it.
     """
     wanted: dict[tuple[int, int], Rigid | None] = dict.fromkeys(by_time(len(scans)))
     wanted |= dict.fromkeys(by_features([scan.features.descriptors for scan in scans]))
@@ -196,7 +200,8 @@ def edges_of(compared: Sequence[Compared]) -> list[Edge]:
 
 
 def _thinned(found: Sequence[tuple[int, int, Rigid]]) -> dict[tuple[int, int], Rigid | None]:
-    """Keep at most ``PLACES`` pairs of each scan with others, those farthest apart in time first: they close the longest loops."""
+    """Keep at most ``PLACES`` pairs of each scan with others, those farthest apart in time first: they close the
+    longest loops."""
     count: dict[int, int] = {}
     kept: dict[tuple[int, int], Rigid | None] = {}
     for first, second, pose in sorted(found, key=lambda one: one[0] - one[1]):

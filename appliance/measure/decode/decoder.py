@@ -289,6 +289,13 @@ class CameraDecoder:
     def copied(self) -> DecodedMaps:
         """Return the maps as they are now, in memory of their own: 11 bytes per pixel."""
         return DecodedMaps(
-            self.mask.copy(), self.p_px.copy(), self.q_px.copy(), self.modulation_half_dn.copy(), self.gray_threshold.copy(),
-            self.illuminated_columns.copy(), self.illuminated_pixels, self.offset_per_threshold, self.variance_factor,
-        )  # fmt: skip
+            self.mask.copy(),
+            self.p_px.copy(),
+            self.q_px.copy(),
+            self.modulation_half_dn.copy(),
+            self.gray_threshold.copy(),
+            self.illuminated_columns.copy(),
+            self.illuminated_pixels,
+            self.offset_per_threshold,
+            self.variance_factor,
+        )

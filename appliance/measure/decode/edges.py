@@ -110,9 +110,16 @@ def close_axis(
         if y < rows:
             first, stop = illuminated[y]
             failed = close_row(
-                i0[y, first:stop], i1[y, first:stop], i2[y, first:stop], i3[y, first:stop],
-                half_period[y, first:stop], axis, s[first:], half_dn[y, first:stop], mask[y, first:stop],
-            )  # fmt: skip
+                i0[y, first:stop],
+                i1[y, first:stop],
+                i2[y, first:stop],
+                i3[y, first:stop],
+                half_period[y, first:stop],
+                axis,
+                s[first:],
+                half_dn[y, first:stop],
+                mask[y, first:stop],
+            )
             # A point needs both coordinates: what has no second one loses the first.
             if failed and axis.second:
                 _drop(mask[y, first:stop], other[y, first:stop])

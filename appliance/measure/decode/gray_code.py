@@ -92,9 +92,16 @@ def number_half_periods(
     for y in range(half_period.shape[0]):
         first, stop = illuminated[y]
         _number(
-            a[y, first:stop], b[y, first:stop], c[y, first:stop], d[y, first:stop], e[y, first:stop], f[y, first:stop],
-            g[y, first:stop], gray_threshold[y, first:stop], half_period[y, first:stop],
-        )  # fmt: skip
+            a[y, first:stop],
+            b[y, first:stop],
+            c[y, first:stop],
+            d[y, first:stop],
+            e[y, first:stop],
+            f[y, first:stop],
+            g[y, first:stop],
+            gray_threshold[y, first:stop],
+            half_period[y, first:stop],
+        )
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

@@ -92,17 +92,22 @@ def gray_images(sequence: PatternSequence) -> GrayImages:
     away = np.maximum(sines[0] - every.frames, every.frames - sines[-1])
     order = np.argsort(away, kind="stable")
     stripes = Stripes(
-        np.append(every.frames[order], sequence.bright), np.append(every.axes[order], -1),
+        np.append(every.frames[order], sequence.bright),
+        np.append(every.axes[order], -1),
         np.append(every.widths_px[order], 1.0),
-    )  # fmt: skip
+    )
     places = np.append(FIRST_GRAY + order, BRIGHT).astype(np.int64)
     return GrayImages(stripes, places, int(np.count_nonzero(away <= NEAR_IMAGES)))
 
 
 def with_albedo(
-    sequence: PatternSequence, sources: Sources, terms: Terms, field: DisplacementField, lateral_sd_px: float,
+    sequence: PatternSequence,
+    sources: Sources,
+    terms: Terms,
+    field: DisplacementField,
+    lateral_sd_px: float,
     stride: int = 1,
-) -> Sources:  # fmt: skip
+) -> Sources:
     """Return ``sources`` with the albedo of what is at its rough depth, which may lie ``lateral_sd_px`` beside its
     place.
 
@@ -143,9 +148,14 @@ def scaled_window(px: int, width: int) -> int:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def gather(
-    frames: NDArray[np.uint8], images: GrayImages, field: DisplacementField, depth: Map, period_px: np.float32, stride: int,
+    frames: NDArray[np.uint8],
+    images: GrayImages,
+    field: DisplacementField,
+    depth: Map,
+    period_px: np.float32,
+    stride: int,
     means: GrayMeans,
-) -> None:  # fmt: skip
+) -> None:
     """Read every ``stride``-th row of pixels at ``depth`` (h, w) in t, one row of ``means`` each.
 
     A pixel without a depth, or in no image, has neither albedo nor backscatter.
@@ -217,9 +227,15 @@ def gather(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _mean(
-    means: GrayMeans, line: int, x: int, bright: np.float32, weights: np.float32, squares: np.float32, dim: np.float32,
+    means: GrayMeans,
+    line: int,
+    x: int,
+    bright: np.float32,
+    weights: np.float32,
+    squares: np.float32,
+    dim: np.float32,
     dims: np.float32,
-) -> None:  # fmt: skip
+) -> None:
     """Write one pixel's means of its sums; NaN where there is nothing to add up."""
     if weights > _ZERO:
         # A weighted mean has the noise of (Σ w)² / Σ w² images.

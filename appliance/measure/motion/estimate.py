@@ -384,14 +384,22 @@ class _Solver:
         samples = self._samples[side]
         n = len(samples.uv_px)
         made = _Equations(
-            np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.full((n, 3), np.nan), np.full((n, 2), np.nan),
+            np.zeros((PARAMETERS, PARAMETERS)),
+            np.zeros(PARAMETERS),
+            np.full((n, 3), np.nan),
             np.full((n, 2), np.nan),
-        )  # fmt: skip
+            np.full((n, 2), np.nan),
+        )
         for blur_px, some in self._looks(kinds):
             accumulate(
-                samples, self._known[blur_px][side], values, SIDES.index(side), self._scale_dn,
-                sum(1 << kind for kind in some), *made,
-            )  # fmt: skip
+                samples,
+                self._known[blur_px][side],
+                values,
+                SIDES.index(side),
+                self._scale_dn,
+                sum(1 << kind for kind in some),
+                *made,
+            )
         return made
 
 
@@ -434,9 +442,14 @@ def _spread(n: int, wanted: int) -> NDArray[np.intp]:
 
 
 def _samples(
-    camera: HousedCamera, projector: HousedCamera, index: float, points_mm: Array, centre_mm: Array, period_px: int,
+    camera: HousedCamera,
+    projector: HousedCamera,
+    index: float,
+    points_mm: Array,
+    centre_mm: Array,
+    period_px: int,
     binning: int,
-) -> Samples:  # fmt: skip
+) -> Samples:
     """Linearise camera and projector at points (n, 3); px are those of pictures shrunk ``binning`` times."""
     seen, shown = linearise(camera, index, points_mm), linearise(projector, index, points_mm)
     size = np.array([camera.width_px, camera.height_px])

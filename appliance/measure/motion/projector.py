@@ -94,9 +94,14 @@ def _drawn(
     centre = ((width_px - 1) / 2.0, (height_px - 1) / 2.0)
     port = replace(rig.left.port, normal=(0.0, 0.0, 1.0))
     camera = HousedCamera(
-        width_px, height_px, Lens((1.0, 1.0), centre), port, matrix3(R),
-        (float(place[0]), float(place[1]), float(place[2])), lens_in_water=rig.left.lens_in_water,
-    )  # fmt: skip
+        width_px,
+        height_px,
+        Lens((1.0, 1.0), centre),
+        port,
+        matrix3(R),
+        (float(place[0]), float(place[1]), float(place[2])),
+        lens_in_water=rig.left.lens_in_water,
+    )
     seen = camera.project(points_mm, water_index) - np.asarray(centre)
     shown = pattern_px - np.asarray(centre)
     # Spread against spread: an offset is left to the pose.

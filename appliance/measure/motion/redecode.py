@@ -107,9 +107,13 @@ def compensate(
 
 
 def _redecode(
-    images: ScanImages, side: str, motion: MotionEstimate, followed: tuple[int, ...], field: DisplacementField,
+    images: ScanImages,
+    side: str,
+    motion: MotionEstimate,
+    followed: tuple[int, ...],
+    field: DisplacementField,
     lateral_sd_px: float,
-) -> LeftMaps:  # fmt: skip
+) -> LeftMaps:
     """Decode one camera's frames along its displacement field."""
     sequence, decoder = images.sequence, images.decoded[side]
     noise = of_side(images.noise, side)
@@ -154,9 +158,14 @@ def _redecode(
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
     drop_new_borders(solved.p_px, solved.q_px, decoder.p_px)
     return LeftMaps(
-        solved.p_px, solved.q_px, solved.modulation_half_dn, solved.bright, solved.offset_dn, solved.illuminated_columns,
+        solved.p_px,
+        solved.q_px,
+        solved.modulation_half_dn,
+        solved.bright,
+        solved.offset_dn,
+        solved.illuminated_columns,
         variance_px2=solved.variance_px2 * misfit_factor(solved.misfit, motion.ripple_after, width),
-    )  # fmt: skip
+    )
 
 
 def empty_maps(height: int, width: int) -> RedecodedMaps:
@@ -320,9 +329,14 @@ def drop_edges(p_px: Map, q_px: Map, jump_px: np.float32, bend_px: np.float32) -
             # Row y − 1 has both neighbours now.
             if y > 0:
                 keep_smooth(
-                    rows[k, (y - 2) % 3, 1 : width + 1], rows[k, (y - 1) % 3], rows[k, y % 3, 1 : width + 1], jump_px,
-                    bend_px, smooth, edge,
-                )  # fmt: skip
+                    rows[k, (y - 2) % 3, 1 : width + 1],
+                    rows[k, (y - 1) % 3],
+                    rows[k, y % 3, 1 : width + 1],
+                    jump_px,
+                    bend_px,
+                    smooth,
+                    edge,
+                )
                 for x in range(width):
                     edges[x] |= edge[x]
         if y > 0:

@@ -72,9 +72,15 @@ def _cubic_weights(t: float) -> tuple[float, float, float, float, float, float, 
     """Return the weights of cubic convolution (Keys, a = −½) at −1, 0, 1, 2 for ``t`` in 0 … 1, and their derivatives."""
     t2, t3 = t * t, t * t * t
     return (
-        -0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3,
-        -0.5 + 2.0 * t - 1.5 * t2, -5.0 * t + 4.5 * t2, 0.5 + 4.0 * t - 4.5 * t2, -t + 1.5 * t2,
-    )  # fmt: skip
+        -0.5 * t + t2 - 0.5 * t3,
+        1.0 - 2.5 * t2 + 1.5 * t3,
+        0.5 * t + 2.0 * t2 - 1.5 * t3,
+        -0.5 * t2 + 0.5 * t3,
+        -0.5 + 2.0 * t - 1.5 * t2,
+        -5.0 * t + 4.5 * t2,
+        0.5 + 4.0 * t - 4.5 * t2,
+        -t + 1.5 * t2,
+    )
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -108,10 +114,13 @@ def invert_steps(cosine: Array, sine: Array, weights: Array) -> None:
     for k in range(4):
         i, j, l = (1, 2, 3) if k == 0 else ((0, 2, 3) if k == 1 else ((0, 1, 3) if k == 2 else (0, 1, 2)))
         area = (
-            sine[j] * cosine[i] - cosine[j] * sine[i]
-            + sine[l] * cosine[j] - cosine[l] * sine[j]
-            + sine[i] * cosine[l] - cosine[i] * sine[l]
-        )  # fmt: skip
+            sine[j] * cosine[i]
+            - cosine[j] * sine[i]
+            + sine[l] * cosine[j]
+            - cosine[l] * sine[j]
+            + sine[i] * cosine[l]
+            - cosine[i] * sine[l]
+        )
         weights[3, k] = area if k % 2 == 0 else -area
         size += area * area
     scale = 1.0 / np.sqrt(size)

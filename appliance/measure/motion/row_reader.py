@@ -1,7 +1,7 @@
 """Reads the grey values of one row's pixels in each frame at the places to which the motion has brought their points.
 
-``displacement.py`` gives these places on a coarse grid of nodes, as parabolas in depth; between two nodes of a row they are
-interpolated for all pixels of a list at once.
+``displacement.py`` gives these places on a coarse grid of nodes, as parabolas in depth; between two nodes of a row they
+are interpolated for all pixels of a list at once.
 
 Grey values between pixels are read with the cubic B-spline, which does not pass through them: it sees a spot of 0.6 px
 (σ) wherever it is read. Sharper kernels see a border of albedo differently by where between pixels it lies, and of four
@@ -161,13 +161,19 @@ def _read_run(pixels: NDArray[np.uint8], at: int, width: int, u: Row, v: Row, gr
         p11, p12 = np.float32(line1[x + 1]), np.float32(line1[x + 2])
         p21, p22 = np.float32(line2[x + 1]), np.float32(line2[x + 2])
         value = b0 * (
-            a0 * np.float32(line0[x]) + a1 * np.float32(line0[x + 1]) + a2 * np.float32(line0[x + 2]) + a3 * np.float32(line0[x + 3])
-        )  # fmt: skip
+            a0 * np.float32(line0[x])
+            + a1 * np.float32(line0[x + 1])
+            + a2 * np.float32(line0[x + 2])
+            + a3 * np.float32(line0[x + 3])
+        )
         value += b1 * (a0 * np.float32(line1[x]) + a1 * p11 + a2 * p12 + a3 * np.float32(line1[x + 3]))
         value += b2 * (a0 * np.float32(line2[x]) + a1 * p21 + a2 * p22 + a3 * np.float32(line2[x + 3]))
         value += b3 * (
-            a0 * np.float32(line3[x]) + a1 * np.float32(line3[x + 1]) + a2 * np.float32(line3[x + 2]) + a3 * np.float32(line3[x + 3])
-        )  # fmt: skip
+            a0 * np.float32(line3[x])
+            + a1 * np.float32(line3[x + 1])
+            + a2 * np.float32(line3[x + 2])
+            + a3 * np.float32(line3[x + 3])
+        )
         # Of the sixteen pixels the nearest one decides whether light was cut off.
         above, below = p12 if s > _HALF else p11, p22 if s > _HALF else p21
         nearest = below if r > _HALF else above

@@ -181,9 +181,14 @@ class Information(NamedTuple):
 
 
 def trajectory_from_stripes(
-    sequence: PatternSequence, images: Images, samples: Mapping[str, Samples], pattern_px: Array, prior: Array,
-    sines: Information, pool: ThreadPoolExecutor,
-) -> Trajectory:  # fmt: skip
+    sequence: PatternSequence,
+    images: Images,
+    samples: Mapping[str, Samples],
+    pattern_px: Array,
+    prior: Array,
+    sines: Information,
+    pool: ThreadPoolExecutor,
+) -> Trajectory:
     """Return the trajectory that the Gray images and the precision ``prior`` (6 n, 6 n) together make likely.
 
     ``images`` are the sequence of each side (n, h, w); the px of ``samples`` are those of images shrunk to 800 px, and

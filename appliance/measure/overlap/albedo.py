@@ -1,8 +1,10 @@
-"""Owns what of a scan's grey values is paint: the logarithm of albedo over the patches, without what lighting makes of shape.
+"""Owns what of a scan's grey values is paint: the logarithm of albedo over the patches, without what lighting makes of
+shape.
 
-The light travels with the instrument. What its direction and distance do to grey values stays where the instrument is when the object
-moves, so whoever registers grey values as they are registers the lamp. Here the part of log grey that follows from normal and place is
-regressed away, with the cosine of Lambert's law as its leading term; the rest, high-passed, is paint and noise.
+The light travels with the instrument. What its direction and distance do to grey values stays where the instrument is
+when the object moves, so whoever registers grey values as they are registers the lamp. Here the part of log grey that
+follows from normal and place is regressed away, with the cosine of Lambert's law as its leading term; the rest,
+high-passed, is paint and noise.
 """
 
 from __future__ import annotations
@@ -52,7 +54,8 @@ def _without_shading(patches: Patches, known: NDArray[np.bool_], light_mm: Array
     distance = np.linalg.norm(to_light, axis=1)
     cosine = np.maximum((n * to_light).sum(axis=1) / distance, 0.05)
     x, y, z = ((c - c.mean(axis=0)) / 100.0).T
-    # Lambert's law and the distance, the fall of the light over its field, and what shape does beyond: gloss, shaded light.
+    # Lambert's law and the distance, the fall of the light over its field, and what shape does beyond: gloss, shaded
+    # light.
     terms = np.stack(
         [np.ones_like(x), np.log(cosine), cosine, cosine**2, np.log(distance), x, y, z, x * x, x * y, y * y,
          n[:, 0], n[:, 1], n[:, 0] * n[:, 1], n[:, 0] ** 2 - n[:, 1] ** 2],

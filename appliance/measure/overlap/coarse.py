@@ -1,7 +1,8 @@
 """Owns first guesses of how two scans lie to each other: from features in common, else from shape alone.
 
-Features: matched descriptors, three at a time give a pose (M. Fischler, R. Bolles 1981). Shape: many starts over shifts and rolls, each led
-by planes of a few hundred patches, all at once; most end where little fits. Neither is believed: fine registration and its judge decide.
+Features: matched descriptors, three at a time give a pose (M. Fischler, R. Bolles 1981). Shape: many starts over shifts
+and rolls, each led by planes of a few hundred patches, all at once; most end where little fits. Neither is believed:
+fine registration and its judge decide.
 """
 
 from __future__ import annotations
@@ -97,7 +98,8 @@ def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) ->
 
 
 def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return (n, 2) numbers of descriptors (…, 128) that are each other's best match, and better than the second by ``RATIO``."""
+    """Return (n, 2) numbers of descriptors (…, 128) that are each other's best match, and better than the second by
+    ``RATIO``."""
     if len(a) < 3 or len(b) < 3:
         return np.empty((0, 2), np.int64)
     alike = a @ b.T
@@ -113,7 +115,8 @@ def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]
 
 
 def in_common(a: Features, b: Features, pose: Rigid) -> Array:
-    """Return the points (n, 3) in A's frame of the features that two scans have in common, where ``pose`` lays them on each other."""
+    """Return the points (n, 3) in A's frame of the features that two scans have in common, where ``pose`` lays them on
+    each other."""
     pairs = matches(a.descriptors, b.descriptors)
     # Descriptors alone match by chance, and where paint repeats.
     points = a.points_mm[pairs[:, 0]]
@@ -122,8 +125,8 @@ def in_common(a: Features, b: Features, pose: Rigid) -> Array:
 
 
 def turn_error_mm(points_mm: Array, reach_mm: float) -> float:
-    """Return how far, by one standard deviation, what lies ``reach_mm`` off points (n, 3) may be turned about the line along which they lie; a pose is
-    held by points that lie beside it, too."""
+    """Return how far, by one standard deviation, what lies ``reach_mm`` off points (n, 3) may be turned about the line
+    along which they lie; a pose is held by points that lie beside it, too."""
     centred = points_mm - points_mm.mean(axis=0)
     beside_mm = float(np.linalg.svd(centred, compute_uv=False)[1])
     return 0.5 * NEAR_MM * reach_mm / max(beside_mm, 1e-9)
@@ -149,8 +152,8 @@ def same(one: Rigid, other: Rigid, within_mm: float = DISTINCT_MM, depth_mm: flo
 def guess_by_shape(a: Prepared, b: Prepared, near: Rigid | None = None, most: int = 6) -> list[Guess]:
     """Return at most ``most`` distinct poses of B on A that fit by shape, the best first.
 
-    ``a`` and ``b`` are coarse (patches of some 4 mm). ``near``: where B is thought to be, for instance where the scan before was taken;
-    ``None``: anywhere within ``SHIFTS_MM`` of the same view.
+    ``a`` and ``b`` are coarse (patches of some 4 mm). ``near``: where B is thought to be, for instance where the scan
+    before was taken; ``None``: anywhere within ``SHIFTS_MM`` of the same view.
     """
     pa, pb = a.patches, b.patches
     if min(np.count_nonzero(pa.valid), np.count_nonzero(pb.valid)) < FEWEST_SOURCES:
@@ -207,9 +210,15 @@ def _starts(middle_a: Array, middle_b: Array, near: Rigid | None, volume: Workin
 
 
 def _led(
-    centre: Array, normal: Array, cells: Callable[[Array], Array],
-    c: Array, n: Array, rotation: Array, shift: Array, gate_mm: float,
-) -> tuple[Array, Array, Array]:  # fmt: skip
+    centre: Array,
+    normal: Array,
+    cells: Callable[[Array], Array],
+    c: Array,
+    n: Array,
+    rotation: Array,
+    shift: Array,
+    gate_mm: float,
+) -> tuple[Array, Array, Array]:
     """Move every start (k) one step along the planes below its patches; return poses and the share of patches that fit."""
     x = np.einsum("kij,nj->kni", rotation, c) + shift[:, None]
     m = np.einsum("kij,nj->kni", rotation, n)

@@ -1,10 +1,12 @@
-"""Owns the equations of laying one surface upon another: what resists a displacement, the step that they ask for, and what is known after it.
+"""Owns the equations of laying one surface upon another: what resists a displacement, the step that they ask for, and
+what is known after it.
 
-Each patch of B that lies on A gives two residuals: its distance from A's plane, and the difference of paint. What resists a displacement is
-their stiffness, a 6 × 6 matrix. Noise in normals and gradients would add stiffness of its own where there is none: a bare pipe would seem to
-be held along its axis, with a residual as good as everywhere. So each product of the matrix takes one factor from A and one from B, whose
-noise is independent: along a direction that nothing holds it is zero in the mean, and how far it scatters is known. An estimate with such
-products is that of instrumental variables (Durbin 1954).
+Each patch of B that lies on A gives two residuals: its distance from A's plane, and the difference of paint. What
+resists a displacement is their stiffness, a 6 × 6 matrix. Noise in normals and gradients would add stiffness of its own
+where there is none: a bare pipe would seem to be held along its axis, with a residual as good as everywhere. So each
+product of the matrix takes one factor from A and one from B, whose noise is independent: along a direction that nothing
+holds it is zero in the mean, and how far it scatters is known. An estimate with such products is that of instrumental
+variables (Durbin 1954).
 
 Symbols: R, t  rotation and translation that map B's points into A's frame;  x  a patch of B in A's frame
          δ = (ω, τ)  a small turn (as mm at the lever's end) about the overlap's middle, and a shift, mm
@@ -138,7 +140,8 @@ class System:
         mixed = self.Z.T @ (self.w[:, None] * self.J)
         S = 0.5 * (mixed + mixed.T)
         value, vector = np.linalg.eigh(S)
-        # Under the hypothesis of no stiffness each product is noise times noise; how large that is, the difference of both factors tells.
+        # Under the hypothesis of no stiffness each product is noise times noise; how large that is, the difference of
+        # both factors tells.
         noise = 0.5 * ((self.Z - self.J) @ vector) ** 2
         deviation = NEIGHBOURS_ALIKE * np.sqrt(((self.w[:, None] * noise) ** 2).sum(axis=0))
         score = np.zeros((len(labels), 6))
@@ -181,7 +184,8 @@ def _rows(arm: Array, lever: float, direction: Array) -> Array:
 
 
 def spread(values: Array) -> float:
-    """Return the standard deviation of most of the values (1.4826 times the median distance from their median); 0 for none."""
+    """Return the standard deviation of most of the values (1.4826 times the median distance from their median); 0 for
+    none."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 

@@ -1,7 +1,7 @@
 """Owns the marks that two scans may have in common: SIFT features of the bright image, with the points below them.
 
-Source: D. Lowe, "Distinctive image features from scale-invariant keypoints" (2004); contrast is evened first (CLAHE), since the light
-falls off towards the image's border.
+Source: D. Lowe, "Distinctive image features from scale-invariant keypoints" (2004); contrast is evened first (CLAHE),
+since the light falls off towards the image's border.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class Features:
     points_mm: Array
     """(n, 3)."""
     descriptors: NDArray[np.float32]
-    """(n, 128), square roots of the normalised histograms: their Euclidean distance is Hellinger's (Arandjelović 2012)."""
+    """(n, 128), square roots of the normalised histograms: their Euclidean distance is Hellinger's (Arandjelović 2012).
+    """
     strength: Array
 
 

@@ -1,6 +1,7 @@
 """Owns the fine pose of one scan relative to another: planes against planes and paint against paint, and what holds it.
 
-Patches of scan B are laid upon scan A and moved as ``equations.py`` says, whose symbols are used here, laid again, until they stay.
+Patches of scan B are laid upon scan A and moved as ``equations.py`` says, whose symbols are used here, laid again,
+until they stay.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from appliance.measure.overlap.equations import (
     System,
     spread,
     system_of,
-)  # fmt: skip
+)
 from appliance.measure.overlap.patches import Array, Bools, Patches
 from appliance.measure.overlap.rigid import Rigid
 
@@ -128,7 +129,8 @@ def lay(a: Prepared, b: Prepared, pose: Rigid, gate_mm: float) -> Laid:
             at = (j + dj, i + di)
             weight = (s if di else 1.0 - s) * (t if dj else 1.0 - t)
             centre, plane = pa.centre_mm[at], pa.normal[at]
-            # Along the mean of both normals, which on a curved surface is square to the chord: a plane alone lies outside of it.
+            # Along the mean of both normals, which on a curved surface is square to the chord: a plane alone lies
+            # outside of it.
             off = 0.5 * ((plane + m) * (x - centre)).sum(1)
             there = np.isfinite(off)
             # Distances on both sides of an edge do not mix: the nearest of the four decides.
@@ -142,7 +144,8 @@ def lay(a: Prepared, b: Prepared, pose: Rigid, gate_mm: float) -> Laid:
             known = good & np.isfinite(a.paint.value[at]) & np.isfinite(a.paint.gradient[at][:, 0])
             w = np.where(known, weight, 0.0)
             paint_total += w
-            # Each of the four tells the paint at the very place, from its own place and gradient: a cell's fraction is not exact.
+            # Each of the four tells the paint at the very place, from its own place and gradient: a cell's fraction is
+            # not exact.
             beside = (a.paint.gradient[at] * (x - centre)).sum(1)
             paint_a += np.where(known, w * (a.paint.value[at] + beside), 0.0)
             gradient += np.where(known[:, None], w[:, None] * a.paint.gradient[at], 0.0)
@@ -198,9 +201,11 @@ def refine(
 
 
 def own_resistance(scan: Prepared) -> Resistance:
-    """Return what resists a displacement of a scan's shape laid upon itself. A pair has part of that shape in common, and is held by no more of it.
+    """Return what resists a displacement of a scan's shape laid upon itself. A pair has part of that shape in common,
+    and is held by no more of it.
 
-    The two normals whose products count are a patch's own and that of the patches beside it, which have other points and so other noise.
+    The two normals whose products count are a patch's own and that of the patches beside it, which have other points
+    and so other noise.
     """
     patches = scan.patches
     beside = np.full_like(patches.normal, np.nan)
@@ -273,8 +278,9 @@ def derivatives(
 def news_of(J: Array, S_inverse: Array, B: Array, w: Array, r: Array, overdispersion: float) -> BowNews:
     """Return a pair's news from its equations.
 
-    ``J`` (n, 6) and ``B`` (n, k) derivatives of residuals ``r`` (n,) by pose and coefficients, ``w`` weights, all of planes alone or
-    with zeros in ``B`` where a residual is paint's. ``overdispersion``: variance of sums of residuals over that of independent ones.
+    ``J`` (n, 6) and ``B`` (n, k) derivatives of residuals ``r`` (n,) by pose and coefficients, ``w`` weights, all of
+    planes alone or with zeros in ``B`` where a residual is paint's. ``overdispersion``: variance of sums of residuals
+    over that of independent ones.
     """
     C = J.T @ (w[:, None] * B)
     response = -S_inverse @ C

@@ -214,9 +214,15 @@ def _agreed(sight: Sight, points_mm: Array, seen: Array, uv_px: Array) -> tuple[
     # Of one pixel's rays the pinhole is true at one depth only; the rest is for the refinement.
     try:
         good, turn, shift, _ = cv2.solvePnPRansac(
-            points_mm, seen, np.eye(3), None, iterationsCount=SAMPLES, reprojectionError=ROUGH_PX * sight.pixels_per_1600th * per_px,
-            confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
-        )  # fmt: skip
+            points_mm,
+            seen,
+            np.eye(3),
+            None,
+            iterationsCount=SAMPLES,
+            reprojectionError=ROUGH_PX * sight.pixels_per_1600th * per_px,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_AP3P,
+        )
     except cv2.error:
         # Points that all lie in one place, or on a line: then no pose is to be had, which is no fault of anybody's.
         return None

@@ -1,8 +1,10 @@
-"""Owns how much of a scan the one before has seen, too, told from coarse clouds and small pictures within half a second.
+"""Owns how much of a scan the one before has seen, too, told from coarse clouds and small pictures within half a
+second.
 
-Marks of the bright image that both scans have give a pose, the coarse clouds the share. What fits as well elsewhere, or slides, gives no
-number: a wrong one would send the diver away from a gap. That nothing is in common is said only where both scans are full of marks that are
-seen again in another picture of the same scan, so that an overlap would have shown.
+Marks of the bright image that both scans have give a pose, the coarse clouds the share. What fits as well elsewhere, or
+slides, gives no number: a wrong one would send the diver away from a gap. That nothing is in common is said only where
+both scans are full of marks that are seen again in another picture of the same scan, so that an overlap would have
+shown.
 
 Symbols: A the scan before, B this one; u, v column and row of a pixel of the full picture
 """
@@ -30,7 +32,8 @@ WORKING_WIDTH_PX = 640
 """Pictures are searched at this width at most."""
 MOST_MARKS = 900
 AGAIN_PX, AGAIN_ALIKE = 1.5, 0.85
-"""A mark is there again in another picture of the same scan where one lies so near, with so similar a descriptor (cosine)."""
+"""A mark is there again in another picture of the same scan where one lies so near, with so similar a descriptor
+(cosine)."""
 AROUND_MM = 12.0
 ENOUGH_AROUND = 5
 """A point is told by marks where so many lie around it."""
@@ -159,8 +162,11 @@ class CoarseView:
 def coarse_view(
     cloud: Cloud, stride_px: int, bright: NDArray[np.uint8], others: NDArray[np.uint8], projection: Projection
 ) -> CoarseView:
-    """Keep what a scan is compared by. ``cloud``: every ``stride_px``-th pixel's point; ``bright`` (h, w) uint8; ``others`` (n, h, w): frames
-    whose mean is lit like it. Nothing of the arguments is kept but copies."""
+    """Keep what a scan is compared by.
+
+    ``cloud``: every ``stride_px``-th pixel's point; ``bright`` (h, w) uint8; ``others`` (n, h, w): frames whose mean is
+    lit like it. Nothing of the arguments is kept but copies.
+    """
     h, w = bright.shape
     gh, gw = -(-h // stride_px), -(-w // stride_px)
     row, column = np.divmod(cloud.pixel.astype(np.int64), w)
@@ -175,7 +181,8 @@ def coarse_view(
 
 
 def compare(a: CoarseView, b: CoarseView) -> Iterator[Overlap | None]:
-    """Find how much of ``b`` lies on ``a``; yields ``None`` after each piece of work, at most some 0.1 s, and the answer last."""
+    """Find how much of ``b`` lies on ``a``; yields ``None`` after each piece of work, at most some 0.1 s, and the
+    answer last."""
     yield from a.search()
     yield None
     yield from b.search()
@@ -218,7 +225,8 @@ def _by_shape(a: CoarseView, b: CoarseView) -> Iterator[Overlap | None]:
 
 
 def share_on(a: CoarseView, b: CoarseView, pose: Rigid) -> Overlap:
-    """Return the share of B's points that lie on A's surface with B at ``pose`` in A's frame; unknown where the surfaces contradict each other."""
+    """Return the share of B's points that lie on A's surface with B at ``pose`` in A's frame; unknown where the
+    surfaces contradict each other."""
     points = b.points_mm[np.isfinite(b.points_mm[..., 2])].astype(np.float64)
     x = pose.of(points[:: max(1, len(points) // LOOKED_AT)])
     nearest = _distances(a, x)
@@ -230,8 +238,8 @@ def share_on(a: CoarseView, b: CoarseView, pose: Rigid) -> Overlap:
 
 
 def _distances(a: CoarseView, x: Array) -> Array:
-    """Return the distance (n,) of points ``x`` (n, 3) in A's frame from A's nearest point where A's camera sees them, mm; infinite
-    where A has none there."""
+    """Return the distance (n,) of points ``x`` (n, 3) in A's frame from A's nearest point where A's camera sees them,
+    mm; infinite where A has none there."""
     h, w = a.points_mm.shape[:2]
     with np.errstate(invalid="ignore"):
         cell = np.nan_to_num(np.rint(a.projection.pixels(x) / a.stride_px), nan=-9.0, posinf=-9.0, neginf=-9.0)

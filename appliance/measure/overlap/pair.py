@@ -1,7 +1,8 @@
 """Owns whether two scans lie to each other as found: accepted with a covariance, or refused in words.
 
-The residual does not tell: a pair that slides fits as well as one that holds. What is asked instead: does something hold every direction
-(``Fit.held``), do surfaces contradict each other, is the paint alike, and does no other pose fit as well.
+The residual does not tell: a pair that slides fits as well as one that holds. What is asked instead: does something
+hold every direction (``Fit.held``), do surfaces contradict each other, is the paint alike, and does no other pose fit
+as well.
 
 It also owns whether paint repeats itself: a printed grid fits as well one square farther, and no residual tells.
 """
@@ -39,7 +40,8 @@ LEAST_COMMON = 0.3
 def repeats_of(patches: Patches, paint: Paint) -> list[Array]:
     """Return shifts (3,), mm in the scan's frame, by which the paint looks like itself; the most alike first.
 
-    From the masked autocorrelation over the grid of patches (D. Padfield 2012), which on the usual distances of a dive is nearly metric.
+    From the masked autocorrelation over the grid of patches (D. Padfield 2012), which on the usual distances of a dive
+    is nearly metric.
     """
     value = paint.value
     known = np.isfinite(value)
@@ -65,8 +67,8 @@ def repeats_of(patches: Patches, paint: Paint) -> list[Array]:
 
 
 def _autocorrelation(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return Pearson's correlation of the known values with themselves at each shift, zero shift in the middle, and how many are in
-    common."""
+    """Return Pearson's correlation of the known values with themselves at each shift, zero shift in the middle, and how
+    many are in common."""
     h, w = value.shape
     size = (2 * h - 1, 2 * w - 1)
 
@@ -116,15 +118,19 @@ MAX_OUTLIERS, MAX_FRONT = 0.05, 0.02
 LEAST_ALIKE = 0.6
 """Least correlation of paint where paint holds the pose; half of it where shape does."""
 LEAST_ALIKE_REPEATING = 0.82
-"""The same where paint that repeats holds the pose: some squares farther it is still alike by up to 0.78 (a board of markers)."""
+"""The same where paint that repeats holds the pose: some squares farther it is still alike by up to 0.78 (a board of
+markers)."""
 AS_GOOD, AS_ALIKE = 0.04, 0.06
-"""A pose whose share of contradictions is larger, and whose paint is less alike, by less than these is as good as the best one."""
+"""A pose whose share of contradictions is larger, and whose paint is less alike, by less than these is as good as the
+best one."""
 SLIDES_ROUGHLY = 3.0
-"""Poses that the search by shape found and that planes hold less than this slide: others like them stand for one family, and for few."""
+"""Poses that the search by shape found and that planes hold less than this slide: others like them stand for one
+family, and for few."""
 MOST_SLIDING = 4
 """Sliding poses that are tried: a bar may lie either way round, and each way slides about its axis."""
 TURNS = 0.4
-"""Share of a loose direction, of length 1, that must be turn for it to be called one: a pipe of 0.2 m radius about its axis has that."""
+"""Share of a loose direction, of length 1, that must be turn for it to be called one: a pipe of 0.2 m radius about its
+axis has that."""
 INSIDE = 0.15
 """An axis that lies so deep behind the surface, in levers, is the thing's own."""
 LEVEL_DEG = 22.5
@@ -192,7 +198,10 @@ def ready(
     light_mm: Array,
     volume: WorkingVolume = STANDARD,
 ) -> ReadyScan:
-    """Prepare a scan for registration. ``light_mm``: where the projector's light comes from, in the left camera's frame."""
+    """Prepare a scan for registration.
+
+    ``light_mm``: where the projector's light comes from, in the left camera's frame.
+    """
     return ready_with(cloud, projection_of(camera, water_index, volume), light_mm)
 
 
@@ -211,7 +220,8 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
     fits = [] if near is None else _fits(a, b, [Guess(near, 0.0, False)])
     if not any(_plausible(fit) for fit in fits):
         fits += _fits(a, b, guess_by_features(a.features, b.features))
-    # Paint that repeats has features that repeat: they may have led to one place of several, all of which the shape knows.
+    # Paint that repeats has features that repeat: they may have led to one place of several, all of which the shape
+    # knows.
     repeats = bool(a.repeats or b.repeats)
     by_shape = []
     # What slides by its own shape the search would lay anywhere along the slide, each place as good as any other.
@@ -222,7 +232,8 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
         sliding = PairRefusal.AMBIGUOUS if repeats else PairRefusal.SLIDES
         why = PairRefusal.NOTHING_IN_COMMON if a.holds and b.holds else sliding
         return RegisteredPair(None, why, _words(why, None, a, b))
-    # Of those that may be believed the one that least contradicts; where there is none, the reason of the best of the others.
+    # Of those that may be believed the one that least contradicts; where there is none, the reason of the best of the
+    # others.
     fits = sorted(fits, key=lambda fit: (not _plausible(fit), _contradiction(fit)))
     best = fits[0]
     refusal = refusal_of(best)
@@ -270,7 +281,8 @@ def _contradiction(fit: Fit) -> float:
 
 
 def _as_good(other: Fit, best: Fit, *, repeats: bool) -> bool:
-    # Where there is no paint to decide, or paint that repeats, a place that slides explains what is seen as well as one that is held.
+    # Where there is no paint to decide, or paint that repeats, a place that slides explains what is seen as well as one
+    # that is held.
     slides = (best.alike is None or repeats) and refusal_of(other) is PairRefusal.SLIDES
     if not (_plausible(other) or slides) or other.overlap < 0.5 * best.overlap:
         return False
@@ -284,7 +296,8 @@ def _as_good(other: Fit, best: Fit, *, repeats: bool) -> bool:
 
 
 def _repeated(a: ReadyScan, b: ReadyScan, best: Fit) -> list[Fit]:
-    """Return fits one repeat of the paint away from the best one; none where shape holds it, which would contradict them."""
+    """Return fits one repeat of the paint away from the best one; none where shape holds it, which would contradict
+    them."""
     if best.paint_share < 0.5:
         return []
     guesses = [Guess(Rigid(best.pose.rotation, best.pose.translation_mm + shift), 0.0, False) for shift in a.repeats]
@@ -344,8 +357,8 @@ def _words(refusal: PairRefusal | None, fit: Fit | None, a: ReadyScan, b: ReadyS
 
 
 def freedom(directions: Array, held: Array) -> str:
-    """Return in words how a scan can move, as seen by the camera whose frame ``directions`` (6, 6) are in: along those that ``held`` (6,) says are
-    not held; along the least held where all are."""
+    """Return in words how a scan can move, as seen by the camera whose frame ``directions`` (6, 6) are in: along those
+    that ``held`` (6,) says are not held; along the least held where all are."""
     loose = held < HELD if (held < HELD).any() else held == held.min()
     soft = directions[:, loose]
     # Of what is loose any mixture is: mixed so that those that turn least come last.

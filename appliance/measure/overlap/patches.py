@@ -1,7 +1,9 @@
-"""Owns a scan as registration reads it: small plane patches on a grid over the image, and where the camera would see a point.
+"""Owns a scan as registration reads it: small plane patches on a grid over the image, and where the camera would see a
+point.
 
-A patch is a square block of pixels, about a millimetre on the object. Its plane is the least-squares plane of its points; averaging
-makes its distance some times more certain than a point's, and thousands of patches are enough to place a scan.
+A patch is a square block of pixels, about a millimetre on the object. Its plane is the least-squares plane of its
+points; averaging makes its distance some times more certain than a point's, and thousands of patches are enough to
+place a scan.
 
 Symbols: c, n, s  centre, unit normal towards the camera, and standard deviation of the centre along the normal of a patch
          (gh, gw) rows and columns of patches; N  points in a block
@@ -28,7 +30,8 @@ PATCH_MM = 1.0
 FILLED = 0.75
 """Least share of a block's pixels with a point."""
 MAX_ROUGH_MM = 0.12
-"""Largest RMS distance of a block's points from their plane, beyond their noise: more is an edge, which has no one normal."""
+"""Largest RMS distance of a block's points from their plane, beyond their noise: more is an edge, which has no one
+normal."""
 MAX_BEND_MM = 0.8
 """Largest second difference of neighbouring centres that is curvature."""
 ROUGH_COUNTS = 1.0
@@ -70,7 +73,8 @@ class Projection:
     """Range of the housing that it was fitted for."""
 
     def pixels(self, points_mm: Array) -> Array:
-        """Return (…, 2) column and row, px, of points (…, 3) in the camera's frame; NaN for points that are not before it."""
+        """Return (…, 2) column and row, px, of points (…, 3) in the camera's frame; NaN for points that are not before
+        it."""
         z = points_mm[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = np.where(z > 1.0, 1.0 / z, np.nan)
@@ -91,7 +95,8 @@ def _cubic(a: Array, b: Array, t: Array) -> Array:
 
 
 def projection_of(camera: HousedCamera, water_index: float, volume: WorkingVolume = STANDARD) -> Projection:
-    """Fit the projection of a camera in water of ``water_index`` to its own refracted rays, over the depths of its housing."""
+    """Fit the projection of a camera in water of ``water_index`` to its own refracted rays, over the depths of its
+    housing."""
     depths_mm = [volume.scaled(depth) for depth in DEPTHS_MM]
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 24), np.linspace(0, camera.height_px - 1, 18))
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -173,7 +178,8 @@ def patches_of(cloud: OrganisedCloud, projection: Projection, block_px: int | No
         flat = np.sqrt(np.maximum(rough2 - sigma2, 0.0)) < MAX_ROUGH_MM
         # The noise along the ray, seen along the normal.
         sigma = np.sqrt(sigma2 * CORRELATED_PIXELS / np.maximum(count, 1)) / length
-        # What is rougher than noise explains is shape, a weld or an edge: its plane depends on where the block happens to lie.
+        # What is rougher than noise explains is shape, a weld or an edge: its plane depends on where the block happens
+        # to lie.
         shape2 = np.maximum(rough2 - sigma2 * (1.0 + 2.0 * np.sqrt(2.0 / np.maximum(count, 1))), 0.0)
         sigma = np.sqrt(sigma**2 + ROUGH_COUNTS * shape2)
     good = enough & flat & (away > MIN_COSINE)
@@ -202,8 +208,9 @@ def patches_of(cloud: OrganisedCloud, projection: Projection, block_px: int | No
 def _on_the_surface(centre: Array, normal: Array) -> Array:
     """Return the centres, moved from the mean of their points onto the surface.
 
-    The mean over a side h of a surface of curvature κ lies κ h² / 24 inside of it; the second difference of the centres is κ h². On a
-    weld of 4 mm radius that is 18 µm, more on the side that is seen obliquely, and would pull every pair the same way.
+    The mean over a side h of a surface of curvature κ lies κ h² / 24 inside of it; the second difference of the centres
+    is κ h². On a weld of 4 mm radius that is 18 µm, more on the side that is seen obliquely, and would pull every pair
+    the same way.
     """
     inside = np.zeros(centre.shape[:2])
     for axis in (0, 1):
@@ -218,9 +225,9 @@ def _on_the_surface(centre: Array, normal: Array) -> Array:
 def _bridged(centre: Array, normal: Array, sigma: Array, lit: Bools) -> Bools:
     """Give small holes the plane of what surrounds them, in place, and return where there is still nothing.
 
-    Dark print has no points, yet its border is what holds a flat board: the place is known from around it, and its grey values
-    are seen. A bridged patch's distance counts next to nothing. A plane n · p = n · c is h · p = 1 with h = n / (n · c), and along a
-    direction d the inverse depth is h · d: planes are averaged by their h.
+    Dark print has no points, yet its border is what holds a flat board: the place is known from around it, and its grey
+    values are seen. A bridged patch's distance counts next to nothing. A plane n · p = n · c is h · p = 1 with h = n /
+    (n · c), and along a direction d the inverse depth is h · d: planes are averaged by their h.
     """
     good = np.isfinite(sigma)
     if np.count_nonzero(good) < 50:

@@ -37,7 +37,8 @@ class Rigid:
 
     @classmethod
     def along_screw(cls, turn: Array, shift_mm: Array, middle_mm: Array) -> Rigid:
-        """Return the motion along one screw: ``turn`` (3,) rad and ``shift_mm`` (3,) of ``middle_mm`` (3,), both at once and evenly."""
+        """Return the motion along one screw: ``turn`` (3,) rad and ``shift_mm`` (3,) of ``middle_mm`` (3,), both at
+        once and evenly."""
         angle = float(np.linalg.norm(turn))
         # The left Jacobian of SO(3): what goes across the axis goes round, what goes along it goes on.
         first, second = (
@@ -48,7 +49,8 @@ class Rigid:
         return cls(rotation, middle_mm + gone - rotation @ middle_mm)
 
     def screw(self, middle_mm: Array) -> tuple[Array, Array]:
-        """Return the turn (3,) rad and the shift (3,) mm of ``middle_mm`` whose one screw is this motion: undoes ``along_screw`` up to half a turn."""
+        """Return the turn (3,) rad and the shift (3,) mm of ``middle_mm`` whose one screw is this motion: undoes
+        ``along_screw`` up to half a turn."""
         turn, gone = rotation_vector(self.rotation), self.of(middle_mm) - middle_mm
         angle = float(np.linalg.norm(turn))
         second = 1.0 / 12.0 if angle < 1e-3 else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2

@@ -240,8 +240,8 @@ def predict(
 
     It follows from the ``drift`` across the x-fringes that both cameras saw (keyed by side), from how the surface
     stands, and from ``double_step2``, the mean square way of the albedo over the left image in two frames, px²
-    (``None``: there is none to see). ``steps2`` is the square of the mean first and last step of the x-sines over that of their drift
-    (``course.steps2``).
+    (``None``: there is none to see). ``steps2`` is the square of the mean first and last step of the x-sines over that
+    of their drift (``course.steps2``).
     """
     left, right = drift["left"], drift["right"]
     px_per_rad = period_px / (2.0 * np.pi)

@@ -126,9 +126,7 @@ def judge_motion(
     course = edge_course(edges, harm)
     shaken = steps2(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
     if shaken is not None:
-        harm = predict(
-            drift, surface, double_step2, rig, water_index, sequence.period_px, images.frame_s, shaken
-        )  # fmt: skip
+        harm = predict(drift, surface, double_step2, rig, water_index, sequence.period_px, images.frame_s, shaken)
     scores = Scores(
         None if trend is None else trend.score,
         edges_score(course),
