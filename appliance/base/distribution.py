@@ -29,6 +29,7 @@ def other_program() -> str | None:
     if _OURS in (found.read_text("top_level.txt") or "").split():
         return None  # this program, as it was called before
     return (
-        f"another program called kingfisher ({found.version}: {found.metadata['Summary'] or 'no summary'}) is installed here and has the "
+        f"another program called kingfisher ({found.version}: {found.metadata['Summary'] or 'no summary'}) is "
+        "installed here and has the "
         f"same command and import name: pip uninstall {_OTHER}, then install {DISTRIBUTION} again"
     )

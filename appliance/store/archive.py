@@ -243,7 +243,8 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
                 other.append(path.name)
     if other:
         raise ScanError(
-            f"{', '.join(other)} DIFFERS at both ends, and was left alone ({source}, {target}); make it the same at both, or move away "
+            f"{', '.join(other)} DIFFERS at both ends, and was left alone ({source}, {target}); make it the same at "
+            "both, or move away "
             "the one that is not wanted"
         )
     return Copied.ALREADY

@@ -162,7 +162,8 @@ class Instrument:
         if stored.trigger_delay_us not in (None, self.rig.board.trigger_delay_us):
             # Bit planes: what begins at another moment of the frame sees other bits, and another response.
             log.warning(
-                "patterns are drawn without compensation: response %s was measured with board.trigger_delay_us = %d, not %d; "
+                "patterns are drawn without compensation: response %s was measured with board.trigger_delay_us = %d, "
+                "not %d; "
                 "measure it again, or remove the file",
                 path,
                 stored.trigger_delay_us,
@@ -239,7 +240,8 @@ class Instrument:
             cameras.right.serial,
         ):
             log.warning(
-                "the data sheets' noise is believed: %s is of instrument %s with cameras %s and %s, this one is %s with %s and %s; "
+                "the data sheets' noise is believed: %s is of instrument %s with cameras %s and %s, this one is %s "
+                "with %s and %s; "
                 "measure its own, or remove the file",
                 path,
                 stored.rig_serial,

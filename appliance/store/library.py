@@ -220,7 +220,8 @@ class Library:
         folder = self._find_on(LibraryFolder.TRASH, scan_id)
         if folder is None:
             raise UnknownScan(
-                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list trash --root {self.root}` shows it"
+                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list trash --root {self.root}` "
+                "shows it"
             )
         return self._moved(folder, self._shelf(_belongs(folder)) / folder.name)
 
@@ -317,7 +318,8 @@ class Library:
             if folder is not None:
                 return shelf, folder
         raise UnknownScan(
-            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows what there is"
+            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows what there "
+            "is"
         )
 
     def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:

@@ -86,7 +86,8 @@ def component(name: str, what: str) -> str:
     """
     if not is_component(name):
         raise NameShapeError(
-            f"{what} is {name!r:.60}; allowed are 1 to {MOST_CHARACTERS} characters that can be read, none of {' '.join(sorted(_RESERVED))}, "
+            f"{what} is {name!r:.60}; allowed are 1 to {MOST_CHARACTERS} characters that can be read, none of "
+            f"{' '.join(sorted(_RESERVED))}, "
             "not beginning with a dot, a dash or a blank and not ending with a dot or a blank"
         )
     return name

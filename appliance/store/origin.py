@@ -189,7 +189,8 @@ def _same_size(scan: StoredScan, side: str, size: tuple[int, int], whose: str, o
     height_px, width_px = scan.frames[side].shape[1:]
     if (width_px, height_px) != size:
         raise ScanError(
-            f"{scan.folder}: its {side} images are {width_px}x{height_px} px; {whose} is for {size[0]}x{size[1]} px; give the "
+            f"{scan.folder}: its {side} images are {width_px}x{height_px} px; {whose} is for {size[0]}x{size[1]} px; "
+            "give the "
             f"one of the instrument that recorded it ({option}), or none where the scan carries its own"
         )
 

@@ -85,7 +85,8 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     wrong_frames = any(one.verdict.name == IDENTITY and one.verdict.passed is False for one in judgements)
     if not meet and not wrong_frames:
         return Empty(
-            f"{points} points are left of {decoded} decoded pixels: the rays of both cameras do not meet, so this calibration is "
+            f"{points} points are left of {decoded} decoded pixels: the rays of both cameras do not meet, so this "
+            "calibration is "
             "not that of the instrument as it was then; give the right one with --calibration FILE",
             by_calibration=True,
         )
@@ -93,7 +94,8 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
         return None
     where = "" if wrong_frames else ", nearer or in clearer water"
     return Empty(
-        f"{points or 'no'} points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; scan again{where}",
+        f"{points or 'no'} points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; scan "
+        f"again{where}",
         by_calibration=False,
     )
 

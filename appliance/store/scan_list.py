@@ -93,7 +93,8 @@ def refuse_repeats(path: Path, entries: Sequence[ListedScan], folders: Sequence[
         before = seen.setdefault((folder.resolve(), entry.artefact), k)
         if before != k:
             raise ListError(
-                f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{before}] ({entries[before].scan!r:.60}) once more, with the same "
+                f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{before}] ({entries[before].scan!r:.60}) once "
+                "more, with the same "
                 f"artefact {entry.artefact.value}, and would count twice; remove one of them"
             )
 

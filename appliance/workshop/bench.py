@@ -145,7 +145,8 @@ class LightBench:
                 return {side: self.frames(side, len(order)) for side in SIDES}
         assert fault is not None
         raise BringupError(
-            f"{TRIES} recordings failed one after the other: {fault.code.value}: {fault.detail}; ask `kingfisher setup measure trigger`"
+            f"{TRIES} recordings failed one after the other: {fault.code.value}: {fault.detail}; ask `kingfisher setup "
+            "measure trigger`"
         )
 
     def record(self, order: Sequence[int], shot: Shot) -> CaptureReport:

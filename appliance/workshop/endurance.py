@@ -279,7 +279,8 @@ def _side(side: str, one: SideEndured, pulses: int) -> Finding:
         counts = ", ".join(f"{word} ({one.bad.count(word)}x)" for word in dict.fromkeys(one.bad))
         said += f"; {len(one.bad)} arrived {counts}"
         remedy = (
-            "both cameras on USB controllers of their own; usbcore.usbfs_memory_mb = 1000; no other work on the computer; "
+            "both cameras on USB controllers of their own; usbcore.usbfs_memory_mb = 1000; no other work on the "
+            "computer; "
             "DeviceLinkThroughputLimit below the port's speed"
         )
     # Ids tell a frame that was lost on the way from a pulse that made none; both want another cable first.

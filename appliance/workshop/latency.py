@@ -33,7 +33,8 @@ def measure_latency(bench: Bench) -> tuple[int, dict[str, NDArray[np.bool_]]]:
     # One projector, one latency: where cameras disagree, one of them counts its frames from another trigger.
     if len(set(found.values())) > 1:
         raise BringupError(
-            f"the cameras see the light {' and '.join(f'{blanks} blanks ({side})' for side, blanks in found.items())} after the flip: one of "
+            f"the cameras see the light {' and '.join(f'{blanks} blanks ({side})' for side, blanks in found.items())} "
+            "after the flip: one of "
             "them misses the first trigger; check its line and its trigger's overlap"
         )
     return next(iter(found.values())), parts
@@ -50,7 +51,8 @@ def latency_of(levels: NDArray[np.float64]) -> int:
     total = float(light[light > 0.0].sum())
     if light.max() < FLASH_DN:
         raise BringupError(
-            f"one white picture among black ones changed the images by {light.max():.1f} grey values; {FLASH_DN:g} are needed: check "
+            f"one white picture among black ones changed the images by {light.max():.1f} grey values; {FLASH_DN:g} are "
+            "needed: check "
             "that the projector lights what the cameras see, its focus and its cable, and darken the room"
         )
     # A part of the light, not of the brightest frame: light that begins in the middle of a frame is spread over two.
@@ -58,11 +60,13 @@ def latency_of(levels: NDArray[np.float64]) -> int:
     first, last = int(lit[0]), int(lit[-1])
     if last - first > 2:
         raise BringupError(
-            f"one white picture lit {last - first + 1} frames in a row; allowed are 2: switch frame interpolation and motion smoothing off"
+            f"one white picture lit {last - first + 1} frames in a row; allowed are 2: switch frame interpolation and "
+            "motion smoothing off"
         )
     if first > MOST_LATENCY_BLANKS:
         raise BringupError(
-            f"a picture's light came {first} vertical blanks after its flip; allowed are 0..{MOST_LATENCY_BLANKS}: switch the projector's "
+            f"a picture's light came {first} vertical blanks after its flip; allowed are 0..{MOST_LATENCY_BLANKS}: "
+            "switch the projector's "
             "picture processing off (game mode, direct mode)"
         )
     return first

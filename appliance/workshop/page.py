@@ -14,7 +14,8 @@ _STYLE = (
     "<style>.good{color:#06602a;font-weight:bold}.yet{color:#777}"
     "pre{background:#f5f5f2;border:1px solid #bbb;padding:.8em;overflow-x:auto;font-size:.85em}"
     "td{vertical-align:top}body{max-width:74em}h2{margin-top:1.8em;border-bottom:1px solid #bbb}"
-    ".next{border-left:4px solid #a00;padding:.2em 1em;background:#fbf3f2}.next.done{border-color:#06602a;background:#f1f7f2}</style>"
+    ".next{border-left:4px solid #a00;padding:.2em "
+    "1em;background:#fbf3f2}.next.done{border-color:#06602a;background:#f1f7f2}</style>"
 )
 _WORDS = {"WRONG": "no", "good": "good", "not yet": "yet"}
 """Class of each word that a table marks."""

@@ -118,7 +118,8 @@ def measure_projector(bench: Bench, gain_db: float, say: Say) -> ProjectorMeasur
     """Measure everything; ``gain_db`` is that of the short exposures. Raises BringupError, DeviceError."""
     if not LEAST_HZ <= bench.refresh_hz <= MOST_HZ:
         raise BringupError(
-            f"projector.refresh_hz {bench.refresh_hz:g}: allowed here are {LEAST_HZ:g}..{MOST_HZ:g}; measure in a mode of 60 Hz"
+            f"projector.refresh_hz {bench.refresh_hz:g}: allowed here are {LEAST_HZ:g}..{MOST_HZ:g}; measure in a mode "
+            "of 60 Hz"
         )
     period_us = 1e6 / bench.refresh_hz
     say("latency", 0.0)
@@ -335,6 +336,7 @@ def _ramp(images: Image) -> NDArray[np.float64]:
 def _brightest(responses: Mapping[Trial, ResponseShape]) -> Trial:
     if not responses:
         raise BringupError(
-            "no exposure fits between a picture's light and the next one's: set board.trigger_delay_us to 0, and a mode of 60 Hz or less"
+            "no exposure fits between a picture's light and the next one's: set board.trigger_delay_us to 0, and a "
+            "mode of 60 Hz or less"
         )
     return max(responses, key=lambda trial: responses[trial].light_dn)

@@ -104,7 +104,8 @@ def _camera(side: str, frames: FiredFrames, period_ns: float) -> Finding:
     elif abs(count - PULSES // 2) <= ALL_BUT and (between is None or abs(between - 2.0) < NEAR):
         said += ": every second trigger is ignored"
         remedy = (
-            "let exposure and readout overlap (TriggerOverlap ReadOut, OverlapMode On), switch DeviceLinkThroughputLimitMode off, "
+            "let exposure and readout overlap (TriggerOverlap ReadOut, OverlapMode On), switch "
+            "DeviceLinkThroughputLimitMode off, "
             "or shorten the exposure"
         )
     elif count > PULSES:
@@ -159,7 +160,8 @@ def _stamps(name: str, pulses_us: Sequence[int], times_ns: Sequence[int | None])
     # Jitter first: a stamp that jumps bends the line that the drift is read from.
     if jitter_us > MOST_JITTER_US:
         remedy = (
-            "drive the opto-coupler with 3.5 to 7 mA and pulses of 200 µs; no LineDebouncer; a ground wire beside the trigger's; "
+            "drive the opto-coupler with 3.5 to 7 mA and pulses of 200 µs; no LineDebouncer; a ground wire beside the "
+            "trigger's; "
             f"frame {int(away_us.argmax())} is the worst"
         )
     elif abs(drift_ppm) > MOST_DRIFT_PPM:

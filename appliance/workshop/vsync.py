@@ -187,7 +187,8 @@ def judge_stop(stopped_after_ms: float | None) -> Finding:
     limits = "no syncs while the output is off"
     if stopped_after_ms is None:
         remedy = (
-            "the board counts something else: check the tap's pin and its ground; a splitter that makes a picture of its own "
+            "the board counts something else: check the tap's pin and its ground; a splitter that makes a picture of "
+            "its own "
             "while its input is dark cannot be used"
         )
         return Finding("stop", False, "syncs go on while the projector's output is off", limits, remedy)
@@ -198,7 +199,9 @@ def judge_stop(stopped_after_ms: float | None) -> Finding:
 def judge_edge(phase_us: float) -> Finding:
     """Say by how much syncs are dated after the flips; which edge that is nobody can tell."""
     said = (
-        f"which edge is counted cannot be told by the board's protocol; syncs are dated {phase_us:+.0f} µs after the kernel's flips. The "
-        "wrong one shifts every exposure by the pulse's width (some 120 µs): compare sync of [projector] with an oscilloscope"
+        f"which edge is counted cannot be told by the board's protocol; syncs are dated {phase_us:+.0f} µs after the "
+        "kernel's flips. The "
+        "wrong one shifts every exposure by the pulse's width (some 120 µs): compare sync of [projector] with an "
+        "oscilloscope"
     )
     return judged("edge", True, said, "the leading edge", "", phase_us=phase_us)

@@ -104,7 +104,8 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
             new, told, last_ns = new + 1, "", clock.now_ns()
             missing = coverage(known, *size_px).missing
             say(
-                f"view {name}: {len(view.corners_mm)} corners ({len(known)} of {options.views}); {'; '.join(missing) or 'all regions seen'}"
+                f"view {name}: {len(view.corners_mm)} corners ({len(known)} of {options.views}); "
+                f"{'; '.join(missing) or 'all regions seen'}"
             )
             status(f"VIEW_{name}")
     return new

@@ -52,7 +52,8 @@ def exchanged(calibrated: tuple[str, str] | None, connected: tuple[str, str] | N
         return None
     if calibrated == connected[::-1]:
         return Misfit(
-            f"left and right camera swapped: calibrated with {calibrated[0]} on the left and {calibrated[1]} on the right, "
+            f"left and right camera swapped: calibrated with {calibrated[0]} on the left and {calibrated[1]} on the "
+            "right, "
             f"connected the other way round",
             SIDES,
         )

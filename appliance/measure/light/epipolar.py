@@ -217,7 +217,8 @@ def _fit(
             coefficients = np.where(enough[..., None, None], to_powers @ found, np.nan)
             return np.asarray(np.swapaxes(coefficients, -1, -2)), degree, error_px
     raise CurveError(
-        f"between {z_mm[0]:g} and {z_mm[1]:g} mm the curves differ by {error_px:.2g} px from polynomials of degree {DEGREES[-1]}; "
+        f"between {z_mm[0]:g} and {z_mm[1]:g} mm the curves differ by {error_px:.2g} px from polynomials of degree "
+        f"{DEGREES[-1]}; "
         "give a narrower range of depths"
     )
 

@@ -160,7 +160,8 @@ class PatternSequence:
         for k, (wanted, found) in enumerate(zip_longest((*references, *rest), self.patterns)):
             if wanted != found:
                 raise ValueError(
-                    f"frame {k} of the sequence: {_named(found)}; {_named(wanted)} belongs there (class PatternSequence)"
+                    f"frame {k} of the sequence: {_named(found)}; {_named(wanted)} belongs there (class "
+                    "PatternSequence)"
                 )
 
     def __len__(self) -> int:

@@ -29,7 +29,8 @@ class WorkingVolume:
     def __post_init__(self) -> None:
         if not 0.0 < self.nearest_mm < self.working_mm < self.farthest_mm:
             raise ValueError(
-                f"measuring volume from {self.nearest_mm:g} to {self.farthest_mm:g} mm, worked at {self.working_mm:g} mm; allowed is "
+                f"measuring volume from {self.nearest_mm:g} to {self.farthest_mm:g} mm, worked at {self.working_mm:g} "
+                "mm; allowed is "
                 "nearest < working < farthest; correct [volume] in the rig file"
             )
 

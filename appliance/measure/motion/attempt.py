@@ -85,7 +85,8 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
         why = f"Compensation would lose {100.0 * (1.0 - kept):.0f} % of the points."
     else:
         why = (
-            f"Compensated, points would err up to {doubt * error_after:.2f} times as at rest; shown is what errs up to {MOST_ERROR:g} "
+            f"Compensated, points would err up to {doubt * error_after:.2f} times as at rest; shown is what errs up to "
+            f"{MOST_ERROR:g} "
             "times and no more than before: repeat the scan."
         )
     return Attempt(motion, None, why, error_after)

@@ -513,7 +513,8 @@ def _checked(coordinate_px: NDArray[np.float32], camera: HousedCamera, side: str
     wanted = (camera.height_px, camera.width_px)
     if coordinate_px.shape != wanted:
         raise OneDirectionError(
-            f"the {side} coordinates are {'x'.join(str(n) for n in coordinate_px.shape[::-1])} px, the calibration's {side} camera has "
+            f"the {side} coordinates are {'x'.join(str(n) for n in coordinate_px.shape[::-1])} px, the calibration's "
+            f"{side} camera has "
             f"{camera.width_px}x{camera.height_px}; take the calibration of these cameras"
         )
     if not np.isfinite(coordinate_px).any():

@@ -27,7 +27,8 @@ def judge_fringes(bend: PhaseBend, period_px: int) -> Judgement:
         return Judgement(Verdict(NAME, True, numbers, "sines, or nearly so"))
     percent = 100.0 * (noisier - 1.0)
     text = (
-        f"this exposure bends the fringes by {bend.rms_px:.2f} px; straightened, points are {percent:.0f} % noisier. Take another "
+        f"this exposure bends the fringes by {bend.rms_px:.2f} px; straightened, points are {percent:.0f} % noisier. "
+        "Take another "
         "exposure; kingfisher calibration measure exposures tells which are good"
     )
     return Judgement(

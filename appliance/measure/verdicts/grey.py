@@ -72,8 +72,10 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
         side, other = ("left", "right") if apart[Direction.X] > 0.0 else ("right", "left")
         mine, others = numbers[f"{side}_share"], numbers[f"{other}_share"]
         text = (
-            f"camera.{side} sees the mean of the fringes at {mine:.2f} of its light and camera.{other} at {others:.2f} (linear: up to {PROPORTIONAL:.2f}): "
-            f"it bends grey. Under features of camera.{side} set Gamma = 1.0, GammaEnable and LUTEnable = false, and no Gamma above 1 in camera.{other}"
+            f"camera.{side} sees the mean of the fringes at {mine:.2f} of its light and camera.{other} at {others:.2f} "
+            f"(linear: up to {PROPORTIONAL:.2f}): "
+            f"it bends grey. Under features of camera.{side} set Gamma = 1.0, GammaEnable and LUTEnable = false, and "
+            f"no Gamma above 1 in camera.{other}"
         )
         return Judgement(Verdict(NAME, False, numbers, text), Fault(FaultCode.GREY_BENT, text, device=f"camera.{side}"))
     if all(abs(one) <= least for one in apart.values()):

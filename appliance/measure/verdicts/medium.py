@@ -50,7 +50,8 @@ def judge_medium(
     if water_mm < rig.volume.scaled(LEAST_APART_MM) or air_mm >= MEETS * water_mm:
         return Judgement(Verdict(NAME, True if water_mm < air_mm else None, numbers, "nothing speaks for air"))
     text = (
-        f"rays miss each other by {water_mm:.2f} mm in the water that is stated, and by {air_mm:.2f} mm in air: the points are wrong; scan under "
+        f"rays miss each other by {water_mm:.2f} mm in the water that is stated, and by {air_mm:.2f} mm in air: the "
+        "points are wrong; scan under "
         "water"
     )
     known = {"water_gap_mm": water_mm, "air_gap_mm": air_mm}

@@ -55,7 +55,8 @@ def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: fl
         return Judgement(Verdict(NAME, None, numbers, "what is seen lies where left and right look alike"))
     if exchanged_mm < MEETS * apart_mm and gap_mm >= MISSES * apart_mm:
         text = (
-            f"rays miss each other by {gap_mm:.1f} mm, and by {exchanged_mm:.1f} mm with the cameras exchanged: exchange the serial numbers of "
+            f"rays miss each other by {gap_mm:.1f} mm, and by {exchanged_mm:.1f} mm with the cameras exchanged: "
+            "exchange the serial numbers of "
             "camera.left and camera.right in the rig file"
         )
         fault = Fault(FaultCode.SIDES_EXCHANGED, text, {"gap_mm": gap_mm, "exchanged_mm": exchanged_mm})

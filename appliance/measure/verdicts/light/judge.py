@@ -232,7 +232,8 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
                 max(at.ambient_beyond / MAX_AMBIENT_BEYOND, at.burnt / MAX_SATURATED),
                 Fault(
                     FaultCode.AMBIENT,
-                    f"{beyond:.0f} % of the lit pixels get more light from elsewhere than from the projector ({side} camera)",
+                    f"{beyond:.0f} % of the lit pixels get more light from elsewhere than from the projector ({side} "
+                    "camera)",
                     {"ambient_percent": beyond},
                 ),
             ),
