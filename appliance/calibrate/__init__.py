@@ -8,14 +8,12 @@ from appliance.base import lazy_face
 
 if TYPE_CHECKING:
     from .air.any_board import (
-        BoardNotFoundError,  # No picture shows a board of a kind that is known
         Wanted,  # The owner's description of a board; None where it is to be found
     )
     from .air.board import (
         BoardDesign,  # A ChArUco board: squares across and down, and the printed sizes
         BoardError,  # A board cannot be described that way; the text says how it is done
         NoBoard,  # Reason why a pair of images was not used, in a sentence for the person who holds the board
-        parse_board,  # Read 15x12x18.0x13.5: squares across and down
     )
     from .air.calibrate import (
         AirCalibrationError,  # The views do not suffice for a calibration in air; the text says why and what to do
@@ -29,11 +27,6 @@ if TYPE_CHECKING:
     from .air.rest import (
         mean_of,  # Return the mean (h, w) uint8 of pictures (n, h, w), rounded: less noise than each has
         view_of,  # Return the board in pictures (n, h, w) uint8 that both cameras took one after the other
-    )
-    from .any_pair import (
-        Patterns,  # Patterns of paths in the folder with one * each
-        calibrate_pictures,  # Calibrate the cameras name from pictures, write out and what goes beside it
-        named_pictures,  # Return the pictures in a folder and in the folders in it, told apart. Raises PicturesError
     )
     from .calibrations import (
         Calibrations,  # The calibrations of one instrument. Raises StorageError for whatever the disk refuses
@@ -76,13 +69,10 @@ if TYPE_CHECKING:
         told_by_overlaps,  # Return the trend after an object was solved
     )
     from .in_air import (
-        PicturesError,  # A folder of pictures cannot be used; the text names the file, what is wrong and the remedy
-        ViewFolder,  # A folder for views of one board by one instrument
         calibrate_folder,  # Calibrate in air from a folder, write out and beside it both pictures
+        calibrate_pictures,  # Calibrate the cameras name from pictures, write out and what goes beside it
         find_boards,  # Look at every pair. Raises PicturesError, ScanError
         install,  # Make a calibration in air the instrument's: where it lies, and where the one before it now does
-        pairs_of,  # Return the pairs of a folder, by name. Raises PicturesError
-        read_session,  # Return instrument and board of a folder that --live filled
     )
     from .in_water import (
         check_list,  # Raises ListError for what cannot calibrate, before the work is done
@@ -92,6 +82,10 @@ if TYPE_CHECKING:
         MeasuredNoise,  # One camera's noise as a scan shows it
         NoiseError,  # A scan does not tell the noise; the text says why and what to do
         measure_noise,  # Return the noise of the camera that recorded frames (n, h, w) uint8
+    )
+    from .pictures import (
+        PicturesError,  # A folder of pictures cannot be used; the text names the file, what is wrong and the remedy
+        ViewFolder,  # A folder for views of one board by one instrument
     )
     from .projector_response import (
         CameraImages,  # Images of one camera: frames (n, h, w) uint8 of the whole sequence

@@ -91,20 +91,19 @@ class CalibrateAir(WithRoot):
             BoardDesign,
             BoardError,
             PicturesError,
+            ViewFolder,
             calibrate_folder,
-            parse_board,
-            read_session,
         )
         from appliance.calibrate import install as install_air
 
         target = self.out or self.folder / "air.json"
         try:
-            design = None if self.board is None else parse_board(self.board)
+            design = None if self.board is None else BoardDesign.parse(self.board)
             if self.live is not None:
                 self._record(rig, self.live, design)
             # The board that the views were recorded with is written beside them, so that nobody has to remember its
             # size.
-            begun = read_session(self.folder)
+            begun = ViewFolder.session(self.folder)
             design = design or (begun[1] if begun is not None else BoardDesign())
             with Progress() as progress, writing(target):
                 report = calibrate_folder(rig, self.folder, design, target, datetime.now(UTC), progress)
@@ -116,8 +115,7 @@ class CalibrateAir(WithRoot):
         if self.install:
             installed, before = install_air(rig, target)
             report |= {"installed": str(installed), "before": None if before is None else str(before)}
-        self.tell(report, _lines_of_instrument(report))
-        return Exit.OK
+        return self._told(report)
 
     def _record(self, rig: Rig, views: int, design: BoardDesign | None) -> None:
         from appliance.calibrate import ViewFolder
@@ -140,29 +138,37 @@ class CalibrateAir(WithRoot):
         existing("FOLDER", self.folder, "the pictures of the board")
         from appliance.calibrate import (
             AirCalibrationError,
-            BoardNotFoundError,
-            Patterns,
             PicturesError,
             Wanted,
             calibrate_pictures,
-            named_pictures,
         )
 
         across, down, square_mm, marker_mm = sizes_mm
         wanted = Wanted(square_mm, across, down, marker_mm)
         target = self.out or self.folder / "pair.json"
         try:
-            pictures = named_pictures(self.folder, Patterns(left, right) if comma else None)
             with Progress() as progress, writing(target):
-                report = calibrate_pictures(name, pictures, wanted, self.flat, target, datetime.now(UTC), progress)
+                report = calibrate_pictures(
+                    name,
+                    self.folder,
+                    (left, right) if comma else None,
+                    wanted,
+                    self.flat,
+                    target,
+                    datetime.now(UTC),
+                    progress,
+                )
         except PicturesError as error:
             raise UsageError(str(error)) from error
-        except (AirCalibrationError, BoardNotFoundError) as error:
+        except AirCalibrationError as error:
             complain(str(error), as_json=self.json)
             return Exit.FAILED
+        return self._told(report)
+
+    def _told(self, report: dict[str, Any]) -> Exit:
         for text in report["warnings"]:
             log.warning(text)
-        self.tell(report, _lines_of_pair(report))
+        self.tell(report, _lines(report))
         return Exit.OK
 
     def _sizes_mm(self) -> tuple[int | None, int | None, float, float | None]:
@@ -191,26 +197,7 @@ class LiveFailed(Exception):
     """Recording ended before there were enough views; the text says why."""
 
 
-def _lines_of_instrument(report: dict[str, Any]) -> list[str]:
-    rows = [
-        (view["name"], str(view["corners"]), f"{view['residual_px']:.3f}", "; ".join(view["remarks"]))
-        for view in report["views"]
-    ]
-    return [
-        table(("VIEW", "CORNERS", "RESIDUAL PX", ""), rows),
-        *(f"{key.replace('_', ' ')}: {text}" for key in ("left_out", "missing") for text in report[key]),
-        *_figures(
-            report,
-            ("board's bow", f"{report['board_bow_mm']:.3f} mm"),
-            ("file", report["file"]),
-            *(("picture", path) for path in report["pictures"]),
-            *(("installed", report[key]) for key in ("installed",) if report.get(key)),
-            *(("the one before is", report[key]) for key in ("before",) if report.get(key)),
-        ),
-    ]
-
-
-def _lines_of_pair(report: dict[str, Any]) -> list[str]:
+def _lines(report: dict[str, Any]) -> list[str]:
     rows = [
         (
             view["name"],
@@ -224,25 +211,27 @@ def _lines_of_pair(report: dict[str, Any]) -> list[str]:
     return [
         table(("VIEW", "CORNERS", "RESIDUAL PX", "NOISE PX", ""), rows),
         *(f"left out: {text}" for text in report["left_out"]),
-        *(f"neither left nor right by its name: {text}" for text in report["unnamed"]),
-        *_figures(
-            report,
-            ("board found", report["board"]),
-            ("left and right told by", report["told_by"]),
-            ("pairs", f"{len(report['pairs'])} of {len(report['views'])} views used"),
-            ("board's bow, saddle, twist", ", ".join(f"{v:.3f}" for v in report["board_shapes_mm"][:3]) + " mm"),
-            ("file", report["file"]),
-            ("for OpenCV", report["opencv_file"]),
-            *(("picture", path) for path in report["pictures"]),
-        ),
+        *(f"neither left nor right by its name: {text}" for text in report.get("unnamed", ())),
+        *(f"{name:<27} {value}" for name, value in _figures(report)),
     ]
 
 
-def _figures(report: dict[str, Any], *more: tuple[str, Any]) -> list[str]:
+def _figures(report: dict[str, Any]) -> list[tuple[str, str]]:
     f, sd = report["principal_distance_px"], report["principal_distance_sd_px"]
-    figures = (
+    names = {
+        "file": "file",
+        "opencv_file": "for OpenCV",
+        "told_by": "left and right told by",
+        "installed": "installed",
+        "before": "the one before is",
+    }
+    return [
         ("residual", f"{report['residual_px']:.4f} px"),
         ("principal distances", f"{f[0]:.2f} ± {sd[0]:.2f} / {f[1]:.2f} ± {sd[1]:.2f} px"),
         ("baseline", f"{report['baseline_mm']:.3f} ± {report['baseline_sd_mm']:.3f} mm"),
-    )
-    return [f"{name:<27} {value}" for name, value in (*figures, *more)]
+        ("board", report["board"]),
+        ("board's bow, saddle, twist", ", ".join(f"{v:.3f}" for v in report["board_shapes_mm"][:3]) + " mm"),
+        ("pairs", f"{len(report['pairs'])} of {len(report['views'])} views used"),
+        *((name, report[key]) for key, name in names.items() if report.get(key)),
+        *(("picture", path) for path in report["pictures"]),
+    ]

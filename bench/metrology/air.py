@@ -49,7 +49,7 @@ def _views(rig: TrueRig, poses: Sequence[Pose], water: Water) -> list[BoardView]
     found = []
     for k, pose in enumerate(poses):
         pictures = picture(renderer, pose, water, 1000 * rig.seed + k)
-        view = find_board(f"board {k}", pictures.left, pictures.right, BOARD)
-        if isinstance(view, BoardView):
-            found.append(view)
+        view, reasons = find_board(f"board {k}", {"left": pictures.left, "right": pictures.right}, BOARD, strict=True)
+        if not reasons:
+            found.append(view.without(~(view.has("left") & view.has("right"))))
     return found

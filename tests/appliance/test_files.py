@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from appliance.base.bounded_file import parse_toml, read_bounded, read_text
-from appliance.calibrate.any_pair import common_size, read_grey
-from appliance.calibrate.in_air import Pair, read_pair, read_session
+from appliance.calibrate.pictures import Pair, ViewFolder, common_size, read_grey, read_pair
 from appliance.desk.foreign.camera_files import camera_numbers, numbers_in
 from appliance.desk.foreign.description import load_description
 from appliance.desk.foreign.frames import Frame, FrameReader, frames_in
@@ -32,7 +31,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "list in JSON": ("list.json", read_list),
     "calibration": ("calibration.json", load_calibration),
     "noise": ("noise.json", NOISE.load),
-    "session": ("board.json", lambda path: read_session(path.parent)),
+    "session": ("board.json", lambda path: ViewFolder.session(path.parent)),
     **{f"cameras {suffix}": (f"stereo{suffix}", numbers_in) for suffix in (".yml", ".xml", ".json", ".npz", ".npy", ".mat", ".txt", ".csv")},
     "image": ("a.png", lambda path: FrameReader().raw(Frame(path))),
     "pages": ("a.tif", frames_in),

@@ -18,7 +18,7 @@ import pytest
 from appliance.calibrate.air.board import BoardDesign
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.health import HealthFile, HealthTrend
-from appliance.calibrate.in_air import ViewFolder
+from appliance.calibrate.pictures import ViewFolder
 from appliance.cli.setup import _write as write_firmware
 from appliance.desk.anew.results import Results
 from appliance.desk.export.content import CAMERA_FRAME, About

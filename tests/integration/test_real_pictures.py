@@ -17,8 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibrate.air.adjustment import BoardTolerance
-from appliance.calibrate.air.any_board import FoundBoard, find_corners_of
-from appliance.calibrate.air.board import BoardDesign, NoBoard
+from appliance.calibrate.air.board import BoardDesign, NoBoard, find_corners
 from appliance.calibrate.air.calibrate import calibrate_air
 from appliance.calibrate.air.linearised import BoardView, bend_of
 from appliance.cli import main
@@ -43,14 +42,14 @@ def folder() -> Path:
 def views(folder: Path) -> list[BoardView]:
     """Corners of all pairs, with the board as its owner describes it."""
     design = BoardDesign(25, 18, 7.5, 5.6, cv2.aruco.DICT_5X5_1000, legacy=True)
-    board, board_mm = FoundBoard(design, "5X5", 225), np.asarray(design.pattern().getChessboardCorners(), np.float64)
+    board_mm = np.asarray(design.pattern().getChessboardCorners(), np.float64)
     found = []
     for path in sorted(folder.glob("*_left.png")):
         sides: list[dict[int, Array]] = []
         for one in (path, path.with_name(path.name.replace("_left", "_right"))):
             image = cv2.imread(str(one), cv2.IMREAD_GRAYSCALE)
             assert image is not None
-            corners = find_corners_of(np.asarray(image, np.uint8), board)
+            corners = find_corners(np.asarray(image, np.uint8), design, strict=False)
             assert not isinstance(corners, NoBoard), one
             sides.append(corners)
         found.append(BoardView.of(path.name, board_mm, *sides))

@@ -7,41 +7,32 @@ seen, in the order of their numbers, on a plane. Only the size of a square canno
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.board import BRIGHT_PERCENTILE, DARK_DN, BoardDesign, NoBoard, refined
-from appliance.calibrate.air.linearised import MIN_CORNERS
+from appliance.calibrate.air.board import (
+    FAMILIES,
+    LEAST_MARKERS,
+    BoardDesign,
+    Markers,
+    dictionary_name,
+    dictionary_number,
+    find_markers,
+    flipped,
+)
+from appliance.calibrate.air.calibrate import AirCalibrationError
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 Image = NDArray[np.uint8]
 
-FAMILIES: Mapping[str, tuple[tuple[int, str], ...]] = {
-    "5X5": ((50, "DICT_5X5_50"), (100, "DICT_5X5_100"), (250, "DICT_5X5_250"), (1000, "DICT_5X5_1000")),
-    "4X4": ((50, "DICT_4X4_50"), (100, "DICT_4X4_100"), (250, "DICT_4X4_250"), (1000, "DICT_4X4_1000")),
-    "6X6": ((50, "DICT_6X6_50"), (100, "DICT_6X6_100"), (250, "DICT_6X6_250"), (1000, "DICT_6X6_1000")),
-    "APRILTAG_36h11": ((587, "DICT_APRILTAG_36h11"),),
-    "ARUCO_ORIGINAL": ((1024, "DICT_ARUCO_ORIGINAL"),),
-    "7X7": ((50, "DICT_7X7_50"), (100, "DICT_7X7_100"), (250, "DICT_7X7_250"), (1000, "DICT_7X7_1000")),
-    "ARUCO_MIP_36h12": ((250, "DICT_ARUCO_MIP_36h12"),),
-    "APRILTAG_25h9": ((35, "DICT_APRILTAG_25h9"),),
-    "APRILTAG_16h5": ((30, "DICT_APRILTAG_16h5"),),
-    "APRILTAG_36h10": ((2320, "DICT_APRILTAG_36h10"),),
-}
-"""OpenCV's predefined dictionaries, the likely ones first. Those of one family begin alike: only how many markers they have
-differs."""
 SQUARES = (3, 60)
-LEAST_MARKERS = 8
-"""Fewer markers on a plane may be chance."""
 SEARCHED = 250
 """Markers of each dictionary that are looked for until it is known which it is: time grows with their number."""
-LEAST_SQUARES = 4
-"""Fewest markers of which anything is made."""
 BELONG = 0.6
 """Least share of the markers seen that the layout must put on one plane."""
 LOOKED_AT = 4
@@ -56,34 +47,12 @@ STRAIGHT = 0.25
 """Largest part of the way down by which a marker may be off to the side and still be the one below."""
 ALONG = 0.9
 """Least cosine between a marker's edges and the squares': without it, a board of which one corner is seen fits sheared."""
-LEAST_SPREAD = 0.005
-"""Least part of the image inside the corners' bounding box, below which they are too near together to tell anything."""
-SMALL_SPREAD = 0.15
-"""Part of the image inside the corners' bounding box below which somebody is told: a board that fills an eighth of the picture is used,
-by what it tells, and tells a third as much of the lens as one that fills it."""
 SIZE_OFF = 0.1
 """Largest difference between the markers' size as told and as seen, in parts of a square."""
-THRESHOLD_WINDOWS = (300, 32)
-"""Smallest and largest window for thresholds, as parts of the image's width: four between them find markers of any size."""
 
 
-class BoardNotFoundError(Exception):
+class BoardNotFoundError(AirCalibrationError):
     """No picture shows a board of a kind that is known; the text says what was tried, what was seen and what to do."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Markers:
-    """Markers of one dictionary in one picture."""
-
-    ids: Numbers
-    """(n,)."""
-    outlines_px: Array
-    """(n, 4, 2): corners, clockwise from the marker's own first."""
-
-    @property
-    def centres_px(self) -> Array:
-        """Middles of the outlines (n, 2)."""
-        return np.asarray(self.outlines_px.mean(axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,51 +66,11 @@ class Wanted:
     marker_mm: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class FoundBoard:
-    """A board as pictures show it."""
-
-    design: BoardDesign
-    family: str
-    """Name in ``FAMILIES``."""
-    markers: int
-    """Largest number of markers that one picture shows."""
-
-    def __str__(self) -> str:
-        """Say in words what was found."""
-        d = self.design
-        layout = "before OpenCV 4.6" if d.legacy else "since OpenCV 4.6"
-        if d.down % 2:
-            layout = "the same before and since OpenCV 4.6"
-        name = dictionary_name(self.family, d)
-        return f"{d.across}x{d.down} squares of {d.square_mm:g} mm, markers of {d.marker_mm:.3g} mm, {name}, layout {layout}"
-
-
-def dictionary_name(family: str, design: BoardDesign) -> str:
-    """Return the name of the smallest dictionary of a family that has all the board's markers."""
-    needed = design.across * design.down // 2
-    return next((name for size, name in FAMILIES[family] if size >= needed), FAMILIES[family][-1][1])
-
-
-def find_markers(image: Image, family: str, first: int | None = None) -> Markers:
-    """Return the markers of a family in a picture (h, w) uint8; ``first``: only those with numbers below it."""
-    small, large = (max(low, image.shape[1] // part) for part, low in zip(THRESHOLD_WINDOWS, (3, 23), strict=True))
-    settings = cv2.aruco.DetectorParameters()
-    settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = small, large
-    settings.adaptiveThreshWinSizeStep = max((large - small) // 3, 1)
-    whole = cv2.aruco.getPredefinedDictionary(_number(FAMILIES[family][-1][1]))
-    dictionary = cv2.aruco.Dictionary(whole.bytesList[:first], whole.markerSize, whole.maxCorrectionBits)
-    outlines, ids, _ = cv2.aruco.ArucoDetector(dictionary, settings).detectMarkers(image)
-    if ids is None or len(ids) == 0:
-        return Markers(np.empty(0, np.intp), np.empty((0, 4, 2)))
-    return Markers(np.ravel(np.asarray(ids, np.intp)), np.asarray(outlines, np.float64).reshape(-1, 4, 2))
-
-
 def search_board(
     pictures: Sequence[tuple[str, Callable[[], Image]]],
     wanted: Wanted,
     progress: Callable[[str, float], None],
-) -> FoundBoard:
+) -> BoardDesign:
     """Find the board that pictures show, each a name and how to read it. Raises BoardNotFoundError."""
     step = max(1, len(pictures) // LOOKED_AT)
     chosen = [(name, read()) for name, read in pictures[::step][:LOOKED_AT]]
@@ -149,7 +78,7 @@ def search_board(
     # Upright in all pictures first: to look for mirrored ones takes as long again.
     for mirrored in (False, True):
         for k, (name, image) in enumerate(chosen):
-            shown = _flipped(image) if mirrored else image
+            shown = flipped(image) if mirrored else image
             for family in FAMILIES:
                 progress(f"looking for {family} in {name}", k / len(chosen))
                 first = find_markers(shown, family, SEARCHED)
@@ -175,41 +104,6 @@ def search_board(
     )
 
 
-def find_corners_of(image: Image, found: FoundBoard) -> dict[int, Array] | NoBoard:
-    """Return the board's corners in one picture (h, w) uint8: pixels (2,) by the corner's number in ``found.design``.
-
-    A board of any size will do, since each corner counts as much as it tells. A reason has ``{side}`` where the camera's name belongs.
-    """
-    design = found.design
-    count = design.across * design.down // 2
-    markers = find_markers(image, found.family, count)
-    if len(markers.ids) < LEAST_SQUARES:
-        if len(find_markers(_flipped(image), found.family, count).ids) >= LEAST_MARKERS:
-            return NoBoard("the {side} picture is mirrored; give it as the camera saw it")
-        if float(np.percentile(image, BRIGHT_PERCENTILE)) < DARK_DN:
-            return NoBoard("the {side} picture is dark; more light, or a longer exposure")
-        return NoBoard(f"{len(markers.ids)} markers of the board in the {{side}} picture, {LEAST_SQUARES} are needed")
-    detector = cv2.aruco.CharucoDetector(design.pattern())
-    outlines = [np.asarray(o, np.float32)[None] for o in markers.outlines_px]
-    ids = np.asarray(markers.ids, np.int32)[:, None]
-    corners, numbers, _, _ = detector.detectBoard(image, markerCorners=outlines, markerIds=ids)
-    seen = 0 if numbers is None else len(numbers)
-    if seen < MIN_CORNERS:
-        return NoBoard(
-            f"{seen} corners in the {{side}} picture, {MIN_CORNERS} are needed; {len(markers.ids)} markers were seen"
-        )
-    at = np.asarray(corners, np.float64).reshape(-1, 2)
-    if spread_of(at, image.shape) < LEAST_SPREAD:
-        return NoBoard(f"the board fills {100 * spread_of(at, image.shape):.2g} % of the {{side}} picture: too little")
-    return refined(image, design, at, np.ravel(np.asarray(numbers, np.intp)))
-
-
-def spread_of(corners_px: Array, shape: tuple[int, ...]) -> float:
-    """Return the part of an image (h, w) inside the bounding box of corners (n, 2)."""
-    extent = np.ptp(corners_px, axis=0)
-    return float(extent[0] * extent[1]) / (shape[0] * shape[1])
-
-
 # ------------------------------------------------------------------------------------------ layout
 
 
@@ -229,7 +123,7 @@ class _Grid:
     """The markers' side in squares."""
 
 
-def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> FoundBoard:
+def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> BoardDesign:
     told = {n for n in (wanted.across, wanted.down) if n is not None}
     best = _best_grid(every)
     if best is None:
@@ -262,8 +156,7 @@ def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> FoundBo
             f"{best.marker * wanted.square_mm:.3g} mm of {wanted.square_mm:g} mm; measure the board, or leave it out"
         )
     plain = BoardDesign(best.across, max(down, SQUARES[0]), wanted.square_mm, size * wanted.square_mm)
-    named = replace(plain, dictionary=_number(dictionary_name(family, plain)), legacy=best.white_first)
-    return FoundBoard(named, family, max(len(m.ids) for m in every))
+    return replace(plain, dictionary=dictionary_number(dictionary_name(family, plain)), legacy=best.white_first)
 
 
 def _best_grid(every: Sequence[Markers]) -> _Grid | None:
@@ -343,11 +236,3 @@ def _on_plane(markers: Markers, squares: Numbers) -> tuple[NDArray[np.bool_], fl
     if not near.any():
         return none
     return near, float(np.median(np.concatenate([length[near] for length in lengths])))
-
-
-def _number(name: str) -> int:
-    return int(getattr(cv2.aruco, name))
-
-
-def _flipped(image: Image) -> Image:
-    return np.ascontiguousarray(image[:, ::-1])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.air.board import BoardDesign, NoBoard, find_board, find_corners
-from appliance.calibrate.air.linearised import BoardView
+from appliance.calibrate.air.linearised import MIN_CORNERS, BoardView
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -27,11 +27,16 @@ def view_of(
 
     Corners are those of the pictures' mean.
     """
-    view = find_board(name, mean_of(left), mean_of(right), design)
-    if isinstance(view, NoBoard):
-        return view
+    view, reasons = find_board(name, {"left": mean_of(left), "right": mean_of(right)}, design, strict=True)
+    if reasons:
+        return NoBoard(reasons[0])
+    if (both := np.count_nonzero(view.has("left") & view.has("right"))) < MIN_CORNERS:
+        return NoBoard(
+            f"{name}: only {both} corners are seen by both cameras, {MIN_CORNERS} are needed; "
+            f"hold the board in the middle between them, with nothing before it"
+        )
     for side, pictures in (("left", left), ("right", right)):
-        first, last = (find_corners(pictures[k], design) for k in (0, -1))
+        first, last = (find_corners(pictures[k], design, strict=True) for k in (0, -1))
         if isinstance(first, NoBoard) or isinstance(last, NoBoard):
             return NoBoard(f"{name}: the board went out of the {side} image while it was recorded; let it rest")
         moved_px = _moved_px(first, last)
@@ -59,9 +64,9 @@ def _moved_px(first: Mapping[int, Array], last: Mapping[int, Array]) -> float | 
 
 def _apart_px(one: BoardView, other: BoardView) -> float | None:
     """Return the RMS distance of the left image's common corners; ``None`` where there are none."""
-    places = {tuple(corner): k for k, corner in enumerate(one.corners_mm.tolist())}
-    pairs = [(places[key], k) for k, corner in enumerate(other.corners_mm.tolist()) if (key := tuple(corner)) in places]
-    if not pairs:
-        return None
-    mine, theirs = np.array(pairs).T
-    return float(np.sqrt(np.mean(np.sum((one.left_px[mine] - other.left_px[theirs]) ** 2, axis=1))))
+    mine, theirs = (
+        {tuple(corner): px for corner, px in zip(corners_mm.tolist(), seen_px, strict=True)}
+        for corners_mm, seen_px in (one.sighting("left"), other.sighting("left"))
+    )
+    apart = [mine[corner] - theirs[corner] for corner in mine.keys() & theirs.keys()]
+    return float(np.sqrt(np.mean(np.sum(np.square(apart), axis=1)))) if apart else None

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate import BoardView, NoBoard, ViewFolder, coverage, find_boards, mean_of, pairs_of, view_of
+from appliance.calibrate import BoardView, NoBoard, ViewFolder, coverage, find_boards, mean_of, view_of
 from appliance.instrument.capture.grabber import Grabber
 from appliance.instrument.capture.scan import ScanRecorder, ScanSettings
 from appliance.instrument.capture.store import FrameStore
@@ -114,7 +114,7 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
 def _known(target: ViewFolder, size_px: tuple[int, int]) -> list[BoardView]:
     if not any(target.folder.glob("*/left.png")):
         return []
-    found = find_boards(pairs_of(target.folder), target.design, size_px, lambda _what, _part: None)
+    found = find_boards(target.folder, target.design, size_px, lambda _what, _part: None)
     return list(found.views)
 
 

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.calibrate.any_pair import Patterns, common_size, named_pictures, read_grey
-from appliance.calibrate.in_air import PicturesError
+from appliance.calibrate.pictures import PicturesError, common_size, named_pictures, read_grey
 
 GREY = np.tile(np.linspace(10, 200, 100, dtype=np.uint8), (80, 1))
 
@@ -22,7 +21,7 @@ def folder_of(tmp_path: Path, *names: str) -> Path:
     return tmp_path
 
 
-def listed(folder: Path, patterns: Patterns | None = None) -> dict[str, tuple[str | None, str | None]]:
+def listed(folder: Path, patterns: tuple[str, str] | None = None) -> dict[str, tuple[str | None, str | None]]:
     def below(path: Path | None) -> str | None:
         return None if path is None else path.relative_to(folder).as_posix()
 
@@ -48,9 +47,9 @@ def test_any_other_names_are_told_by_patterns(tmp_path: Path) -> None:
     with pytest.raises(PicturesError, match=r"2041_1_x.png, .*--sides LEFT,RIGHT"):
         named_pictures(folder, None)
     pairs = {k: (f"2041_{k}_x.png", f"2077_{k}_y.png") for k in ("1", "2")}
-    assert listed(folder, Patterns("2041_*_x.png", "2077_*_y.png")) == pairs
+    assert listed(folder, ("2041_*_x.png", "2077_*_y.png")) == pairs
     with pytest.raises(PicturesError, match="--sides 2041"):
-        named_pictures(folder, Patterns("2041", "2077_*_y.png"))
+        named_pictures(folder, ("2041", "2077_*_y.png"))
 
 
 def test_what_one_camera_has_alone_and_what_nothing_tells_are_kept_apart_and_one_twice_is_named(tmp_path: Path) -> None:

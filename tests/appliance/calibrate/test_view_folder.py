@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.base.sealed_file import ContentError
 from appliance.calibrate.air.board import BoardDesign
-from appliance.calibrate.in_air import ViewFolder, read_session
+from appliance.calibrate.pictures import ViewFolder
 from appliance.store.atomic import StorageError
 
 LEFT: NDArray[np.uint8] = np.arange(64, dtype=np.uint8).reshape(8, 8)
@@ -49,8 +49,8 @@ def test_who_goes_on_finds_the_folders_board_and_what_a_loss_of_power_left_of_a_
     (tmp_path / ".02" / "left.png").write_bytes(b"half")
     assert ViewFolder(tmp_path, "KF-1", None).design == ViewFolder(tmp_path, "KF-1", usual).design == usual
     assert sorted(path.name for path in tmp_path.iterdir()) == [".git", "01", "board.json"]
-    assert read_session(tmp_path) == ("KF-1", usual)
-    assert read_session(tmp_path / "01") is None
+    assert ViewFolder.session(tmp_path) == ("KF-1", usual)
+    assert ViewFolder.session(tmp_path / "01") is None
     content = json.loads((tmp_path / "board.json").read_text())
     assert content == {"schema": 1, "rig_serial": "KF-1", "board": str(usual)}
     for serial, design, said in (("KF-2", None, "KF-1.*KF-2"), ("KF-1", replace(usual, across=14), f"{usual}, not ")):

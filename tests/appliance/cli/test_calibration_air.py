@@ -257,7 +257,7 @@ def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
     assert report["left_out"] == [
         f"{cut}: is damaged and cannot be decoded; bring it back from a copy",
         "v0_left.png: 400x300 px, the other pictures have 720x540 px",
-        "1: the right picture is mirrored; give it as the camera saw it",
+        "1: the right image is mirrored; give it as the camera saw it",
     ]
     assert report["pairs"] == ["2", "3", "4", "5", "6"]
 

@@ -23,8 +23,7 @@ from appliance.base.sealed_file import ContentError
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.calibrate.health import HealthFile, HealthTrend, TrendPoint
-from appliance.calibrate.in_air import Pair, PicturesError, ViewFolder, read_pair
-from appliance.calibrate.in_air import read_session as read_views
+from appliance.calibrate.pictures import Pair, PicturesError, ViewFolder, read_pair
 from appliance.desk import object_store as objects
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import Pointers
@@ -249,7 +248,7 @@ def read_broken(data: bytes, _: Path) -> None:
 
 def read_board(data: bytes, folder: Path) -> None:
     (folder / "board.json").write_bytes(data)
-    begun = read_views(folder)
+    begun = ViewFolder.session(folder)
     assert begun is not None
     assert ViewFolder(folder, *begun).design == begun[1]
 

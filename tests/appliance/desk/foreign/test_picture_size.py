@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.calibrate.in_air import Pair, PicturesError, read_pair
+from appliance.calibrate.pictures import Pair, PicturesError, read_pair
 from appliance.store.picture_size import picture_head, size_px
 
 
