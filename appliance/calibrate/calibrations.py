@@ -8,8 +8,8 @@
     session/solved.json         the calibration that was solved from them, and report.html and .json about it
     sessions/0001/              sessions put away, the oldest first
 
-Whether the solved calibration is in use is not written down: the files say so, also after a loss of power between two of
-them. Nothing in here deletes anything. One process writes, from one thread at a time.
+Whether the solved calibration is in use is not written down: the files say so, also after a loss of power between two
+of them. Nothing in here deletes anything. One process writes, from one thread at a time.
 """
 
 from __future__ import annotations
@@ -176,8 +176,8 @@ class Calibrations:
     def bring_back(self, name: str | None, date: str) -> Path:
         """Put a kept file in use again, byte for byte: ``name``, or the last one kept that is not in use.
 
-        What was in use is kept, so that doing it twice changes nothing. Raises SessionError, CalibrationError for a file
-        that is damaged.
+        What was in use is kept, so that doing it twice changes nothing. Raises SessionError, CalibrationError for a
+        file that is damaged.
         """
         now = _bytes(self.current)
         files = sorted((self.folder / "kept").glob("*.json"), key=lambda path: (_leading(path.name), path.name))

@@ -1,6 +1,7 @@
 """Owns the long computations of a calibration in water, as jobs for ``Background``: examine a recording, solve, verify.
 
-It also owns how the artefacts must be held: limits of pose, size and fit, and which of them a found artefact breaks first.
+It also owns how the artefacts must be held: limits of pose, size and fit, and which of them a found artefact breaks
+first.
 
 The limits are wide enough for hands, and narrow enough that no two steps accept the same pose. Bars tilted in depth are
 what the published search of distances needs; which end is nearer, and how the planes lean, changes no result and is not
@@ -65,7 +66,8 @@ HALF_UP_DEG = 45.0
 """Angle against the horizontal below which a bar is lying, and above which it is upright."""
 MOST_PLANE_TILT_DEG = 35.0
 _PLANES_MM = MappingProxyType({Step.M3: (430.0, 470.0, 515.0), Step.M4: (530.0, 570.0, 620.0)})
-"""Distances of the two planes from the standard housing's projection centres, along its axis: least, wanted and most."""
+"""Distances of the two planes from the standard housing's projection centres, along its axis: least, wanted and most.
+"""
 LEAST_FILL_PERCENT = 45.0
 """Share of the left picture that the plane must cover."""
 RADIUS_OFF, LENGTH_OFF = 0.1, 0.03
@@ -215,13 +217,15 @@ def refuse_drawing(rig: Rig, path: Path | None) -> None:
     """Raises CalibrationError where calibrating in water would begin with the drawing without anybody having said so."""
     if path is None and not (Instrument(rig).air_file).exists() and not (Instrument(rig).calibration_file).exists():
         raise CalibrationError(
-            f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibration air`), or give with --calibration FILE "
+            f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibration air`), or give with "
+            "--calibration FILE "
             "what to begin with, be it the drawing (`kingfisher calibration show nominal --out FILE`)"
         )
 
 
 VERIFY_GAP_MM = 20.0
-"""Largest ray gap of a point that verifies, as in ``kingfisher evaluate``: the calibration of before must not hide its own worst points."""
+"""Largest ray gap of a point that verifies, as in ``kingfisher evaluate``: the calibration of before must not hide its
+own worst points."""
 Report = Callable[[float], None]
 
 
@@ -263,8 +267,8 @@ class Solution:
 def basis_of(rig: Rig) -> Basis:
     """Return what is known of this instrument now.
 
-    Raises RecordingError without a certificate or without anything to start from, CalibrationError for a file in air that
-    cannot be used.
+    Raises RecordingError without a certificate or without anything to start from, CalibrationError for a file in air
+    that cannot be used.
     """
     bar = rig.ball_bar
     if bar is None:

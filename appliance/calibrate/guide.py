@@ -122,8 +122,8 @@ class Verified:
     after: float | None
     """Error with the solved calibration; ``None``: nothing is solved, the bar only checks the one in use."""
     sigma: float
-    """Standard uncertainty of ``after`` (of ``before`` without it) from the noise of the points and from the certificate,
-    relative as well."""
+    """Standard uncertainty of ``after`` (of ``before`` without it) from the noise of the points and from the
+    certificate, relative as well."""
     checked: str | None = None
     """Hash of the calibration that ``before`` is of; ``None``: of the drawing."""
 

@@ -1,4 +1,5 @@
-"""Owns the judgement whether a calibration still holds: each scan's ray gaps against those right after it, and their trend.
+"""Owns the judgement whether a calibration still holds: each scan's ray gaps against those right after it, and their
+trend.
 
 Pure values and functions. A scan gives four amplitudes (``gaps.MODES``), and is judged in three steps:
 
@@ -22,8 +23,8 @@ It also owns what is remembered on the disk about how a calibration holds: one s
 
     <root>/calibration/health/<first 16 digits of the calibration's hash>.json
 
-Replaced as a whole after each scan, so that a loss of power costs the latest scan's entry at most. A file that cannot be
-read is put aside under another name: the trend begins anew, and a person can look at what there was.
+Replaced as a whole after each scan, so that a loss of power costs the latest scan's entry at most. A file that cannot
+be read is put aside under another name: the trend begins anew, and a person can look at what there was.
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ TEACHES_UP_TO = 2.0
 LEAST_UM = 0.3
 """Scatter of an amplitude that remains with the best calibration."""
 DRIFT_UM = (27.0, 3.6, 0.0, 0.0)
-"""Standard deviation of amplitudes from mounts that turn with the temperature of the case: 0.003° about x (520 mm away) and about z
-(70 mm aside). Neither spoils a length, and so much leaves a knock of 0.02° to be found by the second scan. A turn about y spoils
-lengths, and is forgiven nothing."""
+"""Standard deviation of amplitudes from mounts that turn with the temperature of the case: 0.003° about x (520 mm away)
+and about z (70 mm aside). Neither spoils a length, and so much leaves a knock of 0.02° to be found by the second scan.
+A turn about y spoils lengths, and is forgiven nothing."""
 PATCH_UM = 0.5
 """Scatter of a patch that remains with the best calibration."""
 SHARE_KNOWN = 0.5
@@ -79,20 +80,24 @@ MOST_ANSWERS = 20
 MOST_OBJECTS = 50
 """Objects kept for looking back."""
 OVERLAP_LIMIT = 4.0
-"""Score of an object's overlaps that alarms: calibrated rigs of the world ``outside`` have 0.4 to 1.6 (docs/objects.md)."""
+"""Score of an object's overlaps that alarms: calibrated rigs of the world ``outside`` have 0.4 to 1.6
+(docs/objects.md)."""
 OFFSET_SHARE = 0.05
 """Uncertainty of an accepted change as a share of it: turns and shifts of the same amplitude differ a little with
 distance."""
 MOST_VEIL_UM = 22.0
-"""Doubt about what backscatter does to the gaps, rms, beyond which a scan is not judged: a turn of 0.02° about z gives no more."""
+"""Doubt about what backscatter does to the gaps, rms, beyond which a scan is not judged: a turn of 0.02° about z gives
+no more."""
 MATTERS_DEG = 0.02
 """Turn of a camera that three scans should find; where they would not, the verdict says what they do find."""
 SCANS_TO_FIND = 3
 LASTING = 2.5
-"""Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add them up. By the rate of
-false alarms (``docs/calibration-health.md``): shapes of causes are only as good as the model of the water."""
+"""Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add
+them up. By the rate of false alarms (``docs/calibration-health.md``): shapes of causes are only as good as the model of
+the water."""
 TAKEN_WRONGLY = 0.4
-"""Standard deviation of what is taken off an amplitude for backscatter, of it: as far as the model of the water is off beyond its causes."""
+"""Standard deviation of what is taken off an amplitude for backscatter, of it: as far as the model of the water is off
+beyond its causes."""
 _WIDE_UM = 1e3
 """Standard deviation of an amplitude that the seen patches say nothing about."""
 
@@ -136,7 +141,8 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class OverlapNews:
-    """The word of one object's overlaps on the smooth depth error that all its scans share (``calibration.depth_error``)."""
+    """The word of one object's overlaps on the smooth depth error that all its scans share
+    (``calibration.depth_error``)."""
 
     object: str
     scans: int
@@ -260,14 +266,16 @@ def told_by_overlaps(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
     alarm = trend.alarm
     if alarm is None and news.alarm:
         alarm = (
-            f"scans of object {news.object} overlap as if all were bent by {news.bend_um:.0f} ± {news.sigma_um:.0f} µm: "
+            f"scans of object {news.object} overlap as if all were bent by {news.bend_um:.0f} ± {news.sigma_um:.0f} "
+            "µm: "
             f"{news.score:.1f} times what the calibration states"
         )
     return replace(trend, alarm=alarm, overlaps=(*others, news)[-MOST_OBJECTS:])
 
 
 def found_from_deg(gaps: PatchGaps, covariance: Array) -> tuple[float, float, float] | None:
-    """Return the smallest turns of the right camera about x, y, z that ``SCANS_TO_FIND`` scans like this one alarm at, in degrees.
+    """Return the smallest turns of the right camera about x, y, z that ``SCANS_TO_FIND`` scans like this one alarm at,
+    in degrees.
 
     ``covariance`` (4, 4) is that of the scan's amplitudes; ``None``: how they answer to turns was not asked.
     """
@@ -319,9 +327,9 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     doubted_um = _size(causes)
     causes, shape = causes - known_causes[:, :DOUBTS], shape - known_causes[:, DOUBTS]
     share_new = min(_size(causes) / max(doubted_um, 1e-9), 1.0)
-    # Generalised least squares: a cause moves all patches together, so that its pattern is told from that of a knock by the
-    # scan itself. What is left over counts as if patches were independent, and its covariance as they are: it is smooth, but
-    # how smooth is known too roughly to make use of it.
+    # Generalised least squares: a cause moves all patches together, so that its pattern is told from that of a knock by
+    # the scan itself. What is left over counts as if patches were independent, and its covariance as they are: it is
+    # smooth, but how smooth is known too roughly to make use of it.
     weight = np.linalg.inv(np.diag(white + left_over**2 + shape**2) + causes @ causes.T)
     solve = _solver(gaps.modes, weight)
     amplitudes = solve @ (gaps.gap_um - expected)
@@ -333,9 +341,9 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     covariance = (
         _misfit(gaps, expected, amplitudes, weight) * (solve @ scatter @ solve.T) + unseen @ unseen.T * _WIDE_UM**2
     )
-    # Floors that no number of patches takes away: the best calibration's scatter, mounts that follow the temperature, the
-    # part of an accepted change that varies with distance, for height the index times the change of the stated water, and of
-    # what backscatter did a share, as far as it did something else to the reference.
+    # Floors that no number of patches takes away: the best calibration's scatter, mounts that follow the temperature,
+    # the part of an accepted change that varies with distance, for height the index times the change of the stated
+    # water, and of what backscatter did a share, as far as it did something else to the reference.
     least = np.full(len(MODES), LEAST_UM**2) + np.square(DRIFT_UM) + (OFFSET_SHARE * offset) ** 2
     if reference.water_index is not None:
         least[0] += (HEIGHT_PER_INDEX_UM * (gaps.water_index - reference.water_index)) ** 2
@@ -346,9 +354,11 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
 
 
 def _misfit(gaps: PatchGaps, expected: Array, amplitudes: Array, weight: Array) -> float:
-    """Return how much larger the variance of what is left of the gaps is than expected, at least 1; 1 where backscatter moves nothing."""
-    # Shapes of causes are only as good as the model of the water. Where amplitudes and causes leave more than they may, all is as
-    # much less certain; a knock leaves next to nothing. What a calibration leaves over is counted by itself (``rest_um``).
+    """Return how much larger the variance of what is left of the gaps is than expected, at least 1; 1 where backscatter
+    moves nothing."""
+    # Shapes of causes are only as good as the model of the water. Where amplitudes and causes leave more than they may,
+    # all is as much less certain; a knock leaves next to nothing. What a calibration leaves over is counted by itself
+    # (``rest_um``).
     if gaps.doubts_um is None:
         return 1.0
     left = gaps.gap_um - expected - gaps.modes @ amplitudes
@@ -381,8 +391,8 @@ def _alike(patch: NDArray[np.intp]) -> Array:
 
 
 def _solver(modes: Array, weight: Array) -> Array:
-    """Return the matrix (4, k) that makes amplitudes of gaps whose inverse covariance is ``weight`` (k, k); small where the
-    patches say nothing."""
+    """Return the matrix (4, k) that makes amplitudes of gaps whose inverse covariance is ``weight`` (k, k); small where
+    the patches say nothing."""
     # Least squares with a weak prior of _WIDE_UM: patterns that no patch shows stay near zero instead of exploding.
     weighted = modes.T @ weight
     return np.asarray(np.linalg.solve(weighted @ modes + np.eye(len(MODES)) / _WIDE_UM**2, weighted))

@@ -57,7 +57,8 @@ log = logging.getLogger(__name__)
 FLAT_MM = 1e-6
 """Standard deviation of the shapes of a board that is known to be flat."""
 EXCHANGED = (
-    "left and right are exchanged: the camera called right stands to the left of the other; name the pictures the other way round "
+    "left and right are exchanged: the camera called right stands to the left of the other; name the pictures the "
+    "other way round "
     "(--sides) before anything is measured with them"
 )
 CHECKED_AT = (8, 16, 32)
@@ -167,7 +168,8 @@ def calibrate_pictures(
 ) -> dict[str, Any]:
     """Calibrate the cameras ``name`` from a folder, write ``out`` and what goes beside it; what came out, JSON-ready.
 
-    ``sides``: as for ``named_pictures``. Raises PicturesError, AirCalibrationError (with every reason in it), StorageError.
+    ``sides``: as for ``named_pictures``. Raises PicturesError, AirCalibrationError (with every reason in it),
+    StorageError.
     """
     pictures = named_pictures(folder, sides)
     every = [path for pair in pictures.pairs for path in (pair.left, pair.right) if path is not None]
@@ -227,7 +229,8 @@ def _written(out: Path, air: AirCalibration, looked: Looked, design: BoardDesign
 
 
 def opencv_file(rig: StereoRig) -> bytes:
-    """Return the pair as OpenCV's programs read it (YAML): ``M1 D1 M2 D2``, and ``R``, ``T`` with x_right = R x_left + T, mm."""
+    """Return the pair as OpenCV's programs read it (YAML): ``M1 D1 M2 D2``, and ``R``, ``T`` with x_right = R x_left +
+    T, mm."""
     store = cv2.FileStorage("pair.yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML)
     store.write("image_width", rig.left.width_px)
     store.write("image_height", rig.left.height_px)
@@ -254,7 +257,8 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
     start = load_calibration(file)
     if start.method != IN_AIR or start.rig_serial != rig.rig.serial:
         raise CalibrationError(
-            f"{file} is of instrument {start.rig_serial}, method {start.method}; wanted is one in air of {rig.rig.serial}"
+            f"{file} is of instrument {start.rig_serial}, method {start.method}; wanted is one in air of "
+            f"{rig.rig.serial}"
         )
     target = Instrument(rig).air_file
     before = None
@@ -281,8 +285,10 @@ def _report(air: AirCalibration, looked: Looked, design: BoardDesign, seen: Cove
     warnings = [*([EXCHANGED] if air.exchanged else []), *(f"coverage is poor: {text}" for text in seen.missing)]
     if small:
         warnings.append(
-            f"the board is small in {len(small)} of {len(air.views)} views ({', '.join(small[:MOST_NAMED])}{', …' if len(small) > MOST_NAMED else ''}): "
-            f"below {100 * SMALL_SPREAD:g} % of the picture a view counts by the little that it tells; bring the board nearer"
+            f"the board is small in {len(small)} of {len(air.views)} views "
+            f"({', '.join(small[:MOST_NAMED])}{', …' if len(small) > MOST_NAMED else ''}): "
+            f"below {100 * SMALL_SPREAD:g} % of the picture a view counts by the little that it tells; bring the board "
+            "nearer"
         )
     return {
         "board": design.described(),

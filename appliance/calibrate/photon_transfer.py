@@ -1,9 +1,9 @@
 """Owns how a camera's noise is found in a recorded scan: photon transfer, from the four sine images.
 
-I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever is painted there. Along a fringe
-the harmonics are smooth and noise is not: fourth differences keep the noise, and of the fringes of columns, which are taken
-down the image, that of whole rows, too. Its variance against the mean of the four images is a straight line; the slope is grey
-values per electron (EMVA 1288).
+I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever is painted there. Along a
+fringe the harmonics are smooth and noise is not: fourth differences keep the noise, and of the fringes of columns,
+which are taken down the image, that of whole rows, too. Its variance against the mean of the four images is a straight
+line; the slope is grey values per electron (EMVA 1288).
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ LEVELS = 255.0
 
 
 SHORTEST_FRINGE_PX = 5.0
-"""Shortest fringe in camera px; of shorter ones, which lean against the image, fourth differences keep harmonics, too."""
+"""Shortest fringe in camera px; of shorter ones, which lean against the image, fourth differences keep harmonics, too.
+"""
 DARKEST_SHARE = 0.02
 """Share of the dark frame's blocks that tell the grey value of no light."""
 BLOCK_PX = 10
@@ -56,10 +57,11 @@ class MeasuredNoise:
         return LEVELS / self.dn_per_e
 
     def figures(self, serial: str, gain_db: float) -> CameraFigures:
-        """Return what the camera with this ``serial`` number has at 0 dB, as a data sheet says it; ``gain_db``: of the scan.
+        """Return what the camera with this ``serial`` number has at 0 dB, as a data sheet says it; ``gain_db``: of the
+        scan.
 
-        The line through the variances is kept exactly: where the darkest parts have ambient light, black is stated too high and
-        read noise with it, and the variance of every grey value is the same.
+        The line through the variances is kept exactly: where the darkest parts have ambient light, black is stated too
+        high and read noise with it, and the variance of every grey value is the same.
         """
         light_dn, variance_dn2 = self.variance_at_dn2
         read_dn2 = variance_dn2 - self.dn_per_e * (light_dn - self.darkest_dn) - QUANTISATION_DN2
@@ -72,7 +74,8 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
     fringe_px = sequence.period_px * frames.shape[2] / sequence.width_px
     if fringe_px < SHORTEST_FRINGE_PX:
         raise NoiseError(
-            f"fringes of about {fringe_px:.0f} px in images {frames.shape[2]} px wide; needed are {SHORTEST_FRINGE_PX:.0f} px; "
+            f"fringes of about {fringe_px:.0f} px in images {frames.shape[2]} px wide; needed are "
+            f"{SHORTEST_FRINGE_PX:.0f} px; "
             "record with a longer scan.period_px"
         )
     light, noise = [], []
@@ -81,8 +84,8 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
         # Steps of 90°: the fundamental and all odd harmonics cancel in I0 + I2 − I1 − I3, whatever phase and albedo
         # are. Its variance is four times that of one image.
         alternating = sines[0] + sines[2] - sines[1] - sines[3]
-        # Even harmonics remain and are smooth along a fringe; the fourth difference (1, −4, 6, −4, 1) takes them away and
-        # multiplies the variance of white noise by 70 = Σ d². Fringes of columns run down, those of rows across.
+        # Even harmonics remain and are smooth along a fringe; the fourth difference (1, −4, 6, −4, 1) takes them away
+        # and multiplies the variance of white noise by 70 = Σ d². Fringes of columns run down, those of rows across.
         if direction is Direction.X:
             alternating, sines = alternating.T, sines.transpose(0, 2, 1)
         along = np.apply_along_axis(np.convolve, 1, alternating, DIFFERENCE, "valid")
@@ -96,7 +99,8 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
 
 
 def _darkest_dn(dark: NDArray[np.uint8]) -> float:
-    """Return the mean grey value of the darkest blocks of the dark frame: of blocks, as single pixels have offsets of their own."""
+    """Return the mean grey value of the darkest blocks of the dark frame: of blocks, as single pixels have offsets of
+    their own."""
     rows, columns = (size // BLOCK_PX for size in dark.shape)
     cut = dark[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX)
     return float(np.quantile(cut.mean(axis=(1, 3)), DARKEST_SHARE))
@@ -119,7 +123,8 @@ def _line(light: Array, noise: Array, darkest_dn: float) -> MeasuredNoise:
         weights.append(math.sqrt(len(inside)) / variances[-1])  # one over the variance's standard error
     if len(centres) < FEWEST_BINS:
         raise NoiseError(
-            f"light of {len(centres)} levels, {BIN_DN:g} grey values apart; needed are {FEWEST_BINS}; scan something that is "
+            f"light of {len(centres)} levels, {BIN_DN:g} grey values apart; needed are {FEWEST_BINS}; scan something "
+            "that is "
             "light and dark in large parts, without glare"
         )
     # EMVA 1288: variance = offset + light · (grey values per electron). The offset is read noise and quantisation.

@@ -1,10 +1,12 @@
 """Owns a folder of pictures of a board: which pictures belong together, and reading them.
 
-The instrument's folder holds pairs ``NAME_left.png`` and ``NAME_right.png`` (8 bit, grey; also tif, bmp, pgm), or folders: of scans,
-whose bright frames are taken, or ``NAME/left.png`` and ``NAME/right.png``. ``docs/calibration.md`` says how to record them.
+The instrument's folder holds pairs ``NAME_left.png`` and ``NAME_right.png`` (8 bit, grey; also tif, bmp, pgm), or
+folders: of scans, whose bright frames are taken, or ``NAME/left.png`` and ``NAME/right.png``. ``docs/calibration.md``
+says how to record them.
 
-Somebody's pictures are told apart by a word in their names or in those of their folders (``left``, ``R``, ``cam1``, …), or by two
-patterns. What is left of a name without that word says which pictures belong together; any picture becomes grey values.
+Somebody's pictures are told apart by a word in their names or in those of their folders (``left``, ``R``, ``cam1``, …),
+or by two patterns. What is left of a name without that word says which pictures belong together; any picture becomes
+grey values.
 
 It also owns a folder of views of a board while it is being filled: each view durable and whole, or not there.
 
@@ -93,7 +95,10 @@ class ViewFolder:
 
     @staticmethod
     def session(folder: Path) -> tuple[str, BoardDesign] | None:
-        """Return instrument and board of a folder that ``--live`` filled; ``None`` for any other. Raises ContentError."""
+        """Return instrument and board of a folder that ``--live`` filled; ``None`` for any other.
+
+        Raises ContentError.
+        """
         path = folder / SESSION
         begun = BEGUN.load(path, name=str(path))
         return None if begun is None else (begun.rig_serial, BoardDesign.parse(begun.board))
@@ -128,7 +133,10 @@ class ViewFolder:
 
 KINDS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
 _LEAST_BYTES, _BYTES_PER_PIXEL = 1_000_000, 16
-"""Most bytes that a file may have: headers and notes, and four channels of 32 bits. The cameras' pictures have one byte a pixel."""
+"""Most bytes that a file may have: headers and notes, and four channels of 32 bits.
+
+The cameras' pictures have one byte a pixel.
+"""
 ANY_KINDS = (*KINDS, ".jpg", ".jpeg", ".ppm")
 WORDS = (
     ("left", "right"),
@@ -155,7 +163,8 @@ WHITE_PERCENTILE = 99.9
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Pictures of one board that were taken together; ``None`` where a camera has none, the same folder where it is a scan's."""
+    """Pictures of one board that were taken together; ``None`` where a camera has none, the same folder where it is a
+    scan's."""
 
     name: str
     left: Path | None
@@ -230,8 +239,8 @@ def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
 def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictures:
     """Return the pictures in a folder and in the folders in it, told apart.
 
-    ``patterns``: of the left and the right paths, with one ``*`` each, which stands for what both pictures of a pair share. Raises
-    PicturesError.
+    ``patterns``: of the left and the right paths, with one ``*`` each, which stands for what both pictures of a pair
+    share. Raises PicturesError.
     """
     if not folder.is_dir():
         raise PicturesError(f"FOLDER {folder}: no such folder; give the one that holds the pictures of the board")
@@ -252,7 +261,8 @@ def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictu
     if not _complete(sides):
         listed = ", ".join(list(names)[:4])
         raise PicturesError(
-            f"FOLDER {folder}: no name of a picture ({listed}, …) tells a left picture from the right one of its pair; say how with "
+            f"FOLDER {folder}: no name of a picture ({listed}, …) tells a left picture from the right one of its pair; "
+            "say how with "
             "--sides LEFT,RIGHT, for example --sides 'a/*.png,b/*.png'"
         )
     pairs: dict[str, dict[str, Path]] = {}
@@ -275,8 +285,8 @@ def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictu
 
 
 def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, str]]:
-    """Return the width and height that most pictures have, and of each other picture why it is not used: another size, or damage, since
-    each is decoded once. Raises PicturesError."""
+    """Return the width and height that most pictures have, and of each other picture why it is not used: another size,
+    or damage, since each is decoded once. Raises PicturesError."""
     sizes: dict[Path, tuple[int, int]] = {}
     wrong: dict[Path, str] = {}
     for path in pictures:
@@ -304,7 +314,10 @@ def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, s
 
 
 def read_grey(path: Path) -> Image:
-    """Return a picture (h, w) uint8: colours become grey, more than 8 bits become 8. Raises PicturesError, StorageError."""
+    """Return a picture (h, w) uint8: colours become grey, more than 8 bits become 8.
+
+    Raises PicturesError, StorageError.
+    """
     image = _decoded(_bytes(path))
     if image is None:
         raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy")
@@ -394,13 +407,15 @@ def _check_size(path: Path, found_px: tuple[int, int], wanted_px: tuple[int, int
 
 
 def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
-    """Read a picture of the wanted size, or refuse it before it is decoded: a small file may promise more pixels than there is memory."""
+    """Read a picture of the wanted size, or refuse it before it is decoded: a small file may promise more pixels than
+    there is memory."""
     longest = _LEAST_BYTES + _BYTES_PER_PIXEL * wanted_px[0] * wanted_px[1]
     try:
         data = read_bounded(path, longest)
     except OSError as error:
         raise PicturesError(
-            f"{path}: {error.strerror or error}; pictures of {wanted_px[0]}x{wanted_px[1]} px are wanted; give them as recorded"
+            f"{path}: {error.strerror or error}; pictures of {wanted_px[0]}x{wanted_px[1]} px are wanted; give them as "
+            "recorded"
         ) from error
     stated_px = size_px(data)
     if stated_px is None:

@@ -76,7 +76,8 @@ def measure_response(
     """
     if sequence.period_px < SHORTEST_PERIOD_PX:
         raise ResponseError(
-            f"the scan's fringe period is {sequence.period_px} px; allowed are {SHORTEST_PERIOD_PX} px and more, of which "
+            f"the scan's fringe period is {sequence.period_px} px; allowed are {SHORTEST_PERIOD_PX} px and more, of "
+            "which "
             "blur leaves the harmonics; set scan.period_px = 64 in the rig file and record again"
         )
     codes = _Sums(ORDER)
@@ -101,7 +102,8 @@ def measure_response(
     harmonics, residual = codes.solve()
     if residual > MOST_RESIDUAL:
         raise ResponseError(
-            f"what was seen differs from any response by {residual:.3f} of the bright light; allowed is {MOST_RESIDUAL}; "
+            f"what was seen differs from any response by {residual:.3f} of the bright light; allowed is "
+            f"{MOST_RESIDUAL}; "
             "record a still plane without glare"
         )
     try:
@@ -181,7 +183,8 @@ class _Sums:
             b = solved(self._matrix, self._vector, names)
         except UndeterminedError as error:
             raise ResponseError(
-                f"the scan does not show enough codes of its fringes to tell {', '.join(error.names)}; fill the image with a plane "
+                f"the scan does not show enough codes of its fringes to tell {', '.join(error.names)}; fill the image "
+                "with a plane "
                 "that many fringes fall on"
             ) from error
         # Σ(light − basis b)² = Σ light² − bᵀv at the minimum, without a second pass over the pixels.

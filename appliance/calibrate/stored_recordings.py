@@ -14,8 +14,8 @@ from appliance.store import RIG_FILE, ConfigError, Instrument, Rig, ScanError, l
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
     """Return the serial numbers of the left and right camera that recorded these scans; ``None``: of no scan.
 
-    Raises CamerasDiffer where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError for a
-    scan whose rig file cannot be read.
+    Raises CamerasDiffer where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError
+    for a scan whose rig file cannot be read.
     """
     known: tuple[str, str] | None = None
     of: Path | None = None
@@ -23,7 +23,8 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
         found = _cameras(folder)
         if known is not None and of is not None and (other := exchanged(known, found)) is not None:
             raise CamerasDiffer(
-                f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of the same"
+                f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of "
+                "the same"
             )
         known, of = found, folder
     # Last, so that scans that disagree among themselves are named first: that is the nearer cause.

@@ -1,4 +1,5 @@
-"""Owns the comparison of measured points with a nominal surface: aligned to it by their shape, then how far each lies from it."""
+"""Owns the comparison of measured points with a nominal surface: aligned to it by their shape, then how far each lies
+from it."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ PAGE = ".html"
 SURE = 2.0
 """Standard deviations beyond which a deviation is one."""
 DOUBTFUL_PERCENT = 10.0
-"""Share of points whose deviation may be the object's bending from which on that is said: some of 5 % are beyond two standard deviations by chance."""
+"""Share of points whose deviation may be the object's bending from which on that is said: some of 5 % are beyond two
+standard deviations by chance."""
 _MOST_SHOWN = 3
 
 
@@ -55,10 +57,11 @@ class Comparison:
     laid: LaidOnto
     nominal: str
     origin_mm: NDArray[np.float64]
-    """(3,): place in the nominal surface's frame that ``in_nominal_frame`` is about; (0, 0, 0) unless it lies far from its frame's origin."""
+    """(3,): place in the nominal surface's frame that ``in_nominal_frame`` is about; (0, 0, 0) unless it lies far from
+    its frame's origin."""
     deviation: Deviation
-    """One for each point, positive outside; its sigma has everything in it: the point's, its scan's place, what may bend the object, how it is laid
-    onto the nominal surface, and a measured nominal surface's own."""
+    """One for each point, positive outside; its sigma has everything in it: the point's, its scan's place, what may
+    bend the object, how it is laid onto the nominal surface, and a measured nominal surface's own."""
     warnings: tuple[str, ...]
 
     __repr__ = one_line
@@ -84,9 +87,10 @@ def compare(
 ) -> Comparison:
     """Lay ``surface`` onto ``nominal`` by shape alone and return how far each point lies from it.
 
-    ``limit_mm``: points farther off are counted and have no deviation. ``start``: where it lies within some millimetres; ``None``: it is
-    searched for. ``errors``: those of the object that it is the surface of (``errors_of``): each point's sigma then has those of its scan's place and of the
-    object's bending, as far as laying it onto ``nominal`` does not take them away. Raises SurfaceMatchError where most of it fits nowhere.
+    ``limit_mm``: points farther off are counted and have no deviation. ``start``: where it lies within some
+    millimetres; ``None``: it is searched for. ``errors``: those of the object that it is the surface of
+    (``errors_of``): each point's sigma then has those of its scan's place and of the object's bending, as far as laying
+    it onto ``nominal`` does not take them away. Raises SurfaceMatchError where most of it fits nowhere.
     """
     tree = NominalTree.of(nominal.triangles)
     laid = lay_onto(
@@ -155,7 +159,8 @@ def _beside(deviation: Deviation) -> tuple[str, ...]:
 
 
 def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
-    """Return a warning where deviations beyond a point's other uncertainty may be the object's bending and nothing else."""
+    """Return a warning where deviations beyond a point's other uncertainty may be the object's bending and nothing
+    else."""
     if surface.shares is None:
         return ()
     bending, off = surface.shares.bending_mm.astype(np.float64), np.abs(deviation.deviation_mm.astype(np.float64))
@@ -232,9 +237,11 @@ def _pose_words(other: Rigid, best: Rigid) -> str:
 def write_comparison(
     path: Path, found: Comparison, about: About, tolerance_mm: float | None, stored: StoredObject | None
 ) -> None:
-    """Write a comparison: points with their deviation (.ply .e57 .las) in the nominal surface's frame, or a page (.html).
+    """Write a comparison: points with their deviation (.ply .e57 .las) in the nominal surface's frame, or a page
+    (.html).
 
-    ``stored``: the object that the points are of, for the page's scans. Raises ExportError, StorageError, MissingLibraryError.
+    ``stored``: the object that the points are of, for the page's scans. Raises ExportError, StorageError,
+    MissingLibraryError.
     """
     if path.suffix.lower() == PAGE:
         write_report(path, _report(found, about, tolerance_mm, stored))

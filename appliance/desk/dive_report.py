@@ -26,7 +26,10 @@ _VERDICTS: Mapping[Grade, ReportVerdict] = {
 
 
 def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[[str, float], None]) -> Report:
-    """Return the page's content for scans under a storage root, in their order. A scan that cannot be read is on the page, with its problem."""
+    """Return the page's content for scans under a storage root, in their order.
+
+    A scan that cannot be read is on the page, with its problem.
+    """
     # One at a time: a cloud is let go before the next is read.
     scans = []
     for number, entry in enumerate(entries):

@@ -9,8 +9,11 @@ from appliance.measure import Calibration, Certificate, Evaluation, Item, Qualit
 from appliance.store import RAW_FILES, Instrument, ScanList, SourceScan, refuse_empty, reprocess_scan
 
 JUDGING_GAP_MM = 20.0
-"""The instrument masks points whose rays pass at more than 0.25 mm. A wrong calibration would so hide its own worst points,
-many more than the 0.3 % that may be removed; here every calibration is judged by the same points."""
+"""The instrument masks points whose rays pass at more than 0.25 mm.
+
+A wrong calibration would so hide its own worst points, many more than the 0.3 % that may be removed; here every
+calibration is judged by the same points.
+"""
 
 
 def run_evaluation(

@@ -1,4 +1,5 @@
-"""Owns the import of a folder of images that nobody has described: guess, description, contact sheet, points and a picture of them."""
+"""Owns the import of a folder of images that nobody has described: guess, description, contact sheet, points and a
+picture of them."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ def import_folder(
 ) -> dict[str, Any]:
     """Guess what the images below ``folder`` show, and write the cloud ``out`` with all that belongs to it.
 
-    Raises ForeignError where nothing stands out, or the cameras are not known: descriptions and contact sheet are there then; besides
-    as ``import_cloud``.
+    Raises ForeignError where nothing stands out, or the cameras are not known: descriptions and contact sheet are there
+    then; besides as ``import_cloud``.
     """
     candidates = guess_sequence(folder, progress)
     described, roles, picture = beside_cloud(out)
@@ -37,7 +38,8 @@ def import_folder(
     _write(best, described)
     if not best.description.cameras.content:
         raise ForeignError(
-            f"{folder}: its images are {joined(best.words)} ({best.program}), and no file says anything of the cameras: put their calibration "
+            f"{folder}: its images are {joined(best.words)} ({best.program}), and no file says anything of the "
+            "cameras: put their calibration "
             f"into the folder, or say it under [cameras] in {described.name}, which is written"
         )
     report = import_cloud(described, out, progress, reasons=reasons, picture=picture)

@@ -1,6 +1,8 @@
-"""Owns the import of images that another rig took: a file of points, or a scan folder like our own, and the report of both.
+"""Owns the import of images that another rig took: a file of points, or a scan folder like our own, and the report of
+both.
 
-It also owns the picture of reasons: of each left pixel in which colour it is said why it has no point; where there is one, what the camera saw.
+It also owns the picture of reasons: of each left pixel in which colour it is said why it has no point; where there is
+one, what the camera saw.
 """
 
 from __future__ import annotations
@@ -72,10 +74,11 @@ LEAST_WITHIN = 0.5
 
 
 def check_import(path: Path, out: Path) -> None:
-    """Refuse whatever can be refused at once: names, words, images that are not there, cameras' numbers, and what ``out`` cannot be.
+    """Refuse whatever can be refused at once: names, words, images that are not there, cameras' numbers, and what
+    ``out`` cannot be.
 
-    ``out`` without a suffix is a scan folder. Nothing is decoded, and no kernel is needed. Raises ForeignError, ExportError,
-    MissingLibraryError.
+    ``out`` without a suffix is a scan folder. Nothing is decoded, and no kernel is needed. Raises ForeignError,
+    ExportError, MissingLibraryError.
     """
     if out.suffix:
         checked_suffix(out, SCAN_SUFFIXES, "a cloud")
@@ -86,7 +89,8 @@ def check_import(path: Path, out: Path) -> None:
         longest_px = max(longest_px, *description.projector_px)
     if longest_px > MOST_PX and not description.one_direction:
         raise ForeignError(
-            f"{path}: an image or the projector has {longest_px} px along a side; allowed for two directions are {MOST_PX} px; cut it, or "
+            f"{path}: an image or the projector has {longest_px} px along a side; allowed for two directions are "
+            f"{MOST_PX} px; cut it, or "
             "describe one direction only"
         )
     if not out.suffix:
@@ -110,8 +114,8 @@ def import_cloud(
 
     ``reasons``: a PNG of why pixels have no point, also where hardly any are left; ``picture``: one of the points.
 
-    Raises ForeignError, also where the images contradict the description (unless ``as_described``) and where hardly any points
-    are left; ExportError, MissingLibraryError, StorageError.
+    Raises ForeignError, also where the images contradict the description (unless ``as_described``) and where hardly any
+    points are left; ExportError, MissingLibraryError, StorageError.
     """
     suffix = checked_suffix(out, SCAN_SUFFIXES, "a cloud")
     require_library(out)
@@ -137,7 +141,10 @@ def import_cloud(
 def import_scan(
     path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False, reasons: Path | None = None
 ) -> dict[str, Any]:
-    """Make the scan folder ``out`` of images that have our own form. Raises as ``import_cloud``, and ForeignError for another form."""
+    """Make the scan folder ``out`` of images that have our own form.
+
+    Raises as ``import_cloud``, and ForeignError for another form.
+    """
     check_import(path, out)
     scan = _read(path, progress, as_described)
     images = {side: camera.images for side, camera in scan.cameras.items()}
@@ -174,7 +181,8 @@ def import_scan(
 
 
 def _publish(out: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin) -> None:
-    """Make the scan folder ``out``, whole or not at all: beside it, under a name that nobody takes for a scan, then by one rename."""
+    """Make the scan folder ``out``, whole or not at all: beside it, under a name that nobody takes for a scan, then by
+    one rename."""
     files, draft = LocalFileSystem(), draft_of(out)
     if draft.exists():
         discard_raw(files, draft)  # of an attempt that was interrupted
@@ -213,7 +221,8 @@ def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None], reaso
     if found.points == 0 or found.points < LEAST_SHARE * found.lit:
         why = [found.failure] if found.failure else found.largest_reasons(of_lit=found.lit > 0)
         raise ForeignError(
-            f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between {found.depths_mm[0]:.4g} and "
+            f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between "
+            f"{found.depths_mm[0]:.4g} and "
             f"{found.depths_mm[1]:.4g} {_unit(scan) or 'mm'}: {'; '.join(why)}"
         )
     return found
@@ -272,7 +281,8 @@ def calibration_of(scan: ForeignScan) -> Calibration:
         )
     if not straight and medium.temperature_c is None:
         raise ForeignError(
-            "no scan folder can be made: behind ports the index of a scan folder follows from temperature and salinity; give "
+            "no scan folder can be made: behind ports the index of a scan folder follows from temperature and "
+            "salinity; give "
             "water.temperature_c in place of water.index"
         )
     water = Water(

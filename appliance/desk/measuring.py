@@ -33,7 +33,8 @@ from appliance.measure import (
 from appliance.store import Instrument, Rig, ScanError, SourceScan, load_scan
 
 MOST_NOISIER = 1.1
-"""Factor by which points may be noisier for the exposure they were taken with: of a response as other projectors have, 1.01."""
+"""Factor by which points may be noisier for the exposure they were taken with: of a response as other projectors have,
+1.01."""
 
 
 def response_of_scan(
@@ -87,7 +88,10 @@ class ExposureFound:
 
 
 def exposure_found(source: SourceScan) -> ExposureFound:
-    """Return how straight the fringes of a stored scan are. Raises ScanError, also for one that shows too little to tell."""
+    """Return how straight the fringes of a stored scan are.
+
+    Raises ScanError, also for one that shows too little to tell.
+    """
     scan = load_scan(source.scan.folder, only_raw=True)
     record = scan.manifest.record
     sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
@@ -132,7 +136,8 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
 
 
 def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise, CameraNoise]]) -> StoredNoise:
-    """Return what ``noise_of_scan`` found in a stored scan as figures of the instrument's cameras, ready for their file.
+    """Return what ``noise_of_scan`` found in a stored scan as figures of the instrument's cameras, ready for their
+    file.
 
     Raises ScanError, and NoiseError for figures that no camera has.
     """
@@ -148,7 +153,8 @@ def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise,
             value = getattr(one, name)
             if not limits.takes(value):
                 raise NoiseError(
-                    f"{name} of the {side} camera would be {value:.4g}; allowed are {limits.allowed}; scan something light and "
+                    f"{name} of the {side} camera would be {value:.4g}; allowed are {limits.allowed}; scan something "
+                    "light and "
                     "dark with still hands, in the dark"
                 )
         figures.append(one)
@@ -162,7 +168,8 @@ def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | 
     response = Instrument(rig).response()
     if response is None or response.hash != response_hash:
         raise ResponseError(
-            f"scan {scan_id} was drawn for another response than that in {Instrument(rig).response_file}; bring that file "
+            f"scan {scan_id} was drawn for another response than that in {Instrument(rig).response_file}; bring that "
+            "file "
             "back, or record a scan without one"
         )
     return response

@@ -1,4 +1,5 @@
-"""Owns two stored scans as one cloud: two exposures of the same scene, for what is too bright in one and too dark in the other."""
+"""Owns two stored scans as one cloud: two exposures of the same scene, for what is too bright in one and too dark in
+the other."""
 
 from __future__ import annotations
 
@@ -70,7 +71,8 @@ def refuse_the_same(first: StoredScan, second: StoredScan) -> None:
     sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
     if sums[0] & sums[1]:
         raise ScanError(
-            f"{first.folder} and {second.folder} are the same scan: they have the same frames, which must not count twice; "
+            f"{first.folder} and {second.folder} are the same scan: they have the same frames, which must not count "
+            "twice; "
             "merge two scans of different exposures"
         )
 

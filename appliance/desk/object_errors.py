@@ -1,4 +1,5 @@
-"""Owns how certain a stored object is as a whole: its joint errors as they are kept, the sigma of its surface, and that of a length on it."""
+"""Owns how certain a stored object is as a whole: its joint errors as they are kept, the sigma of its surface, and that
+of a length on it."""
 
 from __future__ import annotations
 
@@ -56,7 +57,8 @@ def errors_of(stored_object: StoredObject) -> JointErrors:
 def length_between(
     stored_object: StoredObject, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
 ) -> LengthSigma:
-    """Return the distance between two points in the object's frame, one of scan ``first`` and one of ``second``, with its standard deviation.
+    """Return the distance between two points in the object's frame, one of scan ``first`` and one of ``second``, with
+    its standard deviation.
 
     Raises ObjectError for scans that have no place, and for an object that is not solved.
     """
@@ -80,7 +82,8 @@ def in_the_frame(cloud: FusedCloud, errors: JointErrors) -> FusedCloud:
 def laid_onto_something(
     cloud: FusedCloud, errors: JointErrors | None, on_it: NDArray[np.bool_] | None = None
 ) -> FusedCloud:
-    """Return the surface with the sigma that is left once it lies on something by its shape; ``on_it`` (n,): points that lie there, all by default."""
+    """Return the surface with the sigma that is left once it lies on something by its shape; ``on_it`` (n,): points
+    that lie there, all by default."""
     if errors is None or cloud.first_scan is None:
         return cloud
     # What lies beside it has no say in how it is laid on.

@@ -18,7 +18,10 @@ _UNCHECKED = "in no loop: nothing checks it; one more scan across both would"
 
 
 def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
-    """Return the page's content for a solved object and its fused surface. Raises ValueError for one that is not solved."""
+    """Return the page's content for a solved object and its fused surface.
+
+    Raises ValueError for one that is not solved.
+    """
     places = stored_object.places
     if places is None:
         raise ValueError(f"object '{stored_object.name}' is not solved; solve it before its report is made")
@@ -82,7 +85,8 @@ def _pair(pair: ComparedScans) -> ReportPair:
 
 
 def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
-    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for one scan."""
+    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for
+    one scan."""
     if len(places.places) < 2:
         return None
     names = list(places.places)
@@ -107,7 +111,8 @@ def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
         terms=terms,
         combined_mm=length.sigma_mm,
         statement=f"Distance from the centre of scan {names[0]} to the centre of scan {name}. Bending may displace scan {name} by {farthest.bending_mm:.3f} mm "
-        f"sideways ({farthest.bending_aided_mm:.3f} mm with --with-estimate). Scale and the noise of single points are not included: see the calibration's evaluation.",
+        f"sideways ({farthest.bending_aided_mm:.3f} mm with --with-estimate). Scale and the noise of single points are "
+        "not included: see the calibration's evaluation.",
     )
 
 

@@ -1,4 +1,5 @@
-"""Owns what a script at the desk does with an object that ``kingfisher object`` keeps: its places, placed points, surface, errors and lengths."""
+"""Owns what a script at the desk does with an object that ``kingfisher object`` keeps: its places, placed points,
+surface, errors and lengths."""
 
 from __future__ import annotations
 
@@ -24,7 +25,10 @@ Doing = Callable[[str, float | None], None]
 
 @dataclass(frozen=True, slots=True)
 class ObjectOfDive:
-    """One object under a storage root; its file is read whenever it is asked for. Everything is in the object's frame, mm."""
+    """One object under a storage root; its file is read whenever it is asked for.
+
+    Everything is in the object's frame, mm.
+    """
 
     root: Path
     name: str
@@ -47,14 +51,20 @@ class ObjectOfDive:
 
     @refuse_wrong_types
     def surface(self, spacing_mm: float = SPACING_MM, progress: Doing = lambda *_: None) -> FusedCloud:
-        """Return one surface of all placed scans, a point about every ``spacing_mm``. Raises ObjectError, ScanError, CalibrationError."""
+        """Return one surface of all placed scans, a point about every ``spacing_mm``.
+
+        Raises ObjectError, ScanError, CalibrationError.
+        """
         return surface_of(self.root, self.stored, self.wish, progress, spacing_mm)
 
     @refuse_wrong_types
     def length(
         self, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
     ) -> LengthSigma:
-        """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation. Raises ObjectError."""
+        """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation.
+
+        Raises ObjectError.
+        """
         return length_between(self.stored, first, at_first_mm, second, at_second_mm)
 
     @refuse_wrong_types
@@ -65,8 +75,10 @@ class ObjectOfDive:
         limit_mm: float = LIMIT_MM,
         start: Rigid | None = None,
     ) -> Comparison:
-        """Align its surface to ``nominal`` and return the deviations, with the object's own errors in their sigma. Raises SurfaceMatchError, and
-        what ``surface`` raises."""
+        """Align its surface to ``nominal`` and return the deviations, with the object's own errors in their sigma.
+
+        Raises SurfaceMatchError, and what ``surface`` raises.
+        """
         return compare(self.surface(spacing_mm), nominal, limit_mm, start, self.errors)
 
     def __repr__(self) -> str:
@@ -88,8 +100,11 @@ def open_object(
     current_calibration: bool = False,
     foreign_calibration: bool = False,
 ) -> ObjectOfDive:
-    """Return the object of that name under a storage root. The options are those of ``open_dive``; ``calibration``: the file of another one than each scan's
-    own, as ``--calibration``. Raises ObjectError, NotADirectoryError, ConfigError."""
+    """Return the object of that name under a storage root.
+
+    The options are those of ``open_dive``; ``calibration``: the file of another one than each scan's own, as
+    ``--calibration``. Raises ObjectError, NotADirectoryError, ConfigError.
+    """
     dive = open_dive(root, rig, current_calibration=current_calibration, foreign_calibration=foreign_calibration)
     wish = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
     found = ObjectOfDive(dive.root, name, wish)

@@ -4,8 +4,8 @@
     <root>/objects/<name>/clouds/*.npz    each scan's cloud on its pixel grid; may be deleted, and is made again when it is needed
     <root>/objects/<name>/run/lock        held for as long as one of these files is written, never while something is computed
 
-Scans stay where they are; nothing here is needed to read them. An object is changed by ``update`` alone: who has read it, and worked for minutes,
-changes what is stored by then.
+Scans stay where they are; nothing here is needed to read them. An object is changed by ``update`` alone: who has read
+it, and worked for minutes, changes what is stored by then.
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ class ComparedScans:
     """``None``, as sigmas and matches: nothing holds their pose, or it is wrong."""
     sigma_mm: float | None
     discrepancy_mm: float | None
-    """Distance between the pair's own pose and the places, RMS over the overlap; ``None``: it is not used, or in no loop that would check it."""
+    """Distance between the pair's own pose and the places, RMS over the overlap; ``None``: it is not used, or in no
+    loop that would check it."""
     sigma_deg: float | None = None
     """Standard deviation of the turn between both, in its weakest direction; of an accepted pair."""
     matches: int | None = None
@@ -173,15 +174,16 @@ class Places:
     shared_error_mm: tuple[float, ...]
     """Coefficients of the depth error that all scans share (appliance.desk.registration.bow)."""
     shared_error_spread_mm: float
-    """Standard deviation of that error in the points as they are, RMS over the view: after the estimate where it is taken out, else
-    what the calibration leaves."""
+    """Standard deviation of that error in the points as they are, RMS over the view: after the estimate where it is
+    taken out, else what the calibration leaves."""
     shared_error_aided_mm: float
     """The same after the estimate."""
     shared_error_removed: bool
     """The points are to be corrected by it."""
     variance_factor: float
     shared_error_score: float | None
-    """Distance of the estimate from what was known before, in standard deviations; ``None``: the overlaps tell nothing of it."""
+    """Distance of the estimate from what was known before, in standard deviations; ``None``: the overlaps tell nothing
+    of it."""
     joint: JointPlaces
     clouds: Mapping[str, CloudFacts]
     """Figures of every scan's cloud, also of those without a place."""
@@ -199,12 +201,14 @@ class StoredObject:
 
 
 def _refuse_names(stored: StoredObject) -> None:
-    """Raises NameShapeError for a name in it that no part of a path may be called: clouds are kept under those of scans."""
+    """Raises NameShapeError for a name in it that no part of a path may be called: clouds are kept under those of
+    scans."""
     for scan in stored.scans:
         component(scan.name, "a scan's name")
         if ".." in PurePosixPath(scan.folder).parts or "\0" in scan.folder:
             raise NameShapeError(
-                f"the folder of scan {scan.name} is {scan.folder!r:.60}; allowed is one below the root, or an absolute one"
+                f"the folder of scan {scan.name} is {scan.folder!r:.60}; allowed is one below the root, or an absolute "
+                "one"
             )
     if stored.places is not None:
         pairs = (name for pair in stored.places.pairs for name in (pair.first, pair.second))
@@ -225,7 +229,8 @@ def checked_name(name: str) -> str:
     """Return ``name``. Raises ObjectError for one that cannot name a folder everywhere."""
     if not is_object(name):
         raise ObjectError(
-            f"object '{name}': allowed are 1 to 64 letters, digits, blanks and . _ -, beginning with a letter or digit and not ending "
+            f"object '{name}': allowed are 1 to 64 letters, digits, blanks and . _ -, beginning with a letter or digit "
+            "and not ending "
             "with a blank or a dot"
         )
     return name
@@ -251,7 +256,8 @@ def read_object(root: Path, name: str) -> StoredObject:
     if found is None:
         known = ", ".join(object_names(root)) or "none yet"
         raise ObjectError(f"object '{name}': there is none under {root} ({known}); make it: kingfisher object add")
-    # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's folder.
+    # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's
+    # folder.
     return replace(found, name=name)
 
 
@@ -261,7 +267,8 @@ def object_exists(root: Path, name: str) -> bool:
 
 
 def update_object(root: Path, name: str, change: Callable[[StoredObject | None], StoredObject]) -> StoredObject:
-    """Replace an object by ``change`` of what is stored now (``None``: there is none), under its lock; return it, durable.
+    """Replace an object by ``change`` of what is stored now (``None``: there is none), under its lock; return it,
+    durable.
 
     Raises what ``change`` raises, StorageError, ObjectError.
     """
@@ -274,7 +281,10 @@ def update_object(root: Path, name: str, change: Callable[[StoredObject | None],
 
 
 def write(root: Path, stored: StoredObject) -> None:
-    """Write an object in the place of whatever is stored under its name; it is durable on return. Raises StorageError, ObjectError."""
+    """Write an object in the place of whatever is stored under its name; it is durable on return.
+
+    Raises StorageError, ObjectError.
+    """
     update_object(root, stored.name, lambda _: stored)
 
 
@@ -285,7 +295,8 @@ def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObj
     for scan in added:
         if scan.frames_sha256 in have:
             raise ObjectError(
-                f"object '{stored.name}': scan {scan.name} is in it already, as {have[scan.frames_sha256]}; leave it out"
+                f"object '{stored.name}': scan {scan.name} is in it already, as {have[scan.frames_sha256]}; leave it "
+                "out"
             )
         if scan.name in taken:
             raise ObjectError(
@@ -297,7 +308,8 @@ def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObj
 
 
 def published_object(now: StoredObject | None, solved: StoredObject) -> StoredObject:
-    """Return the object as it is stored now with the places that were found for what it was before; scans that were added meanwhile have none yet.
+    """Return the object as it is stored now with the places that were found for what it was before; scans that were
+    added meanwhile have none yet.
 
     Raises ObjectError where it was made again meanwhile, or solved with more scans: what is stored is worth more then.
     """
@@ -308,7 +320,8 @@ def published_object(now: StoredObject | None, solved: StoredObject) -> StoredOb
     more = sorted(_answered(now.places) - _answered(solved.places))
     if more:
         raise ObjectError(
-            f"object '{solved.name}': was solved with {', '.join(more)}, too, meanwhile; those places are kept, and these are not"
+            f"object '{solved.name}': was solved with {', '.join(more)}, too, meanwhile; those places are kept, and "
+            "these are not"
         )
     return _with_places(now, solved.places)
 
@@ -333,7 +346,8 @@ def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:
 
 
 def kept_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays kept of a scan under ``key``; ``None`` where there are none, or of another key, or damaged ones."""
+    """Return the arrays kept of a scan under ``key``; ``None`` where there are none, or of another key, or damaged
+    ones."""
     import numpy as np
 
     path = folder_of(root, name) / CLOUDS / f"{scan}.npz"
@@ -348,7 +362,10 @@ def kept_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[
 
 
 def keep_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Keep a scan's arrays under ``key``. What cannot be kept is made again next time. Raises ObjectError for an impossible name."""
+    """Keep a scan's arrays under ``key``.
+
+    What cannot be kept is made again next time. Raises ObjectError for an impossible name.
+    """
     import numpy as np
 
     fs, folder = LocalFileSystem(), folder_of(root, name) / CLOUDS

@@ -74,7 +74,8 @@ def member_of(root: Path, folder: Path) -> MemberScan:
 
 
 def clouds_of(root: Path, stored_object: StoredObject, wish: Wish, progress: Progress) -> Iterator[MemberCloud]:
-    """Yield every scan's cloud, from the object's folder or made again from the frames and kept there; one is held at a time.
+    """Yield every scan's cloud, from the object's folder or made again from the frames and kept there; one is held at a
+    time.
 
     Raises ScanError for a scan that is gone, has become another one, or has no points; CalibrationError.
     """
@@ -134,12 +135,13 @@ def solve_object(
 ) -> StoredObject:
     """Find where every scan of an object lies and return the object with its places, not yet written.
 
-    ``with_shared_error``: the depth error that all scans share is estimated from their overlaps, and taken out. Raises ObjectError for fewer than two
-    scans; ScanError, CalibrationError.
+    ``with_shared_error``: the depth error that all scans share is estimated from their overlaps, and taken out. Raises
+    ObjectError for fewer than two scans; ScanError, CalibrationError.
     """
     if len(stored_object.scans) < 2:
         raise ObjectError(
-            f"object '{stored_object.name}' has {len(stored_object.scans)} scans; at least 2 are needed: kingfisher object add"
+            f"object '{stored_object.name}' has {len(stored_object.scans)} scans; at least 2 are needed: kingfisher "
+            "object add"
         )
     scans: list[ReadyScan] = []
     clouds: list[tuple[str, str, float, tuple[str, ...]]] = []
@@ -263,22 +265,24 @@ def _warnings(
     found = []
     if len(calibrations) > 1:
         found.append(
-            f"{len(calibrations)} calibrations: what they differ by is in no budget; choose one for all with --calibration FILE"
+            f"{len(calibrations)} calibrations: what they differ by is in no budget; choose one for all with "
+            "--calibration FILE"
         )
     if solved.placed.unchecked:
         pairs = ", ".join(f"{clouds[edge.first][0]}-{clouds[edge.second][0]}" for edge in solved.placed.unchecked)
         found.append(f"in no loop, so that nothing checks them: {pairs}; a scan across them would")
     if solved.placed.variance_factor > CLEAR_FACTOR:
         found.append(
-            f"the pairs contradict each other by {np.sqrt(solved.placed.variance_factor):.1f} times what they state: check the calibration"
+            f"the pairs contradict each other by {np.sqrt(solved.placed.variance_factor):.1f} times what they state: "
+            "check the calibration"
         )
     found += [f"scan {name}: {verdict}" for name, _, _, verdicts in clouds for verdict in verdicts]
     return tuple(found)
 
 
 def placed_scans(root: Path, stored_object: StoredObject, wish: Wish, progress: Progress) -> Iterator[PlacedScan]:
-    """Yield the scans that have a place, each with how certain it is beside its neighbours; the shared depth error is taken out of their
-    points where the places say so.
+    """Yield the scans that have a place, each with how certain it is beside its neighbours; the shared depth error is
+    taken out of their points where the places say so.
 
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
@@ -302,7 +306,8 @@ def placed_scans(root: Path, stored_object: StoredObject, wish: Wish, progress: 
 
 
 def _beside_others(places: Places, scan: str) -> float:
-    """Return the standard deviation of a scan's place relative to those it overlaps, mm: what decides where two skins are one."""
+    """Return the standard deviation of a scan's place relative to those it overlaps, mm: what decides where two skins
+    are one."""
     mine = [pair.sigma_mm for pair in places.pairs if pair.used and scan in (pair.first, pair.second) and pair.sigma_mm]
     return max(POSE_SIGMA_MM, float(np.median(mine))) if mine else POSE_SIGMA_MM
 
@@ -310,7 +315,8 @@ def _beside_others(places: Places, scan: str) -> float:
 def surface_of(
     root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, spacing_mm: float
 ) -> FusedCloud:
-    """Return one surface of all scans that have a place, a point about every ``spacing_mm``, with sigma in the object's frame.
+    """Return one surface of all scans that have a place, a point about every ``spacing_mm``, with sigma in the object's
+    frame.
 
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
@@ -319,7 +325,8 @@ def surface_of(
 
 
 def overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:
-    """Return the hash of the calibration that an object's scans share and what their overlaps tell of it; ``None``: nothing."""
+    """Return the hash of the calibration that an object's scans share and what their overlaps tell of it; ``None``:
+    nothing."""
     places = stored_object.places
     if places is None or places.shared_error_score is None or len(places.calibrations) != 1:
         return None
@@ -345,7 +352,8 @@ def about_object(stored_object: StoredObject) -> About:
     ]
     if widest is not None:
         notes.append(
-            f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), {widest.bending_mm:.3f} mm of that by bending"
+            f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), {widest.bending_mm:.3f} "
+            "mm of that by bending"
         )
     notes += [f"without {name}: {why}" for name, why in places.left_out.items()]
     return About(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))

@@ -1,4 +1,5 @@
-"""Owns a stored scan on the pixel grid of its left image: made from the raw frames as ``kingfisher cloud`` does, with its bright image."""
+"""Owns a stored scan on the pixel grid of its left image: made from the raw frames as ``kingfisher cloud`` does, with
+its bright image."""
 
 from __future__ import annotations
 

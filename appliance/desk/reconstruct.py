@@ -1,6 +1,7 @@
 """Owns the cloud of a stored scan made again from its raw frames: the file, and the report of what it says.
 
-It also owns what can still be made of a scan with damaged frames: the others say what the lost one was, and the cloud says so.
+It also owns what can still be made of a scan with damaged frames: the others say what the lost one was, and the cloud
+says so.
 
 Per camera and sequence, one of each of these can be missed:
 
@@ -10,9 +11,9 @@ Per camera and sequence, one of each of these can be missed:
                                                  the projector then leave in it is measured as ripple, as ever.
     the bright or the dark image                 the mean of those Gray images in which the pixel is lit, or is not
 
-A Gray image cannot be missed: it alone tells which of several fringes a pixel sees, and the point would be wrong by whole
-fringes. Of two exposures, one that is whole is a scan by itself. What a salvaged cloud shows may be looked at; it never
-calibrates and is never evaluated, since movement and flickering light show in what is made up here.
+A Gray image cannot be missed: it alone tells which of several fringes a pixel sees, and the point would be wrong by
+whole fringes. Of two exposures, one that is whole is a scan by itself. What a salvaged cloud shows may be looked at; it
+never calibrates and is never evaluated, since movement and flickering light show in what is made up here.
 """
 
 from __future__ import annotations
@@ -74,10 +75,11 @@ from appliance.store import (
 Frames = NDArray[np.uint8]
 SATURATED = 255
 CLEARLY = 0.9
-"""Share of the way from a pixel's darkest to its brightest Gray image: beyond, it is lit in that image, and is not at the border of a
-stripe; likewise from the other end."""
+"""Share of the way from a pixel's darkest to its brightest Gray image: beyond, it is lit in that image, and is not at
+the border of a stripe; likewise from the other end."""
 THREE_STEP_VARIANCE = 3.0
-"""Variance of a phase from three of four steps, at most, over that of four: 6 σ² in the difference that the lost step is in, not 2 σ²."""
+"""Variance of a phase from three of four steps, at most, over that of four: 6 σ² in the difference that the lost step
+is in, not 2 σ²."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +136,8 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
         pattern = sequence.patterns[k]
         if pattern.kind is Kind.GRAY:
             raise ScanError(
-                f"{what}: {pattern.name} cannot be missed, since nothing else tells which fringe a pixel sees; bring the folder "
+                f"{what}: {pattern.name} cannot be missed, since nothing else tells which fringe a pixel sees; bring "
+                "the folder "
                 "back from a copy"
             )
         if pattern.kind is Kind.SINE:
@@ -193,9 +196,9 @@ def reconstruct_scan(
 ) -> dict[str, Any]:
     """Make the cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
 
-    The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what became
-    of those that the instrument stored. Of a ``salvaged`` scan, which ``source`` is then of, file and report say what was
-    lost. Raises ScanError, also where no points are left; CalibrationError, OSError.
+    The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what
+    became of those that the instrument stored. Of a ``salvaged`` scan, which ``source`` is then of, file and report say
+    what was lost. Raises ScanError, also where no points are left; CalibrationError, OSError.
     """
     scan, rig, calibration = source.scan, source.rig, chosen.calibration
     record = scan.manifest.record

@@ -30,10 +30,11 @@ def rescue_recording(
     out: Path | None,
     progress: Callable[[str], None],
 ) -> dict[str, Any]:
-    """Make the cloud of ``recording``, which ``source`` is of, written as PLY to ``out`` (``None``: ``incomplete-NUMBER.ply`` here).
+    """Make the cloud of ``recording``, which ``source`` is of, written as PLY to ``out`` (``None``:
+    ``incomplete-NUMBER.ply`` here).
 
-    File and report say that it is unchecked, and what is missing. Raises ScanError, also where (nearly) no points are left;
-    StorageError.
+    File and report say that it is unchecked, and what is missing. Raises ScanError, also where (nearly) no points are
+    left; StorageError.
     """
     scan, calibration = recording.scan, chosen.calibration
     record = scan.manifest.record

@@ -1,4 +1,5 @@
-"""Owns the export of one stored scan: its points or its mesh in a file for other programs, and the report of what is in it."""
+"""Owns the export of one stored scan: its points or its mesh in a file for other programs, and the report of what is in
+it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Owns what a script at the desk works with: a dive's scans, their frames, and points made of them as one wishes. ``import kingfisher`` names it.
+"""Owns what a script at the desk works with: a dive's scans, their frames, and points made of them as one wishes.
+``import kingfisher`` names it.
 
-Everything that is returned is of the classes that the program itself uses, arrays are NumPy's with units in their names, and errors are those
-of the command line: one sentence that says what is wrong and what to do.
+Everything that is returned is of the classes that the program itself uses, arrays are NumPy's with units in their
+names, and errors are those of the command line: one sentence that says what is wrong and what to do.
 """
 
 from __future__ import annotations
@@ -69,12 +70,16 @@ class ScanOfDive:
 
     @property
     def manifest(self) -> Manifest:
-        """The scan's manifest, read from the disk each time: what was recorded, how, and what was found then. Raises ScanError."""
+        """The scan's manifest, read from the disk each time: what was recorded, how, and what was found then.
+
+        Raises ScanError.
+        """
         return manifest_of(self.folder)
 
     @property
     def time(self) -> datetime | None:
-        """Time at which it was taken, as the instrument's clock had it (``manifest.record.clock_trusted``); ``None``: it had none. Raises ScanError."""
+        """Time at which it was taken, as the instrument's clock had it (``manifest.record.clock_trusted``); ``None``:
+        it had none. Raises ScanError."""
         wall_time = self.manifest.record.wall_time
         return None if wall_time is None else datetime.fromisoformat(wall_time)
 
@@ -100,7 +105,10 @@ class ScanOfDive:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings that the diver had about it, in words, with the judge's name in front; mostly none. Raises ScanError."""
+        """Warnings that the diver had about it, in words, with the judge's name in front; mostly none.
+
+        Raises ScanError.
+        """
         failed = [one for one in self.verdicts if one.passed is False]
         return tuple(f"{one.name}: {one.text}" if one.text else one.name for one in failed)
 
@@ -111,9 +119,11 @@ class ScanOfDive:
 
     @refuse_wrong_types
     def frames(self, side: Literal["left", "right"] = "left", *, second: bool = False) -> NDArray[np.uint8]:
-        """Return the raw frames of one camera, (n, h, w) uint8, packed or not; ``manifest.record.sequence.patterns`` names them.
+        """Return the raw frames of one camera, (n, h, w) uint8, packed or not; ``manifest.record.sequence.patterns``
+        names them.
 
-        Every byte is compared with its checksum first. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
+        Every byte is compared with its checksum first. ``second``: of the second exposure. Raises ScanError,
+        MissingLibraryError.
         """
         refuse_damaged_frames(self.folder)
         scan = load_scan(self.folder, only_raw=True)
@@ -131,8 +141,8 @@ class ScanOfDive:
     ) -> OrganisedScan:
         """Make the scan's points from its raw frames, every byte of which is compared with its checksum first.
 
-        ``calibration``: another one than the scan's own, or the path of its file; ``water``: another than it was recorded in.
-        Left camera frame. Raises ScanError, also where no points are left, and CalibrationError.
+        ``calibration``: another one than the scan's own, or the path of its file; ``water``: another than it was
+        recorded in. Left camera frame. Raises ScanError, also where no points are left, and CalibrationError.
         """
         refuse_damaged_frames(self.folder)
         wish = self.wish
@@ -209,11 +219,11 @@ def open_dive(
     current_calibration: bool = False,
     foreign_calibration: bool = False,
 ) -> Dive:
-    """Return the dive under a storage root: the folder that holds ``scans/``; ``None``: the one around the working directory, else that of the
-    environment variable ``KINGFISHER_ROOT``.
+    """Return the dive under a storage root: the folder that holds ``scans/``; ``None``: the one around the working
+    directory, else that of the environment variable ``KINGFISHER_ROOT``.
 
-    ``rig``: a rig file in the place of each scan's own. ``current_calibration``: the one in
-    use under the root instead of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
+    ``rig``: a rig file in the place of each scan's own. ``current_calibration``: the one in use under the root instead
+    of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
     """
     place = standing_root(os.environ) if root is None else Path(root)
     if place is None:
@@ -224,7 +234,10 @@ def open_dive(
 
 
 def open_scan(folder: Path | str, rig: Path | str | None = None, *, foreign_calibration: bool = False) -> ScanOfDive:
-    """Return one scan by its folder, wherever that was copied to. Raises ScanError for a folder that is none, ConfigError."""
+    """Return one scan by its folder, wherever that was copied to.
+
+    Raises ScanError for a folder that is none, ConfigError.
+    """
     scan = ScanOfDive(Path(folder), _wish(rig, None, foreign=foreign_calibration))
     # Read and thrown away: a wrong folder is better said now than at the first points.
     manifest_of(scan.folder)
@@ -232,7 +245,8 @@ def open_scan(folder: Path | str, rig: Path | str | None = None, *, foreign_cali
 
 
 def save_calibration(calibration: Calibration, path: Path | str) -> None:
-    """Write a calibration, for ``load_calibration``, ``--calibration`` and other instruments' desks. Never replaces a file.
+    """Write a calibration, for ``load_calibration``, ``--calibration`` and other instruments' desks. Never replaces a
+    file.
 
     Raises CalibrationError where there is one of that name, StorageError.
     """
@@ -251,8 +265,8 @@ def export(
 ) -> None:
     """Write points or a mesh for other programs; the suffix says how, as for ``kingfisher cloud``.
 
-    ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's. Raises
-    ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.
+    ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's.
+    Raises ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.
     """
     target = Path(path)
     about = About(

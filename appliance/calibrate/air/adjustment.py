@@ -6,12 +6,14 @@ prior. Boards are eliminated one by one (Schur complement), so that the number o
 
 It also owns how a board in air looks to both cameras, and how that changes with rig, board and place.
 
-It also owns the fields of both lenses in air: what the boards show beyond the five coefficients, adjusted with all else.
+It also owns the fields of both lenses in air: what the boards show beyond the five coefficients, adjusted with all
+else.
 
-The field of a lens stays when its housing is closed. Three thousand corners per camera tell it to a hundredth of a pixel, for
-each camera by itself, which matches between two cameras in water never do.
+The field of a lens stays when its housing is closed. Three thousand corners per camera tell it to a hundredth of a
+pixel, for each camera by itself, which matches between two cameras in water never do.
 
-It also owns the joint adjustment in air: both lenses, their relative pose, the board's shapes and every board's place at once.
+It also owns the joint adjustment in air: both lenses, their relative pose, the board's shapes and every board's place
+at once.
 
 Boards are eliminated one by one (Schur complement), so that the number of views costs little.
 """
@@ -101,16 +103,16 @@ def adjust(
 ) -> Adjusted:
     """Adjust by Gauss–Newton over the rig, the board's shapes, and the boards' places.
 
-    ``weights`` (4 n,) of each view are one over the noise of each coordinate, in units of the usual noise, and zero where the
-    camera did not see the corner (its pixel is then NaN).
-    Raises UndeterminedError for views that leave something free.
+    ``weights`` (4 n,) of each view are one over the noise of each coordinate, in units of the usual noise, and zero
+    where the camera did not see the corner (its pixel is then NaN). Raises UndeterminedError for views that leave
+    something free.
     """
     bend, shapes = bend_of(views), np.zeros(SHAPES)
     m = VALUES + SHAPES
     for _ in range(STEPS_AT_MOST):
-        # Gauss-Newton with the poses eliminated (Schur complement): with A the derivatives by rig and shapes and B those
-        # by one board's pose, the reduced normal matrix is Σ AᵀA − (BᵀA)ᵀ (BᵀB)⁻¹ BᵀA. 27 unknowns remain instead of 27
-        # + 6 n.
+        # Gauss-Newton with the poses eliminated (Schur complement): with A the derivatives by rig and shapes and B
+        # those by one board's pose, the reduced normal matrix is Σ AᵀA − (BᵀA)ᵀ (BᵀB)⁻¹ BᵀA. 27 unknowns remain instead
+        # of 27 + 6 n.
         information, gradient, by_scale = np.zeros((m, m)), np.zeros(m), np.zeros(m)
         changed = each_changed(rig)
         blocks, residuals, spread_px = [], [], []
@@ -131,8 +133,8 @@ def adjust(
             # Kept for the back substitution: pose = (BᵀB)⁻¹ (Bᵀr − BᵀA · step).
             blocks.append(place)
         noise_px = float(np.median(spread_px))
-        # The shapes' prior in units of the noise. Without it a board of three rows of corners leaves one shape free: an S
-        # down such a board is a lean of it.
+        # The shapes' prior in units of the noise. Without it a board of three rows of corners leaves one shape free: an
+        # S down such a board is a lean of it.
         prior = np.eye(SHAPES) * (max(noise_px, LEAST_NOISE_PX) / tolerance.bow_mm) ** 2
         information[VALUES:, VALUES:] += prior
         gradient[VALUES:] -= prior @ shapes
@@ -178,8 +180,8 @@ def adjust_with_field(
 ) -> AirField:
     """Return the field of ``views``, about the plain ``rig`` and ``boards`` that fit them best.
 
-    Gauss–Newton over the 22 values, the board's shapes and both cameras' nodes; boards' places are eliminated. ``noise_px``
-    is where the estimate of the corners' usual noise begins; ``weights`` are those of ``adjust``.
+    Gauss–Newton over the 22 values, the board's shapes and both cameras' nodes; boards' places are eliminated.
+    ``noise_px`` is where the estimate of the corners' usual noise begins; ``weights`` are those of ``adjust``.
     """
     size_px = rig.left.width_px, rig.left.height_px
     nodes = node_count(FIELD_CELLS)
@@ -210,7 +212,8 @@ def adjust_with_field(
             s = _weighted(slopes(now, changed, place, view, bend, x[VALUES:first]), weight)
             r = s.residual - _times(basis, x[first:])
             BB, Br = s.by_place.T @ s.by_place, s.by_place.T @ r
-            # J = [slopes by rig and shapes, basis]: its square's largest part, that of the nodes, is the same in each step.
+            # J = [slopes by rig and shapes, basis]: its square's largest part, that of the nodes, is the same in each
+            # step.
             BJ, cross = _across(s.by_place, s.by_rig, basis), _across(s.by_rig, s.by_rig, basis)
             hessian[:first] += cross
             hessian[first:, :first] += cross[:, first:].T

@@ -1,7 +1,7 @@
 """Owns the search for a board that nobody described: its dictionary, layout, squares and markers, and its corners.
 
-What a picture shows is found by trying: every predefined dictionary of OpenCV, and every number of squares that puts the markers
-seen, in the order of their numbers, on a plane. Only the size of a square cannot be seen.
+What a picture shows is found by trying: every predefined dictionary of OpenCV, and every number of squares that puts
+the markers seen, in the order of their numbers, on a plane. Only the size of a square cannot be seen.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ LOOKED_AT = 4
 OFF_SQUARES = 0.25
 """A marker that is further off the plane than this is none of the board's. The bend of a lens stays below it."""
 TRIES = 200
-"""Sets of four markers through which a plane is laid: one without a mistaken marker is among so many even if half are mistaken."""
+"""Sets of four markers through which a plane is laid: one without a mistaken marker is among so many even if half are
+mistaken."""
 LIKELY = 3
 """Numbers of squares across that are tried."""
 STRAIGHT = 0.25
 """Largest part of the way down by which a marker may be off to the side and still be the one below."""
 ALONG = 0.9
-"""Least cosine between a marker's edges and the squares': without it, a board of which one corner is seen fits sheared."""
+"""Least cosine between a marker's edges and the squares': without it, a board of which one corner is seen fits sheared.
+"""
 SIZE_OFF = 0.1
 """Largest difference between the markers' size as told and as seen, in parts of a square."""
 
@@ -88,7 +90,8 @@ def search_board(
                     continue
                 if mirrored:
                     raise BoardNotFoundError(
-                        f"{name}: the picture is mirrored: turned over left to right, it shows a board; give the pictures as the "
+                        f"{name}: the picture is mirrored: turned over left to right, it shows a board; give the "
+                        "pictures as the "
                         f"cameras saw them"
                     )
                 every = [first, *(find_markers(other, family) for n, other in chosen if n != name)]
@@ -99,7 +102,8 @@ def search_board(
         where = f"the {len(chosen)} of {len(pictures)} pictures that were looked at ({', '.join(name for name, _ in chosen)})"
     raise BoardNotFoundError(
         f"no ChArUco board in {where}; tried were the dictionaries {', '.join(FAMILIES)}, each in the layout "
-        f"of before and since OpenCV 4.6, and {SQUARES[0]} to {SQUARES[1]} squares across; seen were {seen}; give sharp, "
+        f"of before and since OpenCV 4.6, and {SQUARES[0]} to {SQUARES[1]} squares across; seen were {seen}; give "
+        "sharp, "
         f"evenly lit pictures of a ChArUco board whose markers count from 0 (chessboards without markers are not read)"
     )
 
@@ -129,12 +133,14 @@ def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> BoardDe
     if best is None:
         count = max(len(m.ids) for m in every)
         raise BoardNotFoundError(
-            f"{count} markers of {family} in one picture, but no ChArUco board of {SQUARES[0]} to {SQUARES[1]} squares across "
+            f"{count} markers of {family} in one picture, but no ChArUco board of {SQUARES[0]} to {SQUARES[1]} squares "
+            "across "
             f"has them on one plane in that order; its markers must count from 0, row by row"
         )
     if told and best.across not in told:
         raise BoardNotFoundError(
-            f"--board {wanted.across}x{wanted.down}: the markers seen ({family}) lie as on a board of {best.across} squares "
+            f"--board {wanted.across}x{wanted.down}: the markers seen ({family}) lie as on a board of {best.across} "
+            "squares "
             f"across and {best.rows} or more down; give that, or leave --board out"
         )
     down = best.rows
@@ -145,14 +151,16 @@ def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> BoardDe
         other = wanted.down if best.across == wanted.across else wanted.across
         if other < best.rows or (best.white_first and other % 2):
             raise BoardNotFoundError(
-                f"--board {wanted.across}x{wanted.down}: the markers seen ({family}) lie as on a board of {best.across} squares "
+                f"--board {wanted.across}x{wanted.down}: the markers seen ({family}) lie as on a board of "
+                f"{best.across} squares "
                 f"across and {down} or more down; give that, or leave --board out"
             )
         down = other
     size = best.marker if wanted.marker_mm is None else wanted.marker_mm / wanted.square_mm
     if abs(size - best.marker) > SIZE_OFF:
         raise BoardNotFoundError(
-            f"--board: markers of {wanted.marker_mm:g} mm: in the pictures a marker's side is {best.marker:.3f} of a square's, which are "
+            f"--board: markers of {wanted.marker_mm:g} mm: in the pictures a marker's side is {best.marker:.3f} of a "
+            "square's, which are "
             f"{best.marker * wanted.square_mm:.3g} mm of {wanted.square_mm:g} mm; measure the board, or leave it out"
         )
     plain = BoardDesign(best.across, max(down, SQUARES[0]), wanted.square_mm, size * wanted.square_mm)
@@ -162,8 +170,8 @@ def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> BoardDe
 def _best_grid(every: Sequence[Markers]) -> _Grid | None:
     """Return the number of squares across that puts most markers on planes; ``None`` where none puts enough."""
     enough = [m for m in every if len(m.ids) >= LEAST_MARKERS]
-    # Two rows of squares have as many markers as a row has squares: so much larger is the number of the marker two squares
-    # below another, whatever the layout.
+    # Two rows of squares have as many markers as a row has squares: so much larger is the number of the marker two
+    # squares below another, whatever the layout.
     votes = Counter(int(step) for markers in enough for step in _steps_down(markers))
     likely = [across for across, _ in votes.most_common(LIKELY)]
     grids = [_grid(enough, across, white) for across in likely for white in (False, True)]

@@ -29,8 +29,10 @@ FAMILIES: Mapping[str, tuple[tuple[int, str], ...]] = {
     "APRILTAG_16h5": ((30, "DICT_APRILTAG_16h5"),),
     "APRILTAG_36h10": ((2320, "DICT_APRILTAG_36h10"),),
 }
-"""OpenCV's predefined dictionaries, the likely ones first. Those of one family begin alike: only how many markers they have
-differs."""
+"""OpenCV's predefined dictionaries, the likely ones first.
+
+Those of one family begin alike: only how many markers they have differs.
+"""
 
 MAX_SATURATED_SHARE = 0.05
 DARK_DN, BRIGHT_PERCENTILE = 40.0, 99.0
@@ -42,12 +44,16 @@ LEAST_SQUARES = 4
 LEAST_SPREAD = 0.005
 """Least part of the image inside the corners' bounding box, below which they are too near together to tell anything."""
 SMALL_SPREAD = 0.15
-"""Part of the image inside the corners' bounding box below which somebody is told: a board that fills an eighth of the picture is used,
-by what it tells, and tells a third as much of the lens as one that fills it."""
+"""Part of the image inside the corners' bounding box below which somebody is told: a board that fills an eighth of the
+picture is used, by what it tells, and tells a third as much of the lens as one that fills it."""
 MIN_SPREAD = 0.1
-"""Least part of the image inside the corners' bounding box: a far board tells little and hides much. Of whoever holds the board it can be asked."""
+"""Least part of the image inside the corners' bounding box: a far board tells little and hides much.
+
+Of whoever holds the board it can be asked.
+"""
 THRESHOLD_WINDOWS = (300, 32)
-"""Smallest and largest window for thresholds, as parts of the image's width: four between them find markers of any size."""
+"""Smallest and largest window for thresholds, as parts of the image's width: four between them find markers of any
+size."""
 CLEAR_OF_MARKERS = 0.8
 """Part of the way from a corner to the next marker that the window of its refinement may fill."""
 LEAST_WINDOW_PX, LARGEST_WINDOW_PX = 2, 10
@@ -72,7 +78,8 @@ class BoardDesign:
     marker_mm: float = 13.5
     dictionary: int = cv2.aruco.DICT_5X5_250
     legacy: bool = False
-    """The layout of OpenCV before 4.6: with an even number of squares down, the first square is a marker's, not a dark one."""
+    """The layout of OpenCV before 4.6: with an even number of squares down, the first square is a marker's, not a dark
+    one."""
 
     @classmethod
     def parse(cls, text: str) -> BoardDesign:
@@ -168,7 +175,8 @@ def find_markers(image: Image, family: str, first: int | None = None) -> Markers
 def find_board(
     name: str, images: Mapping[str, Image], design: BoardDesign, strict: bool
 ) -> tuple[BoardView, list[str]]:
-    """Return the corners that each image (h, w) uint8 shows of the board, by camera; and why one shows none, in sentences.
+    """Return the corners that each image (h, w) uint8 shows of the board, by camera; and why one shows none, in
+    sentences.
 
     ``strict``: as for ``find_corners``.
     """
@@ -185,10 +193,12 @@ def find_board(
 
 
 def find_corners(image: Image, design: BoardDesign, strict: bool) -> dict[int, Array] | NoBoard:
-    """Return the board's corners in one image (h, w) uint8: pixels (2,) by the corner's number in ``design``, refined to subpixels.
+    """Return the board's corners in one image (h, w) uint8: pixels (2,) by the corner's number in ``design``, refined
+    to subpixels.
 
-    ``strict``: glare and far boards are refused, since whoever holds the board can be told to hold it better; else a board of any
-    size will do, as each corner counts as much as it tells. A reason has ``{side}`` where the camera's name belongs.
+    ``strict``: glare and far boards are refused, since whoever holds the board can be told to hold it better; else a
+    board of any size will do, as each corner counts as much as it tells. A reason has ``{side}`` where the camera's
+    name belongs.
     """
     if strict and float(np.mean(image >= FULL_DN)) > MAX_SATURATED_SHARE:
         return NoBoard("the {side} image is overexposed; less light, or turn the board out of the glare")
@@ -200,7 +210,8 @@ def find_corners(image: Image, design: BoardDesign, strict: bool) -> dict[int, A
         if float(np.percentile(image, BRIGHT_PERCENTILE)) < DARK_DN:
             return NoBoard("the {side} image is dark; more light, or a longer exposure")
         return NoBoard(
-            f"{len(numbers)} corners in the {{side}} image, {MIN_CORNERS} are needed; {len(markers.ids)} markers were seen; "
+            f"{len(numbers)} corners in the {{side}} image, {MIN_CORNERS} are needed; {len(markers.ids)} markers were "
+            "seen; "
             f"bring the whole board into view, sharp and evenly lit"
         )
     if (spread := spread_of(at, image.shape)) < (MIN_SPREAD if strict else LEAST_SPREAD):
@@ -237,8 +248,8 @@ def flipped(image: Image) -> Image:
 
 
 def refined(image: Image, design: BoardDesign, corners: Array, ids: NDArray[np.intp]) -> dict[int, Array] | NoBoard:
-    """Return each corner (n, 2) once more, by its number, with a window as large as the markers around it leave room for;
-    those whose window would leave the image (h, w) are left out."""
+    """Return each corner (n, 2) once more, by its number, with a window as large as the markers around it leave room
+    for; those whose window would leave the image (h, w) are left out."""
     flat_mm = np.asarray(design.pattern().getChessboardCorners(), np.float64)[ids, :2]
     to_px = np.asarray(cv2.findHomography(flat_mm, corners)[0], np.float64)
     if to_px.shape != (3, 3):

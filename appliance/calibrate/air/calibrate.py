@@ -2,16 +2,17 @@
 
 Views may differ: boards near and far, sharp and blurred, and some that one camera has alone.
 
-What a view tells follows from its corners: their number and places are in the equations of the adjustment, and their noise is
-estimated for each view and camera from what the adjustment leaves of it. A view that one camera has alone tells about that
-camera's lens and about the board. OpenCV's calibration gives the start, one joint adjustment (``adjustment``) the values and
-the covariance that the bundle in water needs as its prior.
+What a view tells follows from its corners: their number and places are in the equations of the adjustment, and their
+noise is estimated for each view and camera from what the adjustment leaves of it. A view that one camera has alone
+tells about that camera's lens and about the board. OpenCV's calibration gives the start, one joint adjustment
+(``adjustment``) the values and the covariance that the bundle in water needs as its prior.
 
-It also owns whether the two pictures of a pair show one board: the cameras' relative pose by each pair, against that by all others.
+It also owns whether the two pictures of a pair show one board: the cameras' relative pose by each pair, against that by
+all others.
 
-Each camera by itself tells where it sees the board in each picture. Two pictures of one moment give the cameras' relative pose; two of
-different moments give something else each time. So the true pose is the one that most pairs agree on, and a sequence in which a
-picture is missing agrees again where the pictures after it are paired one further on.
+Each camera by itself tells where it sees the board in each picture. Two pictures of one moment give the cameras'
+relative pose; two of different moments give something else each time. So the true pose is the one that most pairs agree
+on, and a sequence in which a picture is missing agrees again where the pictures after it are paired one further on.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ Place = tuple[Array, Array]
 """Rotation (3, 3) and translation (3,) in mm, board to camera."""
 
 ELSEWHERE = 1 / 40
-"""Distance in image widths between where a pair's cameras see the board from which on it is another moment's; poses of one camera
-by itself agree to a tenth of that."""
+"""Distance in image widths between where a pair's cameras see the board from which on it is another moment's; poses of
+one camera by itself agree to a tenth of that."""
 MOST_SHIFT = 2
 """Pictures by which one camera's may be off the other's."""
 LEAST_SHIFTED = 2
@@ -73,14 +74,15 @@ class Pairing:
     elsewhere_px: Mapping[str, float]
     """Name of each other pair that disagrees, in order, and how far apart its two cameras see the board."""
     further_on: int
-    """Number of pictures by which the right ones come later (positive) or earlier than their left ones from the first of
-    ``elsewhere_px`` on; 0: it is not that."""
+    """Number of pictures by which the right ones come later (positive) or earlier than their left ones from the first
+    of ``elsewhere_px`` on; 0: it is not that."""
 
 
 def pair_up(
     views: Sequence[BoardView], left: Mapping[str, Place], right: Mapping[str, Place], f_px: float, width_px: int
 ) -> Pairing:
-    """Compare the relative poses of ``views``, in the order of their pictures: places by name, the right principal distance.
+    """Compare the relative poses of ``views``, in the order of their pictures: places by name, the right principal
+    distance.
 
     Raises ValueError where no view has both places.
     """
@@ -110,7 +112,8 @@ def pair_up(
             exchanged.append(name)
         else:
             elsewhere[name] = float(far_px)
-    # Pictures from the first wrong pair on that no pair of their own explains, and a later or earlier one of the other camera does.
+    # Pictures from the first wrong pair on that no pair of their own explains, and a later or earlier one of the other
+    # camera does.
     fine = {one.left for one in fellows if one.left == one.right}
     first = min((k for k, view in enumerate(views) if view.name in elsewhere), default=len(views))
     steps = [
@@ -128,7 +131,8 @@ def _near(i: int, count: int) -> range:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """A left and a right picture: four corners as each camera by itself places them, and the relative pose that follows."""
+    """A left and a right picture: four corners as each camera by itself places them, and the relative pose that
+    follows."""
 
     left: int
     right: int
@@ -183,9 +187,11 @@ NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 MIN_PAIRS = 3
 """Fewest views that both cameras have: the pose between them is the pairs' alone."""
 NOISE_ROUNDS = 3
-"""Adjustments between which the noise of each view and camera is estimated anew; the third changes weights by a percent."""
+"""Adjustments between which the noise of each view and camera is estimated anew; the third changes weights by a
+percent."""
 BELIEVED = 12.0
-"""The usual noise counts as so many coordinates in each estimate, lest few corners that happen to fit get a large weight."""
+"""The usual noise counts as so many coordinates in each estimate, lest few corners that happen to fit get a large
+weight."""
 LEAST_NOISE = 0.25
 """Least noise of a view, in units of the usual: what is smaller is luck."""
 GUESSES = (1.5, 0.7, 3.5)
@@ -204,8 +210,8 @@ class AirCalibrationError(Exception):
 
 @contextmanager
 def determined_by(views: Sequence[BoardView], width_px: int, height_px: int) -> Iterator[None]:
-    """Raise AirCalibrationError that names what ``views`` lack: at once where tilts are missing, else where the adjustment inside
-    leaves something free."""
+    """Raise AirCalibrationError that names what ``views`` lack: at once where tilts are missing, else where the
+    adjustment inside leaves something free."""
     tilts, enough = check_tilts(views, width_px, height_px)
     # Of too few views their number is said first.
     if not enough and len(views) >= MIN_VIEWS:
@@ -266,12 +272,17 @@ class AirCalibration:
     rig: StereoRig
     """Rig whose ports have no thickness and no distance: air."""
     covariance: Array
-    """(22, 22), in the units and order of ``parameters.NAMES[AIR]``: noise of the corners, tolerance of the board. What a
-    lens does beyond the model is not in it."""
+    """(22, 22), in the units and order of ``parameters.NAMES[AIR]``: noise of the corners, tolerance of the board.
+
+    What a lens does beyond the model is not in it.
+    """
     residual_px: float
     """RMS per coordinate."""
     shapes_mm: Array
-    """(``SHAPES``,): the board's shapes as adjusted (``linearised.Bend``). The first is its bow: how far its middle stands back."""
+    """(``SHAPES``,): the board's shapes as adjusted (``linearised.Bend``).
+
+    The first is its bow: how far its middle stands back.
+    """
     left_out: tuple[str, ...]
     """Views that were not used, each with the reason in words."""
     views: tuple[FittedView, ...]
@@ -303,9 +314,9 @@ def calibrate_air(
 ) -> AirCalibration:
     """Calibrate the pair in air from boards (twenty or so, tilted by up to 35°, filling the images).
 
-    ``views`` are in the order of their pictures. Square pixels are assumed. ``tolerance`` ``None``: that of a good board.
-    ``with_field``: adjust the lenses' fields, too, which takes a second. Raises AirCalibrationError when too few views remain, when
-    a picture is missing among them, or when they do not determine the cameras.
+    ``views`` are in the order of their pictures. Square pixels are assumed. ``tolerance`` ``None``: that of a good
+    board. ``with_field``: adjust the lenses' fields, too, which takes a second. Raises AirCalibrationError when too few
+    views remain, when a picture is missing among them, or when they do not determine the cameras.
     """
     left_out, usable = [], []
     for view in views:
@@ -319,7 +330,8 @@ def calibrate_air(
 
 
 def check_pairs(views: Sequence[BoardView], width_px: int, height_px: int) -> None:
-    """Raise AirCalibrationError where the first ``views`` already show that a picture is missing, before the others are looked at."""
+    """Raise AirCalibrationError where the first ``views`` already show that a picture is missing, before the others are
+    looked at."""
     try:
         pairing = _start(views, width_px, height_px).pairing
     except (ValueError, cv2.error):
@@ -391,7 +403,8 @@ def _check_enough(views: Sequence[BoardView], left_out: Sequence[str]) -> None:
     if min(seen.values()) >= MIN_VIEWS and pairs >= MIN_PAIRS:
         return
     raise AirCalibrationError(
-        f"the left camera has {seen['left']} usable views of the board, the right one {seen['right']}, and {pairs} are of both; "
+        f"the left camera has {seen['left']} usable views of the board, the right one {seen['right']}, and {pairs} are "
+        "of both; "
         f"{MIN_VIEWS} of each camera and {MIN_PAIRS} of both are needed; give more"
         + (f" ({'; '.join(left_out)})" if left_out else "")
     )
@@ -408,7 +421,8 @@ class _Start:
 
 
 def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> _Start:
-    """Return OpenCV's separate calibrations, each from all that its camera saw, and the relative pose of the pairs that agree."""
+    """Return OpenCV's separate calibrations, each from all that its camera saw, and the relative pose of the pairs that
+    agree."""
     left, at_left = _lens(views, "left", width_px, height_px)
     right, at_right = _lens(views, "right", width_px, height_px)
     pairing = pair_up(views, at_left, at_right, right.lens.f_px[0], width_px)
@@ -421,14 +435,18 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> _Start:
 
 
 def _wrong_pairs(pairing: Pairing) -> dict[str, str]:
-    """Return why pairs are not used, by name. Raises AirCalibrationError where a picture is missing, or hardly any pairs agree."""
+    """Return why pairs are not used, by name.
+
+    Raises AirCalibrationError where a picture is missing, or hardly any pairs agree.
+    """
     places = "the left and the right picture show the board at different places"
     elsewhere = pairing.elsewhere_px
     if elsewhere and (pairing.further_on or pairing.agreeing < MIN_PAIRS):
         name, far_px = next(iter(elsewhere.items()))
         later, side = ("later", "left") if pairing.further_on > 0 else ("earlier", "right")
         why = (
-            f"from there on left pictures belong to right ones {abs(pairing.further_on)} {later}, so a {side} picture is missing there or before; "
+            f"from there on left pictures belong to right ones {abs(pairing.further_on)} {later}, so a {side} picture "
+            "is missing there or before; "
             "add it, or remove the other one of its pair, and number the pictures after it anew"
             if pairing.further_on
             else f"only {pairing.agreeing} agree on how the cameras stand to each other, {MIN_PAIRS} must; give pictures that were taken at "
@@ -483,7 +501,8 @@ def _lens(
 
 
 def _adjusted(start: _Start, views: Sequence[BoardView], allowed: BoardTolerance) -> tuple[Adjusted, list[Array]]:
-    """Return the adjustment with each view weighted, and the noise (2,) of each, left and right; NaN where it has no view."""
+    """Return the adjustment with each view weighted, and the noise (2,) of each, left and right; NaN where it has no
+    view."""
     noise = [np.where([v.has(side).any() for side in SIDES], 1.0, np.nan) for v in views]
     rig, boards = start.rig, start.boards
     adjusted: Adjusted | None = None
@@ -508,9 +527,11 @@ def _weights(view: BoardView, noise_px: Array, usual_px: float) -> Array:
 
 
 def _noise(residuals: Sequence[Array]) -> list[Array]:
-    """Estimate the noise of a coordinate (2,) in each view, left and right, from residuals (n, 4); NaN where it has no view.
+    """Estimate the noise of a coordinate (2,) in each view, left and right, from residuals (n, 4); NaN where it has no
+    view.
 
-    A variance component for each, s² = (ν s₀² + Σ e²) / (ν + 2 n − 3): three of a pair's six values of place per camera.
+    A variance component for each, s² = (ν s₀² + Σ e²) / (ν + 2 n − 3): three of a pair's six values of place per
+    camera.
     """
     found = []
     usual = float(

@@ -28,8 +28,10 @@ ENOUGH_CORNERS = 6
 """Least number of corners in a region, over all views."""
 LEAST_LEAN_DEG = 12.0
 LEAST_TILT_DEG, LEAST_TILTS = 5.0, 2
-"""A board that leans by less tells no principal distance: it might as well be larger and farther away. Principal distance and point are
-three numbers, and each other tilt gives two equations (Zhang 2000)."""
+"""A board that leans by less tells no principal distance: it might as well be larger and farther away.
+
+Principal distance and point are three numbers, and each other tilt gives two equations (Zhang 2000).
+"""
 GUESSED_PRINCIPAL_DISTANCE = 1.6
 """Principal distance in image widths that is assumed: good enough to tell how a board leans."""
 LEANS = {

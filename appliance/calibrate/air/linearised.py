@@ -63,7 +63,8 @@ class BoardView:
         return self.corners_mm[rows], self.px(side)[rows]
 
     def without(self, bad: NDArray[np.bool_]) -> BoardView:
-        """Return the view without its ``bad`` corners (n,), and without a camera whose other corners do not tell its place."""
+        """Return the view without its ``bad`` corners (n,), and without a camera whose other corners do not tell its
+        place."""
         corners_mm, both = self.corners_mm[~bad], [self.left_px[~bad], self.right_px[~bad]]
         told = [px if _tell_place(corners_mm[np.isfinite(px[:, 0])]) else np.full_like(px, np.nan) for px in both]
         seen = np.isfinite(told[0][:, 0]) | np.isfinite(told[1][:, 0])
@@ -89,8 +90,8 @@ class Bend:
     def of(self, corners_mm: Array) -> Array:
         """Return the rise of corners (n, 3) in mm per mm of each amount, (n, ``SHAPES``).
 
-        With p = x/a and q = y/a about the middle: 1 − 2 (p² + q²), p² − q², 2 p q, p (1 − p²) and q (1 − q²). The last two
-        are zero in the middle and at p = 1: what they have of a lean belongs to the board's place.
+        With p = x/a and q = y/a about the middle: 1 − 2 (p² + q²), p² − q², 2 p q, p (1 − p²) and q (1 − q²). The last
+        two are zero in the middle and at p = 1: what they have of a lean belongs to the board's place.
         """
         p, q = ((corners_mm[:, k] - self.middle[k]) / self.reach_mm for k in (0, 1))
         return np.stack([1.0 - 2.0 * (p * p + q * q), p * p - q * q, 2.0 * p * q, p * (1 - p * p), q * (1 - q * q)], 1)
@@ -124,7 +125,8 @@ def slopes(
     bend: Bend,
     amounts_mm: Array,
 ) -> ViewSlopes:
-    """Return the residuals of a view and their slopes; ``changed`` is ``rig`` with each of the 22 values a step further."""
+    """Return the residuals of a view and their slopes; ``changed`` is ``rig`` with each of the 22 values a step
+    further."""
     rise = bend.of(view.corners_mm)
     corners = view.corners_mm.copy()
     corners[:, 2] += rise @ amounts_mm

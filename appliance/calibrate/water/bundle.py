@@ -4,8 +4,8 @@ Residual: the ray of the exact left pixel meets the artefact, the point is proje
 it is compared with the matched right pixel, in both directions (the parallax across the baseline is what shows a
 tilted port). Artefacts' places are unknowns; everything that the recordings cannot tell stays at its prior.
 
-It also owns the slopes of one recording's residuals, and how they enter the normal equations: few unknowns touch every point,
-and of the many nodes of a surface sixteen touch one.
+It also owns the slopes of one recording's residuals, and how they enter the normal equations: few unknowns touch every
+point, and of the many nodes of a surface sixteen touch one.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ class Slopes:
     nodes: Sequence[NodeSlopes]
 
     def add(self, hessian: Array, gradient: Array, weight: Array) -> None:
-        """Add Jᵀ W J to ``hessian`` and Jᵀ W r to ``gradient``, in place; ``weight`` (2 n,) is of all first coordinates,
-        then of all second."""
+        """Add Jᵀ W J to ``hessian`` and Jᵀ W r to ``gradient``, in place; ``weight`` (2 n,) is of all first
+        coordinates, then of all second."""
         D = np.concatenate([self.dense[:, 0], self.dense[:, 1]])
         r = weight * np.concatenate([self.residual[:, 0], self.residual[:, 1]])
         WD = weight[:, None] * D
@@ -134,8 +134,8 @@ class Slopes:
 PIXEL_STEP = 1e-3
 INDEX_STEP = 1e-5
 REFITS, REFIT_ROUNDS, REFIT_STEP = 2, 3, 3.0
-"""Number of estimates of the windows' waviness, rounds of each, and distance from the solution within which one is made (standard
-deviations)."""
+"""Number of estimates of the windows' waviness, rounds of each, and distance from the solution within which one is made
+(standard deviations)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,14 +152,16 @@ class BundleSettings:
     refocus: float = 1e-4
     """Relative change of a principal distance between air and water."""
     spline_px: float = 0.15
-    """Standard deviation of a spline node where the start has no fields from air; 0: no image correction is adjusted."""
+    """Standard deviation of a spline node where the start has no fields from air; 0: no image correction is adjusted.
+    """
     spline_bend_px: float = 0.05
     """Standard deviation of second differences between neighbouring spline nodes."""
     points_per_recording: int = 1500
     far_residual: float = 4.0
     """Residuals beyond this many standard deviations lose weight in proportion (Huber)."""
     led_nm: float = 5.8
-    """Standard deviation of the LED's wavelength about that of the water's index: ± 10 nm of its data sheet, evenly spread."""
+    """Standard deviation of the LED's wavelength about that of the water's index: ± 10 nm of its data sheet, evenly
+    spread."""
     steps_at_most: int = 25
     small_step: float = 0.03
     """Converged when a step is shorter than this in standard deviations, all parameters together."""
@@ -170,8 +172,8 @@ def adjust(
 ) -> WaterResult:
     """Adjust ``start`` (air values with the design's ports) to recordings in water; ``method`` is PORTS or SPLINE.
 
-    A few thousand points take seconds. Raises RecordingError for recordings that cannot be used or do not suffice, and for a
-    start that lacks the covariance from air, which SPLINE needs.
+    A few thousand points take seconds. Raises RecordingError for recordings that cannot be used or do not suffice, and
+    for a start that lacks the covariance from air, which SPLINE needs.
     """
     if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
         raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
@@ -184,12 +186,16 @@ def adjust(
 
 
 def adjusted(problem: Problem) -> WaterResult:
-    """Return what solving the normal equations gives. Raises RecordingError if they leave something open, or do not converge."""
+    """Return what solving the normal equations gives.
+
+    Raises RecordingError if they leave something open, or do not converge.
+    """
     try:
         return _adjusted(problem)
     except UndeterminedError as error:
         raise RecordingError(
-            f"the recordings do not determine {', '.join(error.names)}; record planes that fill the image and bars whose balls are seen "
+            f"the recordings do not determine {', '.join(error.names)}; record planes that fill the image and bars "
+            "whose balls are seen "
             "from many sides"
         ) from error
 
@@ -215,8 +221,8 @@ def _adjusted(problem: Problem) -> WaterResult:
         hessian, gradient, cost, residuals = tried
         costs.append(cost)
         if refits and still_to_go < REFIT_STEP:
-            # How wavy the windows are is told by the residuals near the solution. Another prior counts the same place anew:
-            # earlier costs move with it, so that they stay comparable.
+            # How wavy the windows are is told by the residuals near the solution. Another prior counts the same place
+            # anew: earlier costs move with it, so that they stay comparable.
             refits -= 1
             problem.refit(hessian, gradient, x)
             before = cost
@@ -257,11 +263,11 @@ def _adjusted(problem: Problem) -> WaterResult:
     rest = max(rest, math.sqrt(max(rms**2 - chosen.noise_px**2, 0.0)))
     bar = next(r for r in recordings if r.kind is ArtefactKind.BALL_BAR)
     noisier = max(1.0, rms / chosen.noise_px)
-    # Residuals show what the fields of both cameras differ by. Where the boards in air were adjusted without fields, what
-    # these did to lenses and pose there is hidden, and about as large again.
+    # Residuals show what the fields of both cameras differ by. Where the boards in air were adjusted without fields,
+    # what these did to lenses and pose there is hidden, and about as large again.
     hidden = problem.has_nodes and start.air_field is None
-    # The index of the water is not adjusted: recordings do not tell it from the ports. What the adjustment would have answered to
-    # another colour of the LED is carried to the lengths besides.
+    # The index of the water is not adjusted: recordings do not tell it from the ports. What the adjustment would have
+    # answered to another colour of the LED is carried to the lengths besides.
     _, aside, _, _ = problem.linearise(x, INDEX_STEP)
     by_index = -covariance @ (aside - gradient) / INDEX_STEP
     doubt = Doubt(
@@ -326,7 +332,8 @@ class Problem:
         self.has_nodes = method is Method.SPLINE and settings.spline_px > 0.0
         self._intervals = CORRECTION_INTERVALS if air_field is None else air_field.intervals
         nodes = 2 * node_count(self._intervals) if self.has_nodes else 0
-        # Order of the unknowns x: rig parameters, nodes of the left and right image correction, then each artefact's pose.
+        # Order of the unknowns x: rig parameters, nodes of the left and right image correction, then each artefact's
+        # pose.
         self._left_nodes, self._right_nodes = slice(count, count + nodes), slice(count + nodes, count + 2 * nodes)
         placed = [first_place(thinned(r, settings.points_per_recording), rig) for r in recordings]
         self.recordings = [recording for _, recording in placed]
@@ -443,7 +450,8 @@ class Problem:
         at: slice,
         index_more: float,
     ) -> Slopes:
-        """Return one recording's residuals and their slopes by all unknowns; ``changed`` has the rigs at a step of each of the first."""
+        """Return one recording's residuals and their slopes by all unknowns; ``changed`` has the rigs at a step of each
+        of the first."""
         index = recording.water.index + index_more
         left, right = recording.left_px, recording.right_px
         if self.has_nodes:

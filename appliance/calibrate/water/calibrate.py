@@ -28,7 +28,8 @@ def calibrate(
 ) -> WaterResult:
     """Calibrate in water, from ``start``: lenses and pose from air, ports as drawn (``start_from_air``).
 
-    Raises RecordingError for recordings that cannot be used or do not suffice, and for a start that is none. Seconds; deterministic.
+    Raises RecordingError for recordings that cannot be used or do not suffice, and for a start that is none. Seconds;
+    deterministic.
     """
     check_start(start)
     progress(f"calibrating: {method.value}")

@@ -19,7 +19,8 @@ ARROW = 0.9
 
 
 def residual_svg(residuals: Residuals, size_px: tuple[int, int]) -> tuple[str, float]:
-    """Return the mean residuals over cells of the left image as arrows, and the px that an arrow of one cell stands for."""
+    """Return the mean residuals over cells of the left image as arrows, and the px that an arrow of one cell stands
+    for."""
     width_px, height_px = size_px
     cell = width_px / CELLS[0]
     column = np.clip(residuals.left_px[:, 0] / width_px * CELLS[0], 0, CELLS[0] - 1).astype(np.intp)

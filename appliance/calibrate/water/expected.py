@@ -1,4 +1,5 @@
-"""Owns how wrong an adjustment's lengths and planes may be: its covariance, carried to bars and planes all over the volume."""
+"""Owns how wrong an adjustment's lengths and planes may be: its covariance, carried to bars and planes all over the
+volume."""
 
 from __future__ import annotations
 
@@ -66,8 +67,8 @@ class Doubt:
     index_sd: float
     """Standard deviation of that index."""
     rest_px: float
-    """Residual left over patches of the image though the model should explain it: each place is supposed to have an error of
-    that size of its own."""
+    """Residual left over patches of the image though the model should explain it: each place is supposed to have an
+    error of that size of its own."""
 
 
 def expected(rig: StereoRig, bar: Recording, doubt: Doubt, columns: Columns) -> Expected:
@@ -104,7 +105,8 @@ def expected(rig: StereoRig, bar: Recording, doubt: Doubt, columns: Columns) -> 
 
 
 def expected_depth_error_mm2(rig: StereoRig, water_index: float, doubt: Doubt, columns: Columns) -> Array:
-    """Return the covariance (n, n), mm², of the smooth depth error that all scans of ``rig`` share (``calibration.depth_error``)."""
+    """Return the covariance (n, n), mm², of the smooth depth error that all scans of ``rig`` share
+    (``calibration.depth_error``)."""
     u, v = np.meshgrid(np.linspace(-BORDER, BORDER, 11), np.linspace(-0.75 * BORDER, 0.75 * BORDER, 9))
     ray = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
     points = np.concatenate([share * rig.volume.scaled(DISTANCE_MM) * ray for share in SHARED_DEPTHS])
@@ -137,7 +139,8 @@ def warnings_about_expected(
         remedy = "calibrate in air again: this start does not know what its lenses do beyond their coefficients"
     elif many or rest_px > MUCH_REST_PX:
         remedy = (
-            f"{rest_px:.3f} px are left that the model does not explain; calibrate in air again, with boards to the edges of "
+            f"{rest_px:.3f} px are left that the model does not explain; calibrate in air again, with boards to the "
+            "edges of "
             f"both images, then record the bars and planes again at rest"
         )
     else:

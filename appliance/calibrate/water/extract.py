@@ -53,8 +53,8 @@ def matched_right_px(
     """Return the right pixels (n, 2) that show what left pixels (n, 2) show, and which of them were found.
 
     ``left_pq`` and ``right_pq`` are the pattern coordinates (p, q) of every pixel, NaN where unknown;
-    ``right_start_px`` says within some twenty pixels where to look. Points whose windows are not complete or not smooth are
-    not found.
+    ``right_start_px`` says within some twenty pixels where to look. Points whose windows are not complete or not smooth
+    are not found.
     """
     found_px = np.full((len(left_px), 2), np.nan)
     good = np.zeros(len(left_px), bool)
@@ -162,7 +162,9 @@ Pixels = NDArray[np.intp]
 
 CALIBRATING_GAP_MM = 15.0
 """Limit of the ray gap for scans that calibrate: with ports that nobody has measured, true rays miss by millimetres.
-Two ports tilted by 2° away from each other make 9 mm; 5 mm left an instrument like the paper's without a single point."""
+
+Two ports tilted by 2° away from each other make 9 mm; 5 mm left an instrument like the paper's without a single point.
+"""
 GUARD_PX = HALF_WINDOW_PX + 2
 """A pixel is used if all within this distance are measured: beside the window, what an edge's blur may reach."""
 MAX_CONTRAST = 0.08
@@ -209,8 +211,8 @@ def extract(
 ) -> Recording | NotFound:
     """Return the recording that a scan makes: of a ball bar with its certificate, of a plane with ``None``.
 
-    ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``CALIBRATING_GAP_MM``. The answer is
-    ``NotFound`` with the reason in words where the artefact is not seen well enough. Deterministic.
+    ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``CALIBRATING_GAP_MM``. The
+    answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Deterministic.
     """
     bar: BallBar | None = None
     if certificate is None:
@@ -255,7 +257,8 @@ def extract(
         count = int(np.count_nonzero(good & (sphere == label)))
         if count < MIN_POINTS:
             return NotFound(
-                f"{name}: of {len(on_surface)} points on the {what} only {count} are fit to calibrate with, {MIN_POINTS} "
+                f"{name}: of {len(on_surface)} points on the {what} only {count} are fit to calibrate with, "
+                f"{MIN_POINTS} "
                 f"are needed; clean the artefact, avoid glare, and bring it whole into the picture of both cameras"
             )
     picked = left_px[good].astype(np.float64), right_px[good]

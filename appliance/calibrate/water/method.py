@@ -1,4 +1,5 @@
-"""Owns the methods of calibrating in water, and what each gives: a calibration, and what one should know before trusting it."""
+"""Owns the methods of calibrating in water, and what each gives: a calibration, and what one should know before
+trusting it."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ class Method(Enum):
     PORTS = "ports"
     """Adjust each port's tilt and distance; the calibration in air is believed."""
     SPLINE = "spline"
-    """Adjust lenses and pose, too, held by their covariance from air, and an image correction per camera: the method to use."""
+    """Adjust lenses and pose, too, held by their covariance from air, and an image correction per camera: the method to
+    use."""
 
 
 BEFORE_OPERATOR = ("pm", "rm")
@@ -44,8 +46,10 @@ class WaterResult:
     estimates: tuple[Estimate, ...] = ()
     """Adjusted parameters with prior and posterior uncertainty; empty where the method states none."""
     costs: tuple[float, ...] = ()
-    """The robust sum of squares, priors included: before the first step of the adjustment and after each. Where the prior is
-    estimated on the way, earlier ones are moved by what that changes."""
+    """The robust sum of squares, priors included: before the first step of the adjustment and after each.
+
+    Where the prior is estimated on the way, earlier ones are moved by what that changes.
+    """
     expected: Expected | None = None
     """Errors to be expected of lengths and planes that were not recorded; ``None`` where the method does not tell."""
     before: Mapping[str, Calibration] = field(default_factory=dict)

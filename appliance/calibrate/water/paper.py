@@ -1,13 +1,14 @@
-"""Owns the calibration as Bräuer-Burchardt et al. 2015 published it: pinholes (PM), perpendicular ports at searched distances (RM),
-and these with a distortion operator (RMD).
+"""Owns the calibration as Bräuer-Burchardt et al. 2015 published it: pinholes (PM), perpendicular ports at searched
+distances (RM), and these with a distortion operator (RMD).
 
-RM has the pair (d1, d2) that minimises T, the sum of squares of the relative length errors of ball bars and the relative flatness
-errors of planes (UIDD, Eqs. 5-7). Rays are those of ``HousedCamera``, which is what the misprinted Eq. 1 means. Flatness is a range,
-whose floor is the noise, so that T has a valley along d1 - d2; and tilted ports cannot be found this way: ``bundle`` finds them.
+RM has the pair (d1, d2) that minimises T, the sum of squares of the relative length errors of ball bars and the
+relative flatness errors of planes (UIDD, Eqs. 5-7). Rays are those of ``HousedCamera``, which is what the misprinted
+Eq. 1 means. Flatness is a range, whose floor is the noise, so that T has a valley along d1 - d2; and tilted ports
+cannot be found this way: ``bundle`` finds them.
 
-For the operator D every point of the planes is moved to its fitted plane and projected back; what is then missing in the images is
-approximated by a bivariate cubic (ten coefficients per coordinate and camera). A bicubic spline contains every cubic, so that the
-operator travels in the calibration file as an ordinary image correction.
+For the operator D every point of the planes is moved to its fitted plane and projected back; what is then missing in
+the images is approximated by a bivariate cubic (ten coefficients per coordinate and camera). A bicubic spline contains
+every cubic, so that the operator travels in the calibration file as an ordinary image correction.
 """
 
 from __future__ import annotations
@@ -87,7 +88,10 @@ def search_distances(
     reach_mm: float = REACH_MM,
     steps_mm: Sequence[float] = STEPS_MM,
 ) -> WaterResult:
-    """Find d1 and d2 for ports as ``start`` has them otherwise; warn where the search ended at its limit. Raises RecordingError without a bar or a plane."""
+    """Find d1 and d2 for ports as ``start`` has them otherwise; warn where the search ended at its limit.
+
+    Raises RecordingError without a bar or a plane.
+    """
     for kind in ArtefactKind:
         if not any(r.kind is kind for r in recordings):
             raise RecordingError(
@@ -114,7 +118,8 @@ def search_distances(
                     best, least = np.array([d1, d2]), statistic
         reach = 2.0 * step
     warnings = tuple(
-        f"{side} interface distance {d:.2f} mm is at the limit of the search: the port is not as modelled; use {Method.SPLINE.value}"
+        f"{side} interface distance {d:.2f} mm is at the limit of the search: the port is not as modelled; use "
+        f"{Method.SPLINE.value}"
         for side, d, nearest, farthest in zip(SIDES, best, low, high, strict=True)
         if min(d - nearest, farthest - d) < 0.5 * steps_mm[-1]
     )
@@ -189,7 +194,8 @@ def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> Hous
     uv, missing = uv[there], missing[there]
     if len(uv) < LEAST_POINTS:
         raise RecordingError(
-            f"{len(uv)} points of the planes lie in the water before a camera; {LEAST_POINTS} are needed; check the start, and record again"
+            f"{len(uv)} points of the planes lie in the water before a camera; {LEAST_POINTS} are needed; check the "
+            "start, and record again"
         )
     coefficients = np.linalg.lstsq(cubic(_unit(camera, uv)), missing, rcond=None)[0]
     grid = _grid(camera, 4 * CORRECTION_INTERVALS[0] + 1, 4 * CORRECTION_INTERVALS[1] + 1)

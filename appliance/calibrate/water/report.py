@@ -1,4 +1,5 @@
-"""Owns what a calibration in water says to people and programs: a JSON-ready table, and a page that needs no other file."""
+"""Owns what a calibration in water says to people and programs: a JSON-ready table, and a page that needs no other
+file."""
 
 from __future__ import annotations
 
@@ -15,8 +16,10 @@ SCHEMA = 1
 TITLE = "Calibration in water"
 WHAT_IS_LEFT = ("residual_px", "systematic_px", "expected_length_percent", "expected_flat_percent")
 EXPLAINED = (
-    "The ray of a left pixel meets the artefact, and the point is seen by the right camera: by so much beside the matched "
-    "pixel. Arrows are means over cells of the left image; random ones are noise, ordered ones are what the model cannot say."
+    "The ray of a left pixel meets the artefact, and the point is seen by the right camera: by so much beside the "
+    "matched "
+    "pixel. Arrows are means over cells of the left image; random ones are noise, ordered ones are what the model "
+    "cannot say."
 )
 
 

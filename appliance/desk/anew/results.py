@@ -6,8 +6,8 @@
     <out>/<key>/drafts/                 what is being made
     <out>/<key>/table.csv               all rows
 
-A name is the scan's number and a checksum of its manifest, so that scans of several instruments do not meet. Any number of processes and
-computers may make results at once: the first rename wins, and the others see it.
+A name is the scan's number and a checksum of its manifest, so that scans of several instruments do not meet. Any number
+of processes and computers may make results at once: the first rename wins, and the others see it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ from appliance.store import (
 ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
 KEY_DIGITS, NAME_DIGITS = 16, 12
 COMPUTING = ("numpy", "scipy", "numba", "llvmlite", "opencv-python-headless")
-"""Distributions whose versions may change a point; codecs are not among them, for every decoded frame has its checksum."""
+"""Distributions whose versions may change a point; codecs are not among them, for every decoded frame has its checksum.
+"""
 COLUMNS = (
     "scan", "state", "reason", "recorded", "points", "coverage_percent", "distance_mm", "noise_mm", "gap_mm", "exposure",
     "grade", "spoilt", "faults", "verdicts", "e_l_percent", "length_error_mm", "artefact", "temperature_c", "salinity_psu", "water_index",
@@ -109,7 +110,10 @@ class Results:
         return row
 
     def sweep(self) -> int:
-        """Remove what processes left unfinished that are gone, and return how many there were. For whoever holds the folder's lock."""
+        """Remove what processes left unfinished that are gone, and return how many there were.
+
+        For whoever holds the folder's lock.
+        """
         with refused("cannot sweep", self.folder / "drafts"):
             old = list((self.folder / "drafts").iterdir())
             for draft in old:
@@ -117,9 +121,11 @@ class Results:
         return len(old)
 
     def write_table(self, rows: Sequence[Row]) -> Path:
-        """Write the table of ``rows``, and of all other scans that have a result or a failure under this key, in the order of their numbers."""
+        """Write the table of ``rows``, and of all other scans that have a result or a failure under this key, in the
+        order of their numbers."""
         published = (*self.folder.glob("failed/*.json"), *self.folder.glob(f"results/*/{ROW}"))
-        # Of a scan that has several, the last one holds: of this call, else a result, else a failure, else why it is left.
+        # Of a scan that has several, the last one holds: of this call, else a result, else a failure, else why it is
+        # left.
         of_all = (
             *(row for row in rows if "result" not in row),
             *map(_read, published),
@@ -136,7 +142,8 @@ class Results:
 
 @cache
 def program_digits(top: Path = Path(appliance.__file__).parent) -> str:
-    """Return what of an installation decides about points: version, digits of its files below ``top``, versions of the libraries."""
+    """Return what of an installation decides about points: version, digits of its files below ``top``, versions of the
+    libraries."""
     digest = hashlib.sha256()
     for path in sorted((*top.rglob("*.py"), *top.rglob("*.toml"))):
         digest.update(path.relative_to(top).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
@@ -152,7 +159,10 @@ def name_of(folder: Path) -> str:
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a table in the order of the scans' numbers, each a text by column; missing columns are empty. Raises ResultsError."""
+    """Return the rows of a table in the order of the scans' numbers, each a text by column; missing columns are empty.
+
+    Raises ResultsError.
+    """
     try:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
@@ -166,7 +176,8 @@ def read_table(path: Path) -> list[dict[str, str]]:
 
 
 def _order(row: Mapping[str, Any]) -> tuple[float, str, str]:
-    """Return what orders rows by the number of their scan: of several instruments, those of one number by their folders."""
+    """Return what orders rows by the number of their scan: of several instruments, those of one number by their
+    folders."""
     return *by_number(str(row["scan"])), str(row.get("folder") or "")
 
 

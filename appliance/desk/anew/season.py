@@ -1,4 +1,5 @@
-"""Owns the page about a season: lengths over time, health of the calibration, water, and which scans were refused and why.
+"""Owns the page about a season: lengths over time, health of the calibration, water, and which scans were refused and
+why.
 
 Made from a table of ``kingfisher archive reprocess`` alone; it asks for nothing from outside, on a screen and on paper.
 """

@@ -1,12 +1,14 @@
-"""Owns that every scan of an archive is reprocessed once: given out by Dask to processes of this computer, or to workers of many.
+"""Owns that every scan of an archive is reprocessed once: given out by Dask to processes of this computer, or to
+workers of many.
 
-A worker that dies is missed by Dask, which gives its scans to others; a scan that is not done after its limit ends its worker.
-Nothing here brings kernels: a worker must be told where they are before it imports any.
+A worker that dies is missed by Dask, which gives its scans to others; a scan that is not done after its limit ends its
+worker. Nothing here brings kernels: a worker must be told where they are before it imports any.
 
 It also owns one scan reprocessed: a job in, a row out, whoever runs it, and as often as somebody does.
 
-Nothing here knows of processes or networks. What is wrong with the scan itself is a result, written down with its reason; what is
-wrong with the machine (a full disk, no memory, another program, a folder that it does not see) is raised, and nothing written down.
+Nothing here knows of processes or networks. What is wrong with the scan itself is a result, written down with its
+reason; what is wrong with the machine (a full disk, no memory, another program, a folder that it does not see) is
+raised, and nothing written down.
 """
 
 from __future__ import annotations
@@ -60,7 +62,8 @@ _PASSED = {True: "yes", False: "no", None: "-"}
 
 
 def attempt(job: Job) -> Row:
-    """Reprocess one scan, publish its result or why it has none, and return the row; where it has a result, nothing is done.
+    """Reprocess one scan, publish its result or why it has none, and return the row; where it has a result, nothing is
+    done.
 
     Raises Again, StorageError, OSError, MemoryError, MissingLibraryError where this computer cannot.
     """
@@ -92,14 +95,18 @@ def attempt(job: Job) -> Row:
             "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MB),
         }
         return results.publish(name, {**row, "state": DONE, **found, **times}, cloud)
-    # A disk that went away meanwhile looks like a damaged scan: only one that is still there as it was is to blame itself.
+    # A disk that went away meanwhile looks like a damaged scan: only one that is still there as it was is to blame
+    # itself.
     if name_of(folder) != name:
         raise Again(f"{folder} changed while it was worked through: {failure['reason']}")
     return results.publish_failure(name, {**row, "state": FAILED, **failure})
 
 
 def _refuse_unfit(job: Job, settings: Mapping[str, Any]) -> None:
-    """Raises Again where this computer can do no job like ``job``; the text says why and what to do. Cheap enough for every scan."""
+    """Raises Again where this computer can do no job like ``job``; the text says why and what to do.
+
+    Cheap enough for every scan.
+    """
     if settings["program"] != program_digits():
         # Results of two programs under one key would be neither's.
         raise Again(f"has {program_digits()}, not {settings['program']}; install the same version everywhere")
@@ -172,7 +179,10 @@ DONE, FAILED, AGAIN = "done", "failed", "again"
 RETRIES = 2
 """Times that a scan is given out once more because the machine refused, before it is left for the next call."""
 TROUBLES_IN_A_ROW = 8
-"""Scans left with no result between them that are no accident of one: the disk is full, or a worker sees no scans. The call ends."""
+"""Scans left with no result between them that are no accident of one: the disk is full, or a worker sees no scans.
+
+The call ends.
+"""
 IN_WORK = 1000
 """Scans that Dask knows of at a time, so that neither its memory nor ours grows with the archive."""
 CONNECT_S = 30.0
@@ -208,7 +218,8 @@ class Job:
 def work_through_all(
     jobs: Sequence[Job], scheduler: str | None, processes: int | None, limit_s: float
 ) -> Generator[Row, None, None]:
-    """Yield a row of every job, as they are done by workers of ``scheduler``, or by ``processes`` of this computer (default: its cores).
+    """Yield a row of every job, as they are done by workers of ``scheduler``, or by ``processes`` of this computer
+    (default: its cores).
 
     Ends early where one scan after another is left. Raises SchedulerError, MissingLibraryError.
     """
@@ -218,7 +229,8 @@ def work_through_all(
         name = f"reprocess-{uuid4().hex}"
 
         def begun(most: int) -> list[Any]:
-            # Under one name, so that Dask keeps what waits at its scheduler: a worker that dies is then suspected for one or two scans alone.
+            # Under one name, so that Dask keeps what waits at its scheduler: a worker that dies is then suspected for
+            # one or two scans alone.
             return [
                 client.submit(do, job, limit_s, key=(name, job.folder), retries=RETRIES, pure=False)
                 for job in islice(waiting, most)
@@ -238,12 +250,16 @@ def work_through_all(
 
 
 def do(job: Job, limit_s: float) -> Row:
-    """Do one job in a worker of Dask's (``task.attempt``). Raises Again, which names this computer; ends the process after ``limit_s``."""
+    """Do one job in a worker of Dask's (``task.attempt``).
+
+    Raises Again, which names this computer; ends the process after ``limit_s``.
+    """
     try:
         _find_kernels()
         from appliance.desk.anew.work import attempt
 
-        # Written in C: it also ends kernels that let no other thread run. Dask starts the worker again, and gives the scan out again.
+        # Written in C: it also ends kernels that let no other thread run. Dask starts the worker again, and gives the
+        # scan out again.
         faulthandler.dump_traceback_later(limit_s, exit=True)
         return attempt(job)
     except Exception as error:
@@ -283,7 +299,8 @@ def _client(dask: Any, scheduler: str | None, processes: int | None) -> Any:
     except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
         # The last two: files for TLS are missing, or the address is without it where Dask's settings require it.
         raise SchedulerError(
-            f"--workers {scheduler}: cannot be reached, or has no worker ({error}); start `dask scheduler` and `dask worker`, "
+            f"--workers {scheduler}: cannot be reached, or has no worker ({error}); start `dask scheduler` and `dask "
+            "worker`, "
             "with the same settings of TLS (docs/archive.md)"
         ) from error
     return client

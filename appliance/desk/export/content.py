@@ -1,4 +1,5 @@
-"""Owns what goes into a file for another program: points with what is known about each, and what is said about all of them."""
+"""Owns what goes into a file for another program: points with what is known about each, and what is said about all of
+them."""
 
 from __future__ import annotations
 
@@ -34,13 +35,14 @@ class About:
     notes: tuple[str, ...] = ()
     """Further lines: calibration, water, warnings."""
     marks: tuple[str, ...] = ()
-    """Whatever spoils the whole, each with its word in front (``unchecked: …``): in every format these very words, never shortened to
-    a line's length, so that one search finds them in any file."""
+    """Whatever spoils the whole, each with its word in front (``unchecked: …``): in every format these very words,
+    never shortened to a line's length, so that one search finds them in any file."""
     unit: str = ""
     """Unit of all lengths, in place of the format's own: of a cloud whose scale nobody knows."""
 
     def lines(self, unit: str) -> list[str]:
-        """Return all of it as ASCII lines, with the format's ``unit`` of lengths; but for marks, of at most 200 characters."""
+        """Return all of it as ASCII lines, with the format's ``unit`` of lengths; but for marks, of at most 200
+        characters."""
         said = [f"{self.title}: unit {self.unit or unit}, {self.frame}", *self.notes]
         first, *others = [_plain(line)[:MOST_CHARACTERS] for line in said]
         return [first, *self.mark_lines(), *others]
@@ -67,7 +69,10 @@ class ExportedPoints:
     more: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Further columns (n,) float32 by name, each name with its unit."""
     origin_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    """(3,) float64: place of ``points_mm``'s (0, 0, 0) in the frame. Site coordinates need more digits than float32 has."""
+    """(3,) float64: place of ``points_mm``'s (0, 0, 0) in the frame.
+
+    Site coordinates need more digits than float32 has.
+    """
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.points_mm).all() and np.isfinite(self.origin_mm).all()):
@@ -87,7 +92,8 @@ def points_of_scan(cloud: OrganisedCloud, unit: str = "mm") -> ExportedPoints:
 
 
 def points_of_surface(cloud: FusedCloud, origin_mm: NDArray[np.float64] | None = None) -> ExportedPoints:
-    """Return the points of a fused surface, with the number of scans that saw each, and the shares of sigma where they are known."""
+    """Return the points of a fused surface, with the number of scans that saw each, and the shares of sigma where they
+    are known."""
     more = {"views": cloud.views.astype(np.float32)}
     if cloud.shares is not None:
         more |= {
@@ -113,7 +119,8 @@ def single_precision(points: ExportedPoints, suffix: str) -> NDArray[np.float32]
     step_mm = float(np.spacing(np.float32(farthest)))
     if step_mm > COARSEST_MM:
         raise ExportError(
-            f"{suffix} has single precision, which {farthest / MM_PER_M:,.0f} m from the frame's origin has steps of {step_mm:g} mm; write .e57 or .las"
+            f"{suffix} has single precision, which {farthest / MM_PER_M:,.0f} m from the frame's origin has steps of "
+            f"{step_mm:g} mm; write .e57 or .las"
         )
     return whole.astype(np.float32)
 
@@ -125,7 +132,8 @@ def finite(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def in_mm(points: ExportedPoints, about: About) -> ExportedPoints:
-    """Return points for a format that divides by 1000 for its metres; where a cloud's scale is not known, its numbers stay as they are."""
+    """Return points for a format that divides by 1000 for its metres; where a cloud's scale is not known, its numbers
+    stay as they are."""
     if not about.unit:
         return points
     return replace(

@@ -1,9 +1,11 @@
-"""Owns the E57 file: metres, one entry a scan, normals by the registered extension, sigma and further columns by one of our own.
+"""Owns the E57 file: metres, one entry a scan, normals by the registered extension, sigma and further columns by one of
+our own.
 
-Places are single-precision floats: 0.06 µm at 1 m. Each scan is written about an origin of its own, with the way into the file's frame as its
-pose in double: where an object's scan lies, or the middle of what is far from its frame's origin. Readers that know neither extension pass over both.
-The file's GUID is made of its content, so that the same points give the same file.
-Sources: ASTM E2807-11; the extension for surface normals is that of libe57.org. Written by libE57Format, which pye57 (MIT) brings.
+Places are single-precision floats: 0.06 µm at 1 m. Each scan is written about an origin of its own, with the way into
+the file's frame as its pose in double: where an object's scan lies, or the middle of what is far from its frame's
+origin. Readers that know neither extension pass over both. The file's GUID is made of its content, so that the same
+points give the same file. Sources: ASTM E2807-11; the extension for surface normals is that of libe57.org. Written by
+libE57Format, which pye57 (MIT) brings.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from appliance.store import LocalFileSystem, replace_by
 
 NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
 OWN = ("kf", "urn:kingfisher:e57:1")
-"""Prefix and name of our extension: ``sigma``, the standard deviation of a point in metres, and further columns by their names: those in mm without
-it and in metres, like everything in the file (``deviation_mm`` is ``kf:deviation``)."""
+"""Prefix and name of our extension: ``sigma``, the standard deviation of a point in metres, and further columns by
+their names: those in mm without it and in metres, like everything in the file (``deviation_mm`` is ``kf:deviation``).
+"""
 _MM = "_mm"
 _AXES = ("X", "Y", "Z")
 _GREY = (0.0, 255.0)
@@ -45,16 +48,21 @@ class E57Scan:
 
 
 def write_points(path: Path, points: ExportedPoints, about: About) -> None:
-    """Write one scan or surface. Raises StorageError, ValueError for one without points, MissingLibraryError where pye57 is absent."""
+    """Write one scan or surface.
+
+    Raises StorageError, ValueError for one without points, MissingLibraryError where pye57 is absent.
+    """
     scans = [E57Scan(in_mm(points, about), about.title)]
     # The library wants a name to write to, and gets that of the draft.
     replace_by(LocalFileSystem(), path, partial(write_e57, scans=scans, about=about))
 
 
 def write_e57(path: Path, scans: Iterable[E57Scan], about: About) -> None:
-    """Write the file at ``path``; one scan is held at a time. ``about``: of all of them; each entry has it under its own title.
+    """Write the file at ``path``; one scan is held at a time. ``about``: of all of them; each entry has it under its
+    own title.
 
-    Raises MissingLibraryError where pye57 is absent, ValueError for a scan without points, OSError, and what ``scans`` raises.
+    Raises MissingLibraryError where pye57 is absent, ValueError for a scan without points, OSError, and what ``scans``
+    raises.
     """
     library = needed("pye57", "pye57", "an E57 file").libe57
     try:
@@ -82,7 +90,8 @@ def _columns(points: ExportedPoints) -> dict[str, NDArray[Any]]:
     known = finite(points.normals)
     return {
         **{f"cartesian{axis}": metres[:, k] for k, axis in enumerate(_AXES)},
-        # Every point is one: some readers refuse a file that does not say so. A column that can only be 0 takes no room.
+        # Every point is one: some readers refuse a file that does not say so. A column that can only be 0 takes no
+        # room.
         _INVALID: np.zeros(len(metres), np.int8),
         "intensity": points.grey.astype(np.float32),
         **{f"nor:normal{axis}": known[:, k] for k, axis in enumerate(_AXES)},

@@ -1,4 +1,5 @@
-"""Owns the table of formats, one row each, and what is refused by a suffix alone: light, so that a wrong one is told at once."""
+"""Owns the table of formats, one row each, and what is refused by a suffix alone: light, so that a wrong one is told at
+once."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ class ExportError(Exception):
 class Format:
     """One kind of file, by its suffix.
 
-    Its module has ``write_points``, ``write_grid`` or ``write_mesh``, each of a path, the content and what is said about
-    it, for each of ``contents``.
+    Its module has ``write_points``, ``write_grid`` or ``write_mesh``, each of a path, the content and what is said
+    about it, for each of ``contents``.
     """
 
     suffix: str
@@ -44,7 +45,10 @@ PAGE_LIBRARY = "plotly"
 
 
 def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
-    """Return the suffix of ``path`` in lower case. Raises ExportError for one that is none of those ``allowed`` for ``what``."""
+    """Return the suffix of ``path`` in lower case.
+
+    Raises ExportError for one that is none of those ``allowed`` for ``what``.
+    """
     suffix = path.suffix.lower()
     if suffix not in allowed:
         raise ExportError(
@@ -55,7 +59,8 @@ def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
 
 
 def require_library(path: Path) -> None:
-    """Raises MissingLibraryError where the library that writes files with the suffix of ``path`` is absent: before minutes of work."""
+    """Raises MissingLibraryError where the library that writes files with the suffix of ``path`` is absent: before
+    minutes of work."""
     suffix = path.suffix.lower()
     if suffix == ".html":
         require(PAGE_LIBRARY, PAGE_LIBRARY, "a page with a surface that can be turned")

@@ -1,8 +1,9 @@
 """Owns the LAS file: metres, as its coordinate system says, in steps of 0.1 µm where it is no wider than 214 m.
 
-LAS 1.4, point format 6; x, y and z are whole numbers of 1e-7 m from an offset, which reaches 214 m; of ten times that where points are farther apart, and so on. Grey is the intensity, spread to 16 bit as
-the standard wants. Sigma, normals and further columns are extra bytes, whose descriptions name their unit. What is said of all points
-is the standard's text area, line by line. The coordinate system is a local one in OGC WKT, since nobody knows where on Earth a dive was.
+LAS 1.4, point format 6; x, y and z are whole numbers of 1e-7 m from an offset, which reaches 214 m; of ten times that
+where points are farther apart, and so on. Grey is the intensity, spread to 16 bit as the standard wants. Sigma, normals
+and further columns are extra bytes, whose descriptions name their unit. What is said of all points is the standard's
+text area, line by line. The coordinate system is a local one in OGC WKT, since nobody knows where on Earth a dive was.
 Source: ASPRS, "LAS Specification 1.4 - R15" (2019). Written by laspy (BSD).
 """
 
@@ -26,7 +27,8 @@ _LOCAL = (
 _TO_16_BIT = 257
 """255 becomes 65535."""
 _TEXT_AREA = ("LASF_Spec", 3)
-"""User and number of the record with the description in words: ASCII that ends with a zero, at most 65535 bytes (section 3.3)."""
+"""User and number of the record with the description in words: ASCII that ends with a zero, at most 65535 bytes
+(section 3.3)."""
 _MOST_TEXT = 65_534
 _DATE = slice(90, 94)
 """Bytes of the head with the day and year of creation (table 3)."""
@@ -73,7 +75,8 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
         file[name] = values.astype(np.float32)
     made = io.BytesIO()
     file.write(made)
-    # The library writes today's date, and the same points would give another file each day; day 0 of year 0 says that none is given.
+    # The library writes today's date, and the same points would give another file each day; day 0 of year 0 says that
+    # none is given.
     made.getbuffer()[_DATE] = bytes(4)
     return made.getvalue()
 

@@ -1,7 +1,7 @@
 """Owns the OBJ file of a mesh: mm, as is the custom, and said in the file since the format has no unit.
 
-It has vertices with grey as colour (three numbers after the place, as MeshLab and most others read them) and normals. It has no
-room for sigma. Source: Wavefront, "Object Files (.obj)" (1990s).
+It has vertices with grey as colour (three numbers after the place, as MeshLab and most others read them) and normals.
+It has no room for sigma. Source: Wavefront, "Object Files (.obj)" (1990s).
 """
 
 from __future__ import annotations

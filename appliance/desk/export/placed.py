@@ -1,12 +1,15 @@
-"""Owns the files of an object's single scans, each unmoved, with where it lies in the object: a NumPy archive, or an E57 file with a pose for each.
+"""Owns the files of an object's single scans, each unmoved, with where it lies in the object: a NumPy archive, or an
+E57 file with a pose for each.
 
-In the archive stands for each scan on its pixel grid, under its name (``000003/x_mm``), what ``npz.py`` has of one scan, and
+In the archive stands for each scan on its pixel grid, under its name (``000003/x_mm``), what ``npz.py`` has of one
+scan, and
 
     rotation (3, 3), translation_mm (3,)    float64: a point p of the scan is at rotation · p + translation_mm in the object's frame
     place_covariance (6, 6)                 float64: of the turn (rad) and the shift (mm) about its own middle, what may bend the object included
     middle_mm (3,)                          float64: that middle, in the object's frame
 
-and once ``scans``, the names in their order, and ``about``. ``numpy.load`` reads it without pickles, and only what is asked for. One scan is held at a time.
+and once ``scans``, the names in their order, and ``about``. ``numpy.load`` reads it without pickles, and only what is
+asked for. One scan is held at a time.
 """
 
 from __future__ import annotations
@@ -50,7 +53,8 @@ class PlacedGrid:
 def write_placed(path: Path, grids: Iterable[PlacedGrid], about: About) -> None:
     """Write the scans (``SUFFIXES``), whole or not at all; one is held at a time.
 
-    Raises ExportError, StorageError, MissingLibraryError where the format's library is absent, and what ``grids`` raises.
+    Raises ExportError, StorageError, MissingLibraryError where the format's library is absent, and what ``grids``
+    raises.
     """
     if checked_suffix(path, SUFFIXES, "the scans of an object") == ".npz":
         replace_by(LocalFileSystem(), path, partial(_write, grids=grids, about=about))

@@ -1,7 +1,8 @@
 """Owns the PLY file of a fused surface and of a mesh: normals, grey as colour, sigma, and faces where there are some.
 
-Binary little-endian, mm. A raw scan has a PLY file of its own (``appliance.store.ply``), with a checksum and without normals.
-Source: G. Turk, "The PLY Polygon File Format" (1994); names of properties as MeshLab and CloudCompare read them.
+Binary little-endian, mm. A raw scan has a PLY file of its own (``appliance.store.ply``), with a checksum and without
+normals. Source: G. Turk, "The PLY Polygon File Format" (1994); names of properties as MeshLab and CloudCompare read
+them.
 """
 
 from __future__ import annotations

@@ -61,7 +61,8 @@ def load_array(path: Path, name: str, most_bytes: int) -> NDArray[Any]:
         size_bytes = head.size * head.itemsize
         if size_bytes > most_bytes:
             raise ArrayError(
-                f"array {name} unpacks to {size_bytes / 1e9:.3g} GB; allowed are {most_bytes / 1e9:.3g} GB; save it as .npy, of which only "
+                f"array {name} unpacks to {size_bytes / 1e9:.3g} GB; allowed are {most_bytes / 1e9:.3g} GB; save it as "
+                ".npy, of which only "
                 "what is needed is read"
             )
         with np.load(path, allow_pickle=False) as content:

@@ -91,7 +91,8 @@ def _main() -> None:
     found = _plain(content)
     if not any(found.values()) and any(isinstance(one, MatlabOpaque) for one in content.values()):
         sys.exit(
-            "it holds an object, which only MATLAB reads: save it as a structure, s = toStruct(stereoParams); save('stereo.mat', 's', '-v7')"
+            "it holds an object, which only MATLAB reads: save it as a structure, s = toStruct(stereoParams); "
+            "save('stereo.mat', 's', '-v7')"
         )
     text = json.dumps(found)
     if len(text) > MOST_TEXT_BYTES:
@@ -176,7 +177,8 @@ def numbers_in(path: Path) -> dict[str, Array]:
     except (ArrayError, MatlabError, ElementTree.ParseError, yaml.YAMLError, ValueError, RecursionError) as error:
         said = " ".join(str(error).split())[:200]
         raise ForeignError(
-            f"{path}: not readable as {format} ({said}); correct it, or write the matrices under [cameras.left] and [cameras.right]"
+            f"{path}: not readable as {format} ({said}); correct it, or write the matrices under [cameras.left] and "
+            "[cameras.right]"
         ) from error
     refuse_other_lenses(str(path), content)
     return numeric(content)

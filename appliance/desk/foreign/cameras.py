@@ -104,7 +104,8 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
         size_px = sizes_px[side]
         lens = lens_of(said.found[f"{side}_matrix"].reshape(3, 3), said.found[f"{side}_distortion"], size_px, side)
         notes += [
-            f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {what}: a shifted lens, or the calibration of other images"
+            f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {what}: a shifted lens, "
+            "or the calibration of other images"
             for c, size, what in zip(lens.c_px, size_px, ("width", "height"), strict=True)
             if abs(c / size - 0.5) > ASIDE
         ]
@@ -121,7 +122,8 @@ def _in_words(table: Table) -> CameraNumbers:
         camera = table.table(side)
         if camera is None:
             raise ForeignError(
-                f"[cameras.{side}] is missing: give cameras.files (OpenCV), cameras.calibration (ours), or its matrix and distortion"
+                f"[cameras.{side}] is missing: give cameras.files (OpenCV), cameras.calibration (ours), or its matrix "
+                "and distortion"
             )
         camera.only("matrix", "distortion")
     said = {key: table.content[key] for key in (*SIDES, "rotation", "translation") if key in table.content}
@@ -155,7 +157,8 @@ def _check_baseline(length: float, unit: str) -> None:
     if not LEAST_BASELINE_MM <= length * UNITS_MM[unit] <= MOST_BASELINE_MM:
         fits = [f'"{one}"' for one, mm in UNITS_MM.items() if USUAL_MM[0] < length * mm < USUAL_MM[1]]
         raise ForeignError(
-            f"cameras: the two are {length:.3g} {unit} apart; allowed: {LEAST_BASELINE_MM:g} mm to {MOST_BASELINE_MM / 1000:g} m; say in which "
+            f"cameras: the two are {length:.3g} {unit} apart; allowed: {LEAST_BASELINE_MM:g} mm to "
+            f"{MOST_BASELINE_MM / 1000:g} m; say in which "
             f"unit the translation is: cameras.unit = {' or '.join(fits) or 'mm, cm, m or inch'}"
         )
 
@@ -170,12 +173,14 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
     width_px, height_px = size_px
     if not all(-MOST_BESIDE * size < c < (1.0 + MOST_BESIDE) * size for c, size in zip(c_px, size_px, strict=True)):
         raise ForeignError(
-            f"cameras: the {side} principal point {c_px[0]:.0f}, {c_px[1]:.0f} lies far outside of images of {width_px} x {height_px} px; "
+            f"cameras: the {side} principal point {c_px[0]:.0f}, {c_px[1]:.0f} lies far outside of images of "
+            f"{width_px} x {height_px} px; "
             "the calibration is of other images, or left and right are exchanged"
         )
     if distortion.size not in (0, 4, 5, 8, 12, 14) or np.any(distortion[12:] != 0.0):
         raise ForeignError(
-            f"cameras: {side} distortion has {distortion.size} values, {distortion.tolist()!r:.200}; allowed are 4, 5, 8, 12, 14, the last two zero "
+            f"cameras: {side} distortion has {distortion.size} values, {distortion.tolist()!r:.200}; allowed are 4, 5, "
+            "8, 12, 14, the last two zero "
             "(no tilted sensor); correct it"
         )
     values = np.zeros(12 if np.any(distortion[5:] != 0.0) else 5)

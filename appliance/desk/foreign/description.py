@@ -331,11 +331,13 @@ def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> Ax
     micro = Shows.MICRO in fringed.values()
     if not micro and max(fringed, default=-1) + 1 != len(periods_px):
         raise ForeignError(
-            f"{name} has {len(periods_px)} periods, and its images are of {max(fringed) + 1}; name sine-{name}, sine-{name}2, … for each"
+            f"{name} has {len(periods_px)} periods, and its images are of {max(fringed) + 1}; name sine-{name}, "
+            f"sine-{name}2, … for each"
         )
     if len(periods_px) == 1 and not has_code and periods_px[0] < size_px:
         raise ForeignError(
-            f"{name} has one period of {periods_px[0]:g} px on {size_px:g} px and no gray-{name}: nothing tells one fringe from the "
+            f"{name} has one period of {periods_px[0]:g} px on {size_px:g} px and no gray-{name}: nothing tells one "
+            "fringe from the "
             "next; name the images of a code, or of further periods"
         )
     starts_deg = table.numbers("start_deg", -360.0, 360.0, default=0.0)
@@ -464,7 +466,8 @@ def counted(description: Description, images: tuple[ShownImage, ...]) -> Descrip
             if len(fringes) != wanted:
                 word = fringes[0].word if fringes else f"sine-{axis.name}{period + 1 if period else ''}"
                 raise ForeignError(
-                    f"{len(fringes)} images are {word}, and {wanted} are needed for {axis.name} with {len(steps)} steps; name as many"
+                    f"{len(fringes)} images are {word}, and {wanted} are needed for {axis.name} with {len(steps)} "
+                    "steps; name as many"
                 )
         bits, inverses = (sum(one.shows is shows for one in mine) for shows in (Shows.GRAY, Shows.INVERSE))
         if inverses not in (0, bits):
@@ -477,7 +480,8 @@ def counted(description: Description, images: tuple[ShownImage, ...]) -> Descrip
         end_px = axis.covered_px[1]
         if bits and "right" not in description.files and end_px < 0.5 * axis.size_px:
             raise ForeignError(
-                f"{bits} images of gray-{axis.name} with stripes of {axis.stripe_px:g} px number {end_px:g} px of the pattern's "
+                f"{bits} images of gray-{axis.name} with stripes of {axis.stripe_px:g} px number {end_px:g} px of the "
+                "pattern's "
                 f"{axis.size_px:g}; correct {axis.name}.stripe_px, {axis.name}.gray or the order"
             )
         axes.append(axis)

@@ -48,14 +48,16 @@ def camera_files(folder: Path) -> list[CameraFiles]:
     found = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
     if not LEAST_IMAGES <= len(found) <= MOST_FILES:
         raise ForeignError(
-            f"{folder}: {len(found)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of one set"
+            f"{folder}: {len(found)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of "
+            "one set"
         )
     names = [str(path.relative_to(folder)) for path in found]
     # What lies beside a sequence first goes; where everything is called so, it is the sequence.
     best = _best([name for name in names if not _ASIDE.search(name)]) or _best(names)
     if best is None:
         raise ForeignError(
-            f"{folder}: which of its {len(names)} images are of which camera cannot be told by their names; put those of each camera into "
+            f"{folder}: which of its {len(names)} images are of which camera cannot be told by their names; put those "
+            "of each camera into "
             "a folder of its own, left and right"
         )
     return [

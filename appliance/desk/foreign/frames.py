@@ -153,7 +153,8 @@ def _read(frame: Frame) -> NDArray[Any]:
         image = None
     if image is None:
         raise ForeignError(
-            f"{frame.path.parent / frame.name}: no image that can be read; allowed: {', '.join((*SUFFIXES[:9], *STACKS))}; convert it"
+            f"{frame.path.parent / frame.name}: no image that can be read; allowed: "
+            f"{', '.join((*SUFFIXES[:9], *STACKS))}; convert it"
         )
     return np.asarray(image)
 
@@ -183,7 +184,8 @@ def _stack(path: Path, array: str, head: bool = False) -> NDArray[Any]:
         raise ForeignError(f"{path}: {error}; save it anew, without objects") from error
     if content.ndim not in (2, 3, 4) or 0 in content.shape:
         raise ForeignError(
-            f"{path}: an array of shape {content.shape!s:.60}; allowed: (n, h, w), or (n, h, w, 3) of colours; save it so"
+            f"{path}: an array of shape {content.shape!s:.60}; allowed: (n, h, w), or (n, h, w, 3) of colours; save it "
+            "so"
         )
     images_last = content.ndim == 3 and content.shape[2] < min(content.shape[:2])
     return np.moveaxis(content, 2, 0) if images_last else content

@@ -312,7 +312,8 @@ def guess_sequence(folder: Path, progress: Callable[[str], None]) -> tuple[Tried
             else ""
         )
         raise refused or ForeignError(
-            f"{folder}: its images are no sequence that is known{told}; name what each shows in a description (docs/foreign.md)"
+            f"{folder}: its images are no sequence that is known{told}; name what each shows in a description "
+            "(docs/foreign.md)"
         )
     left = max(1.0 - found[0].rank, LEAST_LEFT)
     # Several readings may explain as much: a sine of few steps and a code of fine stripes look alike.

@@ -74,8 +74,10 @@ class Pictures:
     def _alike(self, frame: Frame, image: NDArray[Any]) -> None:
         if image.shape != self.shape[1:] or image.dtype != self.dtype:
             raise ForeignError(
-                f"{frame.path.parent / frame.name}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and {self.frames[0].name} has "
-                f"{self.shape[2]} x {self.shape[1]} px {self.dtype}; images of one camera must be alike: name others with -"
+                f"{frame.path.parent / frame.name}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and "
+                f"{self.frames[0].name} has "
+                f"{self.shape[2]} x {self.shape[1]} px {self.dtype}; images of one camera must be alike: name others "
+                "with -"
             )
 
 
@@ -186,7 +188,8 @@ def named_files(description: Description, side: str) -> tuple[list[Frame], tuple
         return found, numbered([word for _, word in named for _ in range(len(found) // len(named))], key)
     if len(found) != len(description.order):
         raise ForeignError(
-            f"{key}: {len(found)} images ({found[0].name} to {found[-1].name}), and images.order names {len(description.order)} images; "
+            f"{key}: {len(found)} images ({found[0].name} to {found[-1].name}), and images.order names "
+            f"{len(description.order)} images; "
             "name as many, with - for what shows something else"
         )
     return found, description.order
@@ -208,7 +211,8 @@ def of_side(frames: Sequence[Frame], sides: str, side: str) -> list[Frame]:
     turns = words_in(sides, "images.sides") or [side]
     if len(frames) % len(turns):
         raise ForeignError(
-            f"images.both: {len(frames)} images, which are no whole number of turns of {len(turns)}; correct images.sides, or name the images "
+            f"images.both: {len(frames)} images, which are no whole number of turns of {len(turns)}; correct "
+            "images.sides, or name the images "
             "that belong to it"
         )
     return [frame for k, frame in enumerate(frames) if turns[k % len(turns)] == side]

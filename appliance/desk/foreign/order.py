@@ -33,7 +33,8 @@ _LEFT_OVER = {
 }
 _WORD = re.compile(r"(bright|dark|-)|(~?gray|micro)-([xy])|(sine|modulated)-([xy])(\d{0,2})")
 WORDS = (
-    "bright, dark, gray-x, ~gray-x (inverted), sine-x, sine-x2 (of the second period), modulated-x (times a carrier across), micro-x (many "
+    "bright, dark, gray-x, ~gray-x (inverted), sine-x, sine-x2 (of the second period), modulated-x (times a carrier "
+    "across), micro-x (many "
     "periods), the same with y, and - for anything else"
 )
 

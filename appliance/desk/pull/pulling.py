@@ -1,7 +1,8 @@
-"""Owns a whole call: what is there and not here, one recording after the other, and that a link that breaks is opened again.
+"""Owns a whole call: what is there and not here, one recording after the other, and that a link that breaks is opened
+again.
 
-An attempt looks at everything anew and skips what is done, so that a second attempt, a second call and a call after a loss of power
-are the same thing. Nothing is deleted or replaced at either end.
+An attempt looks at everything anew and skips what is done, so that a second attempt, a second call and a call after a
+loss of power are the same thing. Nothing is deleted or replaced at either end.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ DEEPEST = 4
 INSTRUMENT = "instrument"
 """Folder here with what the instrument says of itself: its rig file."""
 RIG_PLACES = (f"../{INSTRUMENT}/rig.toml", f"{INSTRUMENT}/rig.toml", "../../etc/kingfisher/rig.toml")
-"""Places of the rig file: as the instrument's server shows it, in what was pulled before, and on the instrument's own disk."""
+"""Places of the rig file: as the instrument's server shows it, in what was pulled before, and on the instrument's own
+disk."""
 _SMALL = (".json", ".html", ".toml")
 log = logging.getLogger(__name__)
 
@@ -113,10 +115,11 @@ Far = Callable[[HowFar], None]
 def pull_scans(
     opened: Open, target: Path, fs: AppendingFileSystem, *, every: bool, far: Far, wait: Callable[[float], object]
 ) -> Pulled:
-    """Take what is finished there and not here to the storage root ``target``, which is there. ``every``: also rejected scans.
+    """Take what is finished there and not here to the storage root ``target``, which is there. ``every``: also rejected
+    scans.
 
-    Raises PullError where nothing can be had from there, also when the link breaks again and again; StorageError. Everything that
-    was taken before stays, and so do the drafts.
+    Raises PullError where nothing can be had from there, also when the link breaks again and again; StorageError.
+    Everything that was taken before stays, and so do the drafts.
     """
     done = Pulled()
     empty = 0
@@ -133,7 +136,8 @@ def pull_scans(
             if empty >= ATTEMPTS:
                 whole = len(done.of(PullOutcome.TAKEN))
                 raise PullError(
-                    f"{lost}; tried {ATTEMPTS} times. {whole} scans and {done.taken_bytes / 1e6:.1f} MB were taken and stay; "
+                    f"{lost}; tried {ATTEMPTS} times. {whole} scans and {done.taken_bytes / 1e6:.1f} MB were taken and "
+                    "stay; "
                     "call again, and it goes on there"
                 ) from lost
             # Ever longer: an instrument that starts again needs a minute, a cable that moved a second.
@@ -207,7 +211,10 @@ def _here(target: Path, path: str) -> Path | None:
 
 
 def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled) -> None:
-    """Take the small files beside the scans. One that is another here goes beside it, under a name with its checksum."""
+    """Take the small files beside the scans.
+
+    One that is another here goes beside it, under a name with its checksum.
+    """
     files = {path: path for folder in (CALIBRATIONS, OBJECTS) for path in _small_files(source, folder, done)}
     for place in RIG_PLACES:
         parent, _, name = place.rpartition("/")

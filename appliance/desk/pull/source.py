@@ -1,6 +1,7 @@
 """Owns what is asked of the place that scans are taken from, and how a mounted folder or a USB disk answers it.
 
-Paths are relative to the storage root there, with ``/`` between names. Nothing is ever changed there: the protocol has no way to.
+Paths are relative to the storage root there, with ``/`` between names. Nothing is ever changed there: the protocol has
+no way to.
 """
 
 from __future__ import annotations
@@ -93,7 +94,8 @@ def entry_of(name: str, mode: int, size_bytes: int) -> RemoteEntry | None:
 
 
 def is_linked(root: Path, path: str) -> bool:
-    """Return True if a component of ``path`` below ``root`` is a link: on a strange disk it may lead to the desk's own files."""
+    """Return True if a component of ``path`` below ``root`` is a link: on a strange disk it may lead to the desk's own
+    files."""
     parts = Path(path).parts
     return any(root.joinpath(*parts[: k + 1]).is_symlink() for k in range(len(parts)))
 

@@ -1,4 +1,5 @@
-"""Owns the link to an instrument: asyncssh, which does keys, host keys, encryption and SFTP, and what its complaints mean."""
+"""Owns the link to an instrument: asyncssh, which does keys, host keys, encryption and SFTP, and what its complaints
+mean."""
 
 from __future__ import annotations
 
@@ -52,9 +53,13 @@ class SshLink:
 
     @contextmanager
     def __call__(self) -> Iterator[SftpSource]:
-        """Open a link, which ends with the block. Raises LinkLost, PullError where trying again is of no use, MissingLibraryError."""
+        """Open a link, which ends with the block.
+
+        Raises LinkLost, PullError where trying again is of no use, MissingLibraryError.
+        """
         library = needed(LIBRARY, LIBRARY, NEEDS_IT)
-        # The loop runs only while something is waited for, so that Ctrl-C ends that wait, and the runner all that is left then.
+        # The loop runs only while something is waited for, so that Ctrl-C ends that wait, and the runner all that is
+        # left then.
         with asyncio.Runner() as runner:
             loop = runner.get_loop()
             try:
@@ -78,7 +83,8 @@ class SshLink:
                 port=self._host.port,
                 username=user or USER,
                 preferred_auth="publickey",
-                # The instrument has one host key; asked only for kinds that are known already, it would not show another one.
+                # The instrument has one host key; asked only for kinds that are known already, it would not show
+                # another one.
                 server_host_key_algs="default",
                 # Done by the processor itself, and so twice as fast as the library's first choice.
                 encryption_algs="^aes128-gcm@openssh.com",
@@ -97,17 +103,20 @@ class SshLink:
             place = host if port == library.DEFAULT_PORT else f"[{host}]:{port}"
             if any(library.match_known_hosts(known, host, "", port)[0]):
                 raise self._final(
-                    f"its host key is another one than before ({key.get_fingerprint()}). If the instrument's disk was made anew, "
+                    f"its host key is another one than before ({key.get_fingerprint()}). If the instrument's disk was "
+                    "made anew, "
                     f"forget the old one with `ssh-keygen -R '{place}' -f {files[0]}`; if not, this is another computer"
                 ) from error
             raise self._final(
-                f"its host key is not known here ({key.get_fingerprint()}). If it is the instrument that answers there, add this "
+                f"its host key is not known here ({key.get_fingerprint()}). If it is the instrument that answers "
+                "there, add this "
                 f"line to {files[0]} and call again: {place} {key.export_public_key().decode().strip()}"
             ) from error
         return connection, await connection.start_sftp_client(path_errors="surrogateescape")
 
     def _keys(self) -> dict[str, Any]:
-        """Return which private keys are tried; one that is given is the only one, and the agent may hold it by its public half."""
+        """Return which private keys are tried; one that is given is the only one, and the agent may hold it by its
+        public half."""
         if self._host.identity is None:
             return {}
         public = Path(f"{self._host.identity}.pub")
@@ -118,11 +127,13 @@ class SshLink:
         return PullError(f"{self._host.name}: {meaning}")
 
     def _meant(self, library: ModuleType, error: Exception) -> LinkLost | PullError:
-        """Return what to tell of a link that was not to be had; what may pass by itself once there was one is a link that is lost."""
+        """Return what to tell of a link that was not to be had; what may pass by itself once there was one is a link
+        that is lost."""
         said = str(error) or "nothing came"
         if isinstance(error, library.PermissionDenied):
             return self._final(
-                "it does not take this key. Enrol the public one (a stick with kingfisher-keys.pub while TRANSFER is on), or give "
+                "it does not take this key. Enrol the public one (a stick with kingfisher-keys.pub while TRANSFER is "
+                "on), or give "
                 f"the right private one with --identity; one with a passphrase has to be in ssh-agent ({said})"
             )
         if isinstance(error, library.ChannelOpenError):
@@ -136,7 +147,8 @@ class SshLink:
         refused = isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in said
         if refused and not self._linked:
             return self._final(
-                f"nobody listens at port {self._host.port}; switch TRANSFER on in the instrument's menu (it is off after each "
+                f"nobody listens at port {self._host.port}; switch TRANSFER on in the instrument's menu (it is off "
+                "after each "
                 f"power-on) ({said})"
             )
         return LinkLost(f"{self._host.name}: {said}")

@@ -1,9 +1,11 @@
-"""Owns how one recording is taken: into a draft that is gone on with, compared as it lies on the desk's disk, published by one rename.
+"""Owns how one recording is taken: into a draft that is gone on with, compared as it lies on the desk's disk, published
+by one rename.
 
     <root>/scans/.000123.pulling     being taken: the manifest first, then files that keep what came of them
     <root>/scans/000123              whole: every byte is what the manifest says
 
-Drafts are the only files here that are ever removed: a file in one that turns out not to be what the manifest says is taken anew.
+Drafts are the only files here that are ever removed: a file in one that turns out not to be what the manifest says is
+taken anew.
 """
 
 from __future__ import annotations
@@ -121,8 +123,8 @@ def find(source: Source, path: str) -> FoundRecording:
 def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, target: Path) -> None:
     """Say what ``target``, which is there, is beside what was found: raises NotYet, always; LinkLost, StorageError.
 
-    The same recording with more in it (a cloud that was made at the desk) is the same recording. A label that is not here is
-    taken; nothing else is touched.
+    The same recording with more in it (a cloud that was made at the desk) is the same recording. A label that is not
+    here is taken; nothing else is touched.
     """
     with refused("cannot read", target):
         path = target / found.about_name
@@ -135,7 +137,8 @@ def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, targ
     if ours != found.about and (other or not here):
         raise NotYet(
             PullOutcome.DIFFERS,
-            f"{'; '.join(other) or 'its manifest'}: not the same at both ends, and left alone ({target}); one instrument, one "
+            f"{'; '.join(other) or 'its manifest'}: not the same at both ends, and left alone ({target}); one "
+            "instrument, one "
             "folder: give another DIR for another instrument, or move the folder away to have the instrument's",
         )
     if found.about_name == MANIFEST_FILE:
@@ -188,7 +191,8 @@ def take(
 
 
 def _begin(found: FoundRecording, fs: AppendingFileSystem, draft: Path) -> None:
-    """Leave in a draft only what the manifest proves in the end: half a file of something else is found out there, and taken anew."""
+    """Leave in a draft only what the manifest proves in the end: half a file of something else is found out there, and
+    taken anew."""
     with refused("cannot read", draft):
         names = {path.name for path in draft.iterdir()}
     for name in names.difference(found.manifest.files, map(_packed_name, found.manifest.files)):
@@ -218,7 +222,8 @@ def _take_file(
         here = path.stat().st_size if begun else 0
         file = fs.append(path) if begun else fs.create(path)
         try:
-            # Each piece is written as it comes: what came before a link broke is kept, and the next call asks for what follows.
+            # Each piece is written as it comes: what came before a link broke is kept, and the next call asks for what
+            # follows.
             with given():
                 for data in source.read(there, here, size_bytes):
                     file.write(data)
@@ -230,7 +235,10 @@ def _take_file(
 
 
 def _take_label(found: FoundRecording, source: Source, fs: AppendingFileSystem, folder: Path) -> int:
-    """Take a name and a note that are not here, and return their bytes. Raises NotYet where both ends have one, and another."""
+    """Take a name and a note that are not here, and return their bytes.
+
+    Raises NotYet where both ends have one, and another.
+    """
     if not found.label_bytes:
         return 0
     with given():

@@ -176,7 +176,8 @@ def lay_onto(measured: OrientedPoints, reference: ReferenceSurface, start: Rigid
     if best is None or best.fitting < LEAST_FITTING:
         share = f"{100.0 * fits[0].fitting:.0f} %" if fits else "nothing"
         raise SurfaceMatchError(
-            f"{share} of it lies within {FITS_MM:g} mm of the reference in any place; at least {100.0 * LEAST_FITTING:.0f} % must: "
+            f"{share} of it lies within {FITS_MM:g} mm of the reference in any place; at least "
+            f"{100.0 * LEAST_FITTING:.0f} % must: "
             f"is it the same thing, in mm, with its outside out? Sizes are {_size(measured)} and {_size(samples)} mm"
             f"{_in_metres(measured, samples)}"
         )

@@ -1,4 +1,5 @@
-"""Owns the drawings of a report besides the surface: how often which deviation occurs, colour bars, and the net of the scans. SVG."""
+"""Owns the drawings of a report besides the surface: how often which deviation occurs, colour bars, and the net of the
+scans. SVG."""
 
 from __future__ import annotations
 
@@ -49,7 +50,8 @@ def colour_bar(one: Colouring) -> str:
 
 
 def histogram(nominal: ReportNominal, colouring: Colouring) -> str:
-    """Return how many points have which deviation, in the colours of the map; the outermost bars hold what lies farther out."""
+    """Return how many points have which deviation, in the colours of the map; the outermost bars hold what lies farther
+    out."""
     deviation = nominal.deviation.deviation_mm
     near = 1000.0 * deviation[np.isfinite(deviation)]
     low, high = colouring.low, colouring.high
@@ -92,7 +94,8 @@ def histogram(nominal: ReportNominal, colouring: Colouring) -> str:
 
 
 def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
-    """Return where the scans were taken from and which pairs hold them together; empty where fewer than two have a place."""
+    """Return where the scans were taken from and which pairs hold them together; empty where fewer than two have a
+    place."""
     placed = {scan.name: scan for scan in scans if scan.position_mm is not None}
     if len(placed) < 2:
         return ""

@@ -1,4 +1,5 @@
-"""Owns a page around what is on it: the document, its head, its tiles and its tables. All text is escaped here, but cells of tables.
+"""Owns a page around what is on it: the document, its head, its tiles and its tables. All text is escaped here, but
+cells of tables.
 
 It also owns how a report looks: quiet on a screen, and on paper with nothing cut and nothing that only a screen can do.
 """
@@ -92,7 +93,10 @@ tfoot th { border-top: 2px solid var(--ink); border-bottom: 0; }
   tr, figure, .tile, .warnings, .beside, .view, tfoot { break-inside: avoid; }
 }
 """
-"""The whole of a page's style sheet. Fonts are those that the reader's computer has: a page brings none, and asks for none."""
+"""The whole of a page's style sheet.
+
+Fonts are those that the reader's computer has: a page brings none, and asks for none.
+"""
 
 
 def document(title: str, policy: str, parts: Iterable[str], scripts: str = "") -> str:

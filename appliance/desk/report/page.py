@@ -1,6 +1,8 @@
-"""Owns the page of a report: what stands where, how it looks on a screen and on paper, and that it asks for nothing from outside.
+"""Owns the page of a report: what stands where, how it looks on a screen and on paper, and that it asks for nothing
+from outside.
 
-It also owns the surface that can be turned: plotly's own JavaScript within the page, fed with numbers as base64, and buttons to colour it.
+It also owns the surface that can be turned: plotly's own JavaScript within the page, fed with numbers as base64, and
+buttons to colour it.
 """
 
 from __future__ import annotations
@@ -79,8 +81,10 @@ _SCRIPT = """
 
 
 def turned(shown: ShownSurface, up: Vector) -> tuple[str, str]:
-    """Return the element of the surface with its buttons, and the scripts that fill it. Raises MissingLibraryError where plotly
-    is absent."""
+    """Return the element of the surface with its buttons, and the scripts that fill it.
+
+    Raises MissingLibraryError where plotly is absent.
+    """
     library = needed("plotly.offline", "plotly", "a page with a surface that can be turned")
     buttons = "".join(
         f'<button type="button" class="look" data-colouring="{k}" aria-pressed="{"true" if k == 0 else "false"}">{one.name}</button>'
@@ -158,7 +162,8 @@ def _packed(values: NDArray[Any], kind: str) -> dict[str, str]:
 
 SUFFIX = ".html"
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'"
-"""Content security policy: whatever a browser would fetch from elsewhere is forbidden, so that nothing leaves with the page."""
+"""Content security policy: whatever a browser would fetch from elsewhere is forbidden, so that nothing leaves with the
+page."""
 _WORDS = {
     ReportVerdict.GOOD: ("good", "✓"),
     ReportVerdict.DOUBTFUL: ("doubtful", "!"),
@@ -270,7 +275,8 @@ def _nominal(nominal: ReportNominal, full: ShownSurface) -> str:
     rows = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in lines)
     return (
         f"<section><h2>Deviation from {html.escape(nominal.name)}</h2><div class='beside'>"
-        f"<figure>{histogram(nominal, full.colourings[0])}</figure><table class='figures'>{rows}</table></div></section>"
+        f"<figure>{histogram(nominal, full.colourings[0])}</figure><table "
+        f"class='figures'>{rows}</table></div></section>"
     )
 
 
@@ -281,8 +287,10 @@ def _budget(budget: ReportBudget) -> str:
     )
     statement = f"<p>{html.escape(budget.statement)}</p>" if budget.statement else ""
     return (
-        f"<section><h2>Uncertainty over {budget.over_mm:.0f} mm</h2>{statement}<table><thead><tr><th>Contribution</th><th>Standard "
-        f"uncertainty</th><th>Source</th></tr></thead><tbody>{rows}</tbody><tfoot><tr><th>All together</th><th>{_mm(budget.combined_mm)}"
+        f"<section><h2>Uncertainty over {budget.over_mm:.0f} "
+        f"mm</h2>{statement}<table><thead><tr><th>Contribution</th><th>Standard "
+        f"uncertainty</th><th>Source</th></tr></thead><tbody>{rows}</tbody><tfoot><tr><th>All "
+        f"together</th><th>{_mm(budget.combined_mm)}"
         f"</th><th>twice that, ± {_mm(2 * budget.combined_mm)}, covers some 95 %</th></tr></tfoot></table></section>"
     )
 
@@ -350,7 +358,8 @@ def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
     )
     drawing = net(scans, pairs)
     figure = (
-        f"<figure>{drawing}<figcaption>Places of the scans; the thicker a line, the larger the overlap. Dashed: refused, overlap unknown.</figcaption></figure>"
+        f"<figure>{drawing}<figcaption>Places of the scans; the thicker a line, the larger the overlap. Dashed: "
+        "refused, overlap unknown.</figcaption></figure>"
         if drawing
         else ""
     )
@@ -360,11 +369,15 @@ def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
 
 _READING = (
     '<section class="reading"><h2>How to read this</h2><p><b>Sigma</b> is the standard deviation of a point: of one scan along its ray, '
-    "of the fused surface along its normal, in the object's frame: the noise of the scans, the uncertainty of their places, and by how much the object may be "
-    "<b>bent</b> there by what all scans have in common, which no number of them makes smaller and no residual shows. Near by, most of the last two cancels. "
+    "of the fused surface along its normal, in the object's frame: the noise of the scans, the uncertainty of their "
+    "places, and by how much the object may be "
+    "<b>bent</b> there by what all scans have in common, which no number of them makes smaller and no residual shows. "
+    "Near by, most of the last two cancels. "
     "<b>Ray gap</b> is how far the rays of both "
-    "cameras pass each other: the check of the calibration that every point brings with it. The <b>residual</b> of a pair tells how well both "
-    "scans lie on each other, and nothing about sliding along a pipe or a plane; the uncertainties of displacement and rotation do. "
+    "cameras pass each other: the check of the calibration that every point brings with it. The <b>residual</b> of a "
+    "pair tells how well both "
+    "scans lie on each other, and nothing about sliding along a pipe or a plane; the uncertainties of displacement and "
+    "rotation do. "
     "<b>Deviations</b> are along the nominal surface's normal, positive outside.</p></section>"
 )
 
@@ -397,7 +410,8 @@ def _count(number: float) -> str:
 
 
 def _mm(value: float | None) -> str:
-    """Return a length as people say it: µm below a millimetre, to a tenth of one, and from a tenth of a millimetre on whole."""
+    """Return a length as people say it: µm below a millimetre, to a tenth of one, and from a tenth of a millimetre on
+    whole."""
     if value is None:
         return "–"
     if abs(value) < _SMALL_MM:

@@ -1,4 +1,5 @@
-"""Owns what of a surface is drawn: few enough points for a browser to turn, each with the values that it can be coloured by."""
+"""Owns what of a surface is drawn: few enough points for a browser to turn, each with the values that it can be
+coloured by."""
 
 from __future__ import annotations
 
@@ -95,7 +96,8 @@ def thinned(full: ShownSurface, most: int = MOST_TURNED) -> ShownSurface:
 
 
 def coloured(one: Colouring) -> NDArray[np.float32]:
-    """Return (n, 3) float32, 0..255: the colour of each value, between neighbouring ones of the scale; light grey for NaN."""
+    """Return (n, 3) float32, 0..255: the colour of each value, between neighbouring ones of the scale; light grey for
+    NaN."""
     scale = np.asarray(one.colours, np.float32)
     part = np.clip((one.values - one.low) / max(one.high - one.low, 1e-9), 0.0, 1.0) * (len(scale) - 1)
     known = np.isfinite(part)

@@ -1,4 +1,5 @@
-"""Owns the still picture of a surface, for paper and for browsers that cannot turn it: an orthographic view with light and a scale."""
+"""Owns the still picture of a surface, for paper and for browsers that cannot turn it: an orthographic view with light
+and a scale."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ _AMBIENT = 0.45
 
 
 def view_direction(shown: ShownSurface, up: Vector) -> NDArray[np.float64]:
-    """Return the unit vector from the object to the eye: where most of it looks to, a little from above and from the side."""
+    """Return the unit vector from the object to the eye: where most of it looks to, a little from above and from the
+    side."""
     mean = np.nanmean(shown.normals.astype(np.float64), axis=0)
     top = np.asarray(up, np.float64) / np.linalg.norm(up)
     # What looks in all directions alike is seen from the front.
@@ -76,7 +78,8 @@ def still(shown: ShownSurface, colouring: Colouring, up: Vector) -> str:
 
 
 def picture_of_scan(points_mm: NDArray[np.float32], grey: NDArray[np.uint8]) -> bytes:
-    """Return a PNG file of one scan's points (n, 3), n at least 1, as its left camera sees them: colour by depth, brightness by ``grey`` (n,)."""
+    """Return a PNG file of one scan's points (n, 3), n at least 1, as its left camera sees them: colour by depth,
+    brightness by ``grey`` (n,)."""
     points = points_mm.astype(np.float64)
     across, down = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
     wide, high = (max(float(np.ptp(one)), 1e-6) for one in (across, down))
@@ -131,8 +134,10 @@ def _triangles(
     depth: NDArray[np.float64],
     rgb: NDArray[np.float64],
 ) -> NDArray[np.uint8]:
-    """Draw triangles from the farthest to the nearest (M. Newell, R. Newell and T. Sancha, "A solution to the hidden surface problem",
-    1972)."""
+    """Draw triangles from the farthest to the nearest (M.
+
+    Newell, R. Newell and T. Sancha, "A solution to the hidden surface problem", 1972).
+    """
     image = np.full((HEIGHT_PX, WIDTH_PX, 3), 255, np.uint8)
     order = np.argsort(depth[faces].mean(axis=1))
     # Sixteenths of a pixel, as OpenCV draws with `shift`.

@@ -1,13 +1,14 @@
 """Owns how far points lie from a nominal surface, along its normals: outside is positive, and each with its sigma.
 
-The nearest triangle is libigl's (MPL-2.0, a tree of boxes around the triangles). Where the points' own normals are given, triangles that face away
-by more than a right angle do not count: the far side of a thin plate is not what was measured. An edge faces as its pseudonormal does,
-whichever of its triangles is found. libigl cannot leave triangles out for a single point, so the few whose nearest place faces away are asked
-again from farther out along their normals, the least way first, until one faces them; from just above that place they are then
-projected onto the surface until they stay.
+The nearest triangle is libigl's (MPL-2.0, a tree of boxes around the triangles). Where the points' own normals are
+given, triangles that face away by more than a right angle do not count: the far side of a thin plate is not what was
+measured. An edge faces as its pseudonormal does, whichever of its triangles is found. libigl cannot leave triangles out
+for a single point, so the few whose nearest place faces away are asked again from farther out along their normals, the
+least way first, until one faces them; from just above that place they are then projected onto the surface until they
+stay.
 
-What lies beside an open border of the surface has no counterpart on it and no deviation. Symbols in the kernels: p the point, a, b and c the
-corners, q the nearest place on the triangle (C. Ericson, "Real-Time Collision Detection", 5.1.5).
+What lies beside an open border of the surface has no counterpart on it and no deviation. Symbols in the kernels: p the
+point, a, b and c the corners, q the nearest place on the triangle (C. Ericson, "Real-Time Collision Detection", 5.1.5).
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _BLOCK = 100_000
 _FARTHER_OUT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 """Ways out along a point's normal, as shares of the limit, from which a triangle that faces it is looked for."""
 _PROJECTED = 4
-"""Times that a point is projected onto its side of the surface: each step leaves a share of the way along it that is the distance over the radius."""
+"""Times that a point is projected onto its side of the surface: each step leaves a share of the way along it that is
+the distance over the radius."""
 _ABOVE_MM = 1e-3
 """Height above the surface from which its own side is the nearest."""
 
@@ -53,7 +55,8 @@ class DeviationSummary:
     percentiles_mm: tuple[tuple[float, float], ...]
     """Pairs of percent and mm."""
     within_2_sigma_percent: float | None
-    """Share of the points that lie no farther from the surface than twice their own sigma: some 95 if it is as nominal."""
+    """Share of the points that lie no farther from the surface than twice their own sigma: some 95 if it is as nominal.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,8 +113,8 @@ class NominalTree:
     ) -> NearestPlaces:
         """Return the nearest places of points (n, 3).
 
-        ``normals`` (n, 3), NaN where unknown: triangles that face away from a point's do not count; ``None``: all do. ``limit_mm``: how far those
-        are looked for.
+        ``normals`` (n, 3), NaN where unknown: triangles that face away from a point's do not count; ``None``: all do.
+        ``limit_mm``: how far those are looked for.
         """
         points = np.ascontiguousarray(points_mm, np.float64)
         face = self._nearest_face(points)
@@ -154,8 +157,8 @@ class NominalTree:
     def _at(
         self, points: NDArray[np.float64], face: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-        """Return of points (n, 3) the nearest places on their triangles (n,), signed distances, what lies beside a border, and the
-        pseudonormals there; of no triangle, -1, those of the last."""
+        """Return of points (n, 3) the nearest places on their triangles (n,), signed distances, what lies beside a
+        border, and the pseudonormals there; of no triangle, -1, those of the last."""
         nominal, n = self.nominal, len(points)
         found = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_), np.empty((n, 3))
         _on_faces(
@@ -182,8 +185,9 @@ def deviations(
 ) -> Deviation:
     """Return how far points (n, 3), in the frame of ``nominal``, lie from it; ``sigma_mm`` (n,) along the normal.
 
-    ``normals``: (n, 3), those of the points; NaN where unknown. Points beyond ``limit_mm`` or beside an open border are counted and have no
-    deviation. Raises ValueError for a limit that is not above 0, MissingLibraryError where libigl is absent.
+    ``normals``: (n, 3), those of the points; NaN where unknown. Points beyond ``limit_mm`` or beside an open border are
+    counted and have no deviation. Raises ValueError for a limit that is not above 0, MissingLibraryError where libigl
+    is absent.
     """
     if not limit_mm > 0.0:
         raise ValueError(f"limit_mm is {limit_mm}; it must be above 0")
@@ -201,9 +205,11 @@ def deviations(
 
 
 def spread_over(nominal: Nominal, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return ``count`` places (n, 3) spread evenly over the surface, whatever its triangles are, and the triangle of each.
+    """Return ``count`` places (n, 3) spread evenly over the surface, whatever its triangles are, and the triangle of
+    each.
 
-    Each stands for the same area; within a triangle they follow the sequence R2 (M. Roberts, 2018), which leaves no large gaps.
+    Each stands for the same area; within a triangle they follow the sequence R2 (M. Roberts, 2018), which leaves no
+    large gaps.
     """
     a, b, c = (nominal.vertices_mm[nominal.faces[:, k]] for k in range(3))
     reached = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
@@ -232,8 +238,8 @@ def _on_faces(
     beside: NDArray[np.bool_],
     out: NDArray[np.float64],
 ) -> None:
-    """Write the nearest place of each point on its triangle, its distance with its sign, whether it lies beside an open border, and
-    the pseudonormal of the place, which neighbours of an edge have in common."""
+    """Write the nearest place of each point on its triangle, its distance with its sign, whether it lies beside an open
+    border, and the pseudonormal of the place, which neighbours of an edge have in common."""
     corners, pa, pb, pc, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for n in range(len(points)):
         one = face[n]
@@ -274,8 +280,8 @@ def _on_triangle(
     corners: NDArray[np.float64],
     q: NDArray[np.float64],
 ) -> int:
-    """Write the place on the triangle that is nearest to p to ``q``, where pa, pb and pc are p less the corners; return what
-    it lies on: 0 the face, 1 to 3 the edges ab, bc, ca, 4 to 6 the corners."""
+    """Write the place on the triangle that is nearest to p to ``q``, where pa, pb and pc are p less the corners; return
+    what it lies on: 0 the face, 1 to 3 the edges ab, bc, ca, 4 to 6 the corners."""
     a, b, c = corners[0], corners[1], corners[2]
     ab, ac = b - a, c - a
     # Projections of p on both edges from a, seen from each corner.

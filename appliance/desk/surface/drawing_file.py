@@ -1,4 +1,5 @@
-"""Owns what can be known of a CAD model's file before it is opened: its format, that it is a file, and that it is not too large.
+"""Owns what can be known of a CAD model's file before it is opened: its format, that it is a file, and that it is not
+too large.
 
 It loads nothing that computes, so that a wrong word is told at once.
 """
@@ -19,8 +20,10 @@ class NominalError(Exception):
 
 
 def checked_drawing(path: Path) -> str:
-    """Return the suffix of a CAD model in lower case. Raises NominalError for a format that is not read, for what is missing, no file or too large:
-    nothing is opened yet."""
+    """Return the suffix of a CAD model in lower case.
+
+    Raises NominalError for a format that is not read, for what is missing, no file or too large: nothing is opened yet.
+    """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise NominalError(

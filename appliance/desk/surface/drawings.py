@@ -1,10 +1,11 @@
-"""Owns the files that CAD models come in: triangles of STL, OBJ and PLY, believed only as far as sizes, counts and numbers agree.
+"""Owns the files that CAD models come in: triangles of STL, OBJ and PLY, believed only as far as sizes, counts and
+numbers agree.
 
-STL is read here, since what other programs write differs in ways that no library sorts out: names in any encoding, `end solid` in
-two words, CR alone as the end of a line, bytes behind the last triangle, a binary file that begins with ``solid``. What is unambiguous is read; what
-is cut off or miscounted is refused with both counts. OBJ and PLY are read by trimesh (MIT) once their heads are checked.
-Sources: 3D Systems, "StereoLithography Interface Specification" (1989); G. Turk, "The PLY Polygon File Format" (1994); Wavefront, "Object
-Files (.obj)".
+STL is read here, since what other programs write differs in ways that no library sorts out: names in any encoding, `end
+solid` in two words, CR alone as the end of a line, bytes behind the last triangle, a binary file that begins with
+``solid``. What is unambiguous is read; what is cut off or miscounted is refused with both counts. OBJ and PLY are read
+by trimesh (MIT) once their heads are checked. Sources: 3D Systems, "StereoLithography Interface Specification" (1989);
+G. Turk, "The PLY Polygon File Format" (1994); Wavefront, "Object Files (.obj)".
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ _PLY_BYTES = {
 
 
 def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return corners (v, 3), as the file has them, and triangles (m, 3). Raises NominalError, and MissingLibraryError where trimesh is absent."""
+    """Return corners (v, 3), as the file has them, and triangles (m, 3).
+
+    Raises NominalError, and MissingLibraryError where trimesh is absent.
+    """
     suffix = checked_drawing(path)
     if suffix != ".stl":
         trimesh = needed("trimesh", "trimesh", f"a CAD model in {suffix}")
@@ -67,7 +71,10 @@ def _stl(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
 
 
 def _binary_stl(data: bytes) -> tuple[NDArray[np.float64] | None, bool]:
-    """Return the corners (m, 3, 3) of a binary file; ``None`` for one in words. Raises ValueError for fewer triangles than it states."""
+    """Return the corners (m, 3, 3) of a binary file; ``None`` for one in words.
+
+    Raises ValueError for fewer triangles than it states.
+    """
     words = data[:_STL_HEAD].lstrip().lower().startswith(b"solid")
     stated = int.from_bytes(data[80:_STL_HEAD], "little") if len(data) >= _STL_HEAD else -1
     there = max(0, len(data) - _STL_HEAD) // _FACET.itemsize
@@ -120,7 +127,10 @@ def _with_line_feeds(data: bytes) -> bytes:
 
 
 def _checked_ply(data: bytes) -> bool:
-    """Tell whether a PLY file has its corners in single precision. Raises ValueError where its head does not fit the bytes."""
+    """Tell whether a PLY file has its corners in single precision.
+
+    Raises ValueError where its head does not fit the bytes.
+    """
     end = data.find(b"end_header")
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("holds no triangles: it has no PLY head")
@@ -135,7 +145,8 @@ def _checked_ply(data: bytes) -> bool:
             case ["property", "list", count_type, _, name]:
                 if element == "vertex":
                     raise ValueError(
-                        f"its vertices have a list ({name}), which may be longer for one than for another and is not read: write it without"
+                        f"its vertices have a list ({name}), which may be longer for one than for another and is not "
+                        "read: write it without"
                     )
                 least += number * (2 if text else _PLY_BYTES.get(count_type, 1))
             case ["property", kind, name]:
@@ -162,7 +173,8 @@ def _checked_obj(data: bytes) -> bool:
                 or (index[:1] == b"-" and index[1:].isdigit() and int(index[1:13]) > corners)
             ):
                 raise ValueError(
-                    f"a face names corner {index.decode('ascii', 'replace')[:20]} of {corners}: OBJ counts from 1; was it written from 0?"
+                    f"a face names corner {index.decode('ascii', 'replace')[:20]} of {corners}: OBJ counts from 1; was "
+                    "it written from 0?"
                 )
     return False
 
@@ -190,13 +202,15 @@ def _believed(
     if wrong.any():
         first = int(np.flatnonzero(wrong)[0])
         raise ValueError(
-            f"{int(wrong.sum()):,} of {len(triangles):,} triangles have a corner that is no number or beyond {FARTHEST_MM:g} mm (the first: "
+            f"{int(wrong.sum()):,} of {len(triangles):,} triangles have a corner that is no number or beyond "
+            f"{FARTHEST_MM:g} mm (the first: "
             f"triangle {first + 1}, {used[first].tolist()})"
         )
     step_mm = float(np.spacing(np.float32(np.abs(used).max()))) if single else 0.0
     if step_mm > COARSEST_MM:
         raise ValueError(
-            f"its corners lie up to {np.abs(used).max() / 1000.0:,.0f} m from the origin, where single precision has steps of {step_mm:g} mm: "
+            f"its corners lie up to {np.abs(used).max() / 1000.0:,.0f} m from the origin, where single precision has "
+            f"steps of {step_mm:g} mm: "
             "move it to the origin in the CAD program, or write a PLY with double"
         )
     return corners, triangles

@@ -9,17 +9,20 @@ what all scans have in common:
     of all scans           1 / Σ 1 / (σ_n² + pose²)           one term a scan, however many of its pixels are there
     the fused point        √(that + common_mm²)               what all scans have in common: the calibration, the water
 
-Where the errors of all places are known (``appliance.desk.registration.joint``), ``with_places`` makes it that of the object's frame: by how much a point
-may lie elsewhere with its whole scan, and by how much the object may be bent there. Its shares are kept, since neighbours have these two in common: a hole's
-diameter does not depend on them, the distance of two flanges does.
+Where the errors of all places are known (``appliance.desk.registration.joint``), ``with_places`` makes it that of the
+object's frame: by how much a point may lie elsewhere with its whole scan, and by how much the object may be bent there.
+Its shares are kept, since neighbours have these two in common: a hole's diameter does not depend on them, the distance
+of two flanges does.
 
-Pixels of one scan are averaged, since that makes the surface smoother, and sigma does not claim anything for it: they share the
-pose, ripple and part of their noise. So sigma is right where a disc holds about one pixel of a scan, and too large beyond.
+Pixels of one scan are averaged, since that makes the surface smoother, and sigma does not claim anything for it: they
+share the pose, ripple and part of their noise. So sigma is right where a disc holds about one pixel of a scan, and too
+large beyond.
 
 Points whose normal is not known (alone, or at the border of nothing) are left out: nobody knows which side they lie on.
 ``surfels.py`` says which points belong together.
 
-It also owns how points of many scans find those of the surface that they belong to: small discs in a hash table of cells.
+It also owns how points of many scans find those of the surface that they belong to: small discs in a hash table of
+cells.
 
 A disc has a place, a normal and a radius, the spacing. A point belongs to the nearest disc, across the surface, that
 
@@ -27,15 +30,16 @@ A disc has a place, a normal and a radius, the spacing. A point belongs to the n
     is near on it            its ray meets the plane of the disc at most the spacing from the disc,
     and lies as deep         |h| ≤ 4 √(v_p + v_d), at most the depth limit; v: variances along the normal
 
-where h = d · (n_p + n_d) / |n_p + n_d| is the depth of the point over the disc, d the way from the disc to it. The mean of both
-normals makes h zero for two points of one sphere, however far apart: a bent surface is not moved inwards (S. Rusinkiewicz, "A
-symmetric objective function for ICP", 2019). A point that belongs to none founds a disc of its own.
-Where its ray meets the disc is free of the point's own noise, and of two discs equally far the older is taken. By the distance
-across the normal, discs that noise moved one way would collect more points than those that it moved the other way, and the mean
-of their places would lie 1.5 µm off for noise of 20 µm.
+where h = d · (n_p + n_d) / |n_p + n_d| is the depth of the point over the disc, d the way from the disc to it. The mean
+of both normals makes h zero for two points of one sphere, however far apart: a bent surface is not moved inwards (S.
+Rusinkiewicz, "A symmetric objective function for ICP", 2019). A point that belongs to none founds a disc of its own.
+Where its ray meets the disc is free of the point's own noise, and of two discs equally far the older is taken. By the
+distance across the normal, discs that noise moved one way would collect more points than those that it moved the other
+way, and the mean of their places would lie 1.5 µm off for noise of 20 µm.
 
-Cells are cubes of twice the reach, so that whatever is in reach of a point lies in the eight cells about its nearest corner.
-Symbols: u is the ray, m is the number of discs, key a cell's three numbers in one, head the first disc of a cell, after the next one of the same.
+Cells are cubes of twice the reach, so that whatever is in reach of a point lies in the eight cells about its nearest
+corner. Symbols: u is the ray, m is the number of discs, key a cell's three numbers in one, head the first disc of a
+cell, after the next one of the same.
 """
 
 from __future__ import annotations
@@ -63,7 +67,10 @@ TIE = 0.96
 EMPTY = np.int64(-1)
 _HALF_RANGE = np.int64(1 << 20)
 _MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
-"""2⁶⁴ by the golden ratio: neighbouring keys spread over the table (D. Knuth, The Art of Computer Programming 3, 6.4)."""
+"""2⁶⁴ by the golden ratio: neighbouring keys spread over the table (D.
+
+Knuth, The Art of Computer Programming 3, 6.4).
+"""
 
 
 class Discs(NamedTuple):
@@ -145,8 +152,8 @@ def assign(
 ) -> tuple[int, int, int]:
     """Write the disc of each point from ``first`` on to ``owner``, founding discs where there are none.
 
-    Return the number of discs, that of cells, and the first point that is still to do: where the table is half full, it ends
-    early. There must be room for a disc a point.
+    Return the number of discs, that of cells, and the first point that is still to do: where the table is half full, it
+    ends early. There must be room for a disc a point.
     """
     cell_mm = 2.0 * np.sqrt(spacing_mm**2 + depth_mm**2)
     most = len(cells.key) // 2 - 8
@@ -176,13 +183,15 @@ def assign(
             while one >= 0:
                 dx, dy, dz = px - discs.place_mm[one, 0], py - discs.place_mm[one, 1], pz - discs.place_mm[one, 2]
                 ox, oy, oz = discs.normal[one, 0], discs.normal[one, 1], discs.normal[one, 2]
-                # Back along the ray to the disc's plane: d − u (d · n) / (u · n); u · n < 0, since both sides face each other.
+                # Back along the ray to the disc's plane: d − u (d · n) / (u · n); u · n < 0, since both sides face each
+                # other.
                 along = dx * ox + dy * oy + dz * oz
                 back = along / min(ux * ox + uy * oy + uz * oz, -LEAST_COSINE)
                 ax, ay, az = dx - back * ux, dy - back * uy, dz - back * uz
                 across2 = ax * ax + ay * ay + az * az
                 cosine = nx * ox + ny * oy + nz * oz
-                # Of equally far ones the oldest: neither a hair's breadth of noise decides, nor the cell that noise put a disc in.
+                # Of equally far ones the oldest: neither a hair's breadth of noise decides, nor the cell that noise put
+                # a disc in.
                 nearer = best < 0 or across2 < TIE * best2 or (one < best and TIE * across2 <= best2)
                 if nearer and across2 <= spacing_mm**2 and cosine >= SAME_SIDE:
                     # |n_p + n_d|² = 2 + 2 cos.
@@ -218,13 +227,16 @@ def assign(
 def absorb(
     points: PointsOfScan, owner: NDArray[np.int32], discs: Discs, sums: NDArray[np.float64], touched: NDArray[np.int32]
 ) -> None:
-    """Move each disc that points of one scan belong to, along its normal, to the mean of what was seen of it before and now.
+    """Move each disc that points of one scan belong to, along its normal, to the mean of what was seen of it before and
+    now.
 
-    ``sums`` is (n, 7) zeros, ``touched`` (n,): room for a row a point. A scan counts as one observation of the disc, however
-    many of its pixels belong to it: what they have in common (the pose, ripple, half of their noise) no mean takes away.
+    ``sums`` is (n, 7) zeros, ``touched`` (n,): room for a row a point. A scan counts as one observation of the disc,
+    however many of its pixels belong to it: what they have in common (the pose, ripple, half of their noise) no mean
+    takes away.
     """
     rows = 0
-    # Sums over the points of each disc, in rows by the order of appearance: a table as long as all discs would be mostly zeros.
+    # Sums over the points of each disc, in rows by the order of appearance: a table as long as all discs would be
+    # mostly zeros.
     for n in range(len(owner)):
         one = owner[n]
         row = discs.slot[one]
@@ -306,7 +318,8 @@ class PlacedScan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SigmaShares:
-    """Shares of the points' sigma, each (n,) float32 in mm along the normal; sigma is the root of the sum of their squares."""
+    """Shares of the points' sigma, each (n,) float32 in mm along the normal; sigma is the root of the sum of their
+    squares."""
 
     beside_mm: NDArray[np.float32]
     """Relative to the points around: noise, and places of scans beside each other."""
@@ -325,7 +338,8 @@ class FusedCloud:
     normals: NDArray[np.float32]
     """(n, 3) float32, unit vectors towards where the surface was seen from."""
     sigma_mm: NDArray[np.float32]
-    """(n,) float32: standard deviation along the normal, as the module's head says: in the object's frame where ``shares`` are known."""
+    """(n,) float32: standard deviation along the normal, as the module's head says: in the object's frame where
+    ``shares`` are known."""
     grey: NDArray[np.uint8]
     """(n,) uint8: mean of the scans' grey values, by their variances."""
     views: NDArray[np.uint16]
@@ -333,7 +347,8 @@ class FusedCloud:
     left_out: int = 0
     """Points of the scans that have no normal and so take no part."""
     first_scan: NDArray[np.uint16] | None = None
-    """(n,) uint16: number of the first scan that saw the point, from 0 in the order in which they were fused; ``None``: not kept."""
+    """(n,) uint16: number of the first scan that saw the point, from 0 in the order in which they were fused; ``None``:
+    not kept."""
     shares: SigmaShares | None = None
     """``None``: sigma is that relative to the points around, and what is common."""
 
@@ -346,7 +361,10 @@ class FusedCloud:
 
 
 def with_places(cloud: FusedCloud, place_mm: NDArray[np.floating], bending_mm: NDArray[np.floating]) -> FusedCloud:
-    """Return a fused surface whose sigma is that in the object's frame. ``place_mm`` and ``bending_mm`` (n,): its further shares, along the normals."""
+    """Return a fused surface whose sigma is that in the object's frame.
+
+    ``place_mm`` and ``bending_mm`` (n,): its further shares, along the normals.
+    """
     place, bending = place_mm.astype(np.float32), bending_mm.astype(np.float32)
     # Its own sigma stays the share that neighbours do not have in common, also where it is called twice.
     beside = cloud.beside_mm
@@ -362,9 +380,9 @@ def fuse(
 ) -> FusedCloud:
     """Return one surface of all scans, a point about every ``spacing_mm``. One scan is held at a time.
 
-    ``progress`` gets the number of scans done. Scans are taken in their order; another order moves points by less than their sigma. Memory: some
-    50 bytes a fused point beside one scan. Raises ValueError for a spacing outside of 0.02..20 mm, for a rotation that is
-    none, and for points beyond 100 m.
+    ``progress`` gets the number of scans done. Scans are taken in their order; another order moves points by less than
+    their sigma. Memory: some 50 bytes a fused point beside one scan. Raises ValueError for a spacing outside of
+    0.02..20 mm, for a rotation that is none, and for points beyond 100 m.
     """
     if not 0.02 <= spacing_mm <= 20.0:
         raise ValueError(f"spacing_mm is {spacing_mm}; allowed are 0.02..20")

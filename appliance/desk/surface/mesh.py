@@ -15,7 +15,10 @@ from appliance.measure import OrganisedCloud
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles, each vertex with what is known about it. The corners of a face go round counter-clockwise seen from outside."""
+    """Triangles, each vertex with what is known about it.
+
+    The corners of a face go round counter-clockwise seen from outside.
+    """
 
     vertices_mm: NDArray[np.float32]
     """(n, 3) float32."""

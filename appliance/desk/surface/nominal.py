@@ -1,8 +1,10 @@
-"""Owns a nominal surface: the triangles that something was to have, with the normals that tell its inside from its outside.
+"""Owns a nominal surface: the triangles that something was to have, with the normals that tell its inside from its
+outside.
 
-Whether a point lies inside or outside of the nearest triangle is undecided where an edge or a corner is nearest: each of the
-triangles there may say otherwise. The pseudonormals decide it: of an edge the sum of both triangles' normals, of a corner the sum
-of all, each by its angle (J. A. Bærentzen and H. Aanæs, "Signed distance computation using the angle weighted pseudonormal", 2005).
+Whether a point lies inside or outside of the nearest triangle is undecided where an edge or a corner is nearest: each
+of the triangles there may say otherwise. The pseudonormals decide it: of an edge the sum of both triangles' normals, of
+a corner the sum of all, each by its angle (J. A. Bærentzen and H. Aanæs, "Signed distance computation using the angle
+weighted pseudonormal", 2005).
 """
 
 from __future__ import annotations
@@ -41,8 +43,10 @@ class Nominal:
     open_corners: NDArray[np.bool_]
     """(v,): the vertex lies on such an edge."""
     origin_mm: NDArray[np.float64]
-    """(3,) float64, whole metres: place of the vertices' (0, 0, 0) in the frame of the file. Far from a frame's origin single precision is too
-    coarse for points; about this one it is not."""
+    """(3,) float64, whole metres: place of the vertices' (0, 0, 0) in the frame of the file.
+
+    Far from a frame's origin single precision is too coarse for points; about this one it is not.
+    """
 
     __repr__ = one_line
 
@@ -50,7 +54,8 @@ class Nominal:
 def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any], origin_mm: NDArray[np.float64] | None = None) -> Nominal:
     """Return the nominal surface of triangles: (v, 3) mm and (m, 3) rows of them. Triangles without area are left out.
 
-    Vertices at exactly the same place become one: STL files know no neighbours. Raises ValueError where nothing is left.
+    Vertices at exactly the same place become one: STL files know no neighbours. Raises ValueError where nothing is
+    left.
     """
     places, place_of = np.unique(np.asarray(vertices_mm, np.float64), axis=0, return_inverse=True)
     whole = place_of.reshape(-1)[np.asarray(faces, np.int64)]
@@ -91,7 +96,10 @@ def nominal_of_mesh(mesh: Mesh) -> Nominal:
 
 
 def read_nominal(file: Path | str) -> Nominal:
-    """Read a nominal surface in mm about a local origin. Raises NominalError, MissingLibraryError where the library that reads it is absent."""
+    """Read a nominal surface in mm about a local origin.
+
+    Raises NominalError, MissingLibraryError where the library that reads it is absent.
+    """
     vertices, faces = read_triangles(Path(file))
     used = vertices[np.unique(faces)]
     origin = 1000.0 * np.round(0.5 * (used.min(axis=0) + used.max(axis=0)) / 1000.0)

@@ -1,8 +1,11 @@
-"""Owns the normals of an organised cloud: planes through the points that each pixel's neighbours see on the same surface.
+"""Owns the normals of an organised cloud: planes through the points that each pixel's neighbours see on the same
+surface.
 
-The plane is a least-squares one with errors along the pixel's own ray, since that is where a point's errors lie. Neighbours
-count as far as a way that goes outwards only leads to them, from pixel to pixel and over no step (``steps.py``). Symbols: u is the ray, e and f complete it to a frame; a, b and c are a neighbour's coordinates along e, f and u
-from the middle, s and t the slopes of c = c0 + s a + t b. The normal is (s, t, −1): it points to the camera, always.
+The plane is a least-squares one with errors along the pixel's own ray, since that is where a point's errors lie.
+Neighbours count as far as a way that goes outwards only leads to them, from pixel to pixel and over no step
+(``steps.py``). Symbols: u is the ray, e and f complete it to a frame; a, b and c are a neighbour's coordinates along e,
+f and u from the middle, s and t the slopes of c = c0 + s a + t b. The normal is (s, t, −1): it points to the camera,
+always.
 """
 
 from __future__ import annotations
@@ -18,15 +21,16 @@ RADIUS_PX = 2
 """Half of a window's side less the middle: 5 x 5 pixels."""
 LEAST_POINTS = 6
 LEAST_SPREAD = 0.05
-"""Least determinant of the points' spread over its largest possible value: less is a line, about which a plane may turn."""
+"""Least determinant of the points' spread over its largest possible value: less is a line, about which a plane may
+turn."""
 
 
 def normals(cloud: OrganisedCloud, same: Connected | None = None, radius_px: int = RADIUS_PX) -> NDArray[np.float32]:
     """Return the unit normals (h, w, 3) float32 of a cloud, in its frame, towards the camera; NaN where unknown.
 
-    ``same``: what ``connected`` found, where it is there already. Unknown are pixels without a point, and those with less
-    than ``LEAST_POINTS`` around them or with all of them in a line. Raises ValueError for a window of less than 3 x 3 or
-    more than 15 x 15 pixels.
+    ``same``: what ``connected`` found, where it is there already. Unknown are pixels without a point, and those with
+    less than ``LEAST_POINTS`` around them or with all of them in a line. Raises ValueError for a window of less than 3
+    x 3 or more than 15 x 15 pixels.
     """
     if not 1 <= radius_px <= 7:
         raise ValueError(f"radius_px is {radius_px}; allowed are 1..7")

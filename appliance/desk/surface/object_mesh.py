@@ -1,13 +1,15 @@
 """Owns the mesh of an object: triangles through a fused surface, where there are points and nowhere else.
 
-A grid of voxels holds the signed distance to the surface: at a voxel v, the mean of (v − p) · (n + m) / |n + m| over the points p within two voxels,
-n their normals and m that of the nearest one, with weights 1/σ² · exp(−|v − p|² / h²), h the voxel. The mean of two normals moves no bent surface
-(``surfels.py``). Only points that face the same way as the nearest one count, so that the far side of a plate does not pull. The surface is where that is
-zero (W. Lorensen and H. Cline, "Marching cubes", 1987; the variant of T. Lewiner, 2003, as scikit-image has it), within cells all of whose
-corners have a point near them, and no farther than 0.75 voxels from a point. So holes stay open. A plate must be two voxels thick to have two sides.
+A grid of voxels holds the signed distance to the surface: at a voxel v, the mean of (v − p) · (n + m) / |n + m| over
+the points p within two voxels, n their normals and m that of the nearest one, with weights 1/σ² · exp(−|v − p|² / h²),
+h the voxel. The mean of two normals moves no bent surface (``surfels.py``). Only points that face the same way as the
+nearest one count, so that the far side of a plate does not pull. The surface is where that is zero (W. Lorensen and H.
+Cline, "Marching cubes", 1987; the variant of T. Lewiner, 2003, as scikit-image has it), within cells all of whose
+corners have a point near them, and no farther than 0.75 voxels from a point. So holes stay open. A plate must be two
+voxels thick to have two sides.
 
-Blocks of the grid are done one after the other, so that memory does not grow with the object's volume; what they share at their borders are the
-same voxels with the same points in the same order, and therefore the same vertices.
+Blocks of the grid are done one after the other, so that memory does not grow with the object's volume; what they share
+at their borders are the same voxels with the same points in the same order, and therefore the same vertices.
 """
 
 from __future__ import annotations
@@ -30,9 +32,11 @@ BLOCK = 64
 _REACH = 2
 """Voxels in each direction that a point has a say in."""
 _NEAR = 2.0
-"""Voxels between a corner of a cell and the nearest point, at most: a surface through one corner of a cell is √3 from the opposite one."""
+"""Voxels between a corner of a cell and the nearest point, at most: a surface through one corner of a cell is √3 from
+the opposite one."""
 _BEYOND = 0.75
-"""Voxels from a vertex to the nearest point, at most: what is farther goes on from the border of the data, and is cut off."""
+"""Voxels from a vertex to the nearest point, at most: what is farther goes on from the border of the data, and is cut
+off."""
 _NEIGHBOURS = 4
 
 
@@ -93,8 +97,8 @@ _Block = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float32], NDAr
 
 
 def _blocks(cloud: FusedCloud, voxel_mm: float) -> Iterator[_Block]:
-    """Yield each block that has points: its first voxel, and the places (in voxels from there), normals, weights and numbers of all points
-    that have a say in it."""
+    """Yield each block that has points: its first voxel, and the places (in voxels from there), normals, weights and
+    numbers of all points that have a say in it."""
     voxel = np.floor(cloud.points_mm / np.float32(voxel_mm)).astype(np.int32)
     if not len(voxel):
         return
@@ -129,7 +133,8 @@ def _blocks(cloud: FusedCloud, voxel_mm: float) -> Iterator[_Block]:
 def _field(
     points: NDArray[np.float64], normals: NDArray[np.float32], weight: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the signed distance and the distance of the nearest point, both in voxels, at a block's corners; far away they are 9."""
+    """Return the signed distance and the distance of the nearest point, both in voxels, at a block's corners; far away
+    they are 9."""
     shape = (BLOCK + 1,) * 3
     near, nearest = np.full(shape, np.inf, np.float32), np.full(shape, -1, np.int32)
     _find_nearest(points, near, nearest)
@@ -197,8 +202,8 @@ def _all_corners(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _attributes(
     cloud: FusedCloud, of: NDArray[np.int64], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return normal, sigma and grey (n, 5) of vertices, from the nearest points of the block that face as the nearest one does, and
-    how far the nearest is in mm."""
+    """Return normal, sigma and grey (n, 5) of vertices, from the nearest points of the block that face as the nearest
+    one does, and how far the nearest is in mm."""
     few = min(_NEIGHBOURS, len(of))
     far, near = cKDTree(cloud.points_mm[of]).query(places, np.arange(1, few + 1))
     number = of[near]
@@ -223,8 +228,8 @@ def _joined(parts: list[NDArray[_Kind]]) -> NDArray[_Kind]:
 
 
 def _shared(grid: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return which vertices of a block lie on its sides, where another block has them too, and of each the edge of the grid that
-    it lies on, in one number: that of its lower corner and of its direction.
+    """Return which vertices of a block lie on its sides, where another block has them too, and of each the edge of the
+    grid that it lies on, in one number: that of its lower corner and of its direction.
 
     By places, vertices of two blocks would not be the same: they are float32 from either block's corner.
     """
@@ -242,7 +247,8 @@ def _welded(
     shared: NDArray[np.int64],
     edges: NDArray[np.int64],
 ) -> _Parts:
-    """Return the same with the ``shared`` vertices that lie on the same edge made one, and without those in no triangle."""
+    """Return the same with the ``shared`` vertices that lie on the same edge made one, and without those in no
+    triangle."""
     _, first, one = np.unique(edges, return_index=True, return_inverse=True)
     instead = np.arange(len(places), dtype=np.int32)
     instead[shared] = shared[first[one.reshape(-1)]]

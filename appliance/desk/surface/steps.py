@@ -1,14 +1,14 @@
 """Owns which neighbouring pixels of an organised cloud see one surface, and between which there is a step in depth.
 
-Of two neighbours p and q, in a row or a column of the image, r is the distance from the camera, d = r(q) − r(p) and l how far
-they are apart across the ray. They see one surface where both hold:
+Of two neighbours p and q, in a row or a column of the image, r is the distance from the camera, d = r(q) − r(p) and l
+how far they are apart across the ray. They see one surface where both hold:
 
     incidence     |d| ≤ tan 80° · l + 4 √(σp² + σq²)          a surface seen at less than 80°, and noise
     local slope   |d − d'| ≤ l / 2 + 4 √(3 (σp² + σq²))       d' is that of the pair before or of the pair after, whichever is
                                                               nearer: a slope goes on at one side at least, a step at none
 
-3 (σp² + σq²) is the variance of a second difference, σ² (1 + 4 + 1), where neighbours are equally noisy. With σ of 22 µm and
-pixels of 0.17 mm, steps are found from about 0.5 mm on; lower ones are a slope of the surface.
+3 (σp² + σq²) is the variance of a second difference, σ² (1 + 4 + 1), where neighbours are equally noisy. With σ of 22
+µm and pixels of 0.17 mm, steps are found from about 0.5 mm on; lower ones are a slope of the surface.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from appliance.measure import OrganisedCloud
 SURE = np.float32(4.0)
 """Standard deviations of noise beyond which a difference is none of noise."""
 STEEPEST = np.float32(math.tan(math.radians(80.0)))
-"""Depth per way across the ray of the most inclined surface that is meshed; such points are noisy, and next to them others hide."""
+"""Depth per way across the ray of the most inclined surface that is meshed; such points are noisy, and next to them
+others hide."""
 BEND = np.float32(0.5)
 """Change of the depth from one pair to the next, by their distance across the ray, that a bent surface may have."""
 

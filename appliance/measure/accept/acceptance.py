@@ -1,13 +1,13 @@
 """Owns the quantities of VDI/VDE 2634 part 2, acceptance of optical systems that measure areas, and their limits.
 
-PF, probing error of form: range of the radial distances of a ball's points from their own best-fit sphere. PS, probing error of
-size: diameter of that sphere less the calibrated one. SD, sphere-spacing error: measured less calibrated distance of the
-centres. F, flatness error: range of the distances of a plane's points from their best-fit plane. Best fit is by least squares
-of orthogonal distances, the radius free; at most 0.3 % of the points are left out.
+PF, probing error of form: range of the radial distances of a ball's points from their own best-fit sphere. PS, probing
+error of size: diameter of that sphere less the calibrated one. SD, sphere-spacing error: measured less calibrated
+distance of the centres. F, flatness error: range of the distances of a plane's points from their best-fit plane. Best
+fit is by least squares of orthogonal distances, the radius free; at most 0.3 % of the points are left out.
 
-A stated limit (maximum permissible error) is kept or exceeded beyond doubt when that holds for every value within the expanded
-uncertainty (k = 2); in between it is not decided (ISO 14253-1). PF and F are ranges, whose uncertainty is not derived: they are
-compared as they are.
+A stated limit (maximum permissible error) is kept or exceeded beyond doubt when that holds for every value within the
+expanded uncertainty (k = 2); in between it is not decided (ISO 14253-1). PF and F are ranges, whose uncertainty is not
+derived: they are compared as they are.
 """
 
 from __future__ import annotations
@@ -174,8 +174,8 @@ def _radial(points: Array, x: Array) -> Array:
 
 
 def _least_squares(points: Array, x: Array) -> tuple[Array, float] | None:
-    """Return the centre and radius (4,) by Gauss–Newton, and the radius's standard deviation; ``None`` where it does not
-    settle."""
+    """Return the centre and radius (4,) by Gauss–Newton, and the radius's standard deviation; ``None`` where it does
+    not settle."""
     if len(points) <= 4:
         return None
     for _ in range(STEPS):

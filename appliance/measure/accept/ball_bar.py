@@ -66,7 +66,8 @@ def find_ball_bar(cloud: PointSource) -> BallBar | NotFound:
     rows = finite_rows(cloud.points_mm)
     if rows.size < 100:
         return NotFound(
-            f"the cloud has only {rows.size} points; bring the ball bar into the light of the projector, at the working distance, or see whether the calibration is of this instrument"
+            f"the cloud has only {rows.size} points; bring the ball bar into the light of the projector, at the "
+            "working distance, or see whether the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
     # One point per cube: a near, bright ball must not have more votes than the one that is turned away.

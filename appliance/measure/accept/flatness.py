@@ -1,7 +1,7 @@
 """Owns what is said about residuals: the flatness error, its systematic part, and the noise.
 
-E_F = (|d_max| + |d_min|)/d_r is a range (the paper's Eq. 7) and therefore has a floor of about six sigma/d_r; E_F,sys is
-the range of the smooth part alone, a bivariate cubic.
+E_F = (|d_max| + |d_min|)/d_r is a range (the paper's Eq. 7) and therefore has a floor of about six sigma/d_r; E_F,sys
+is the range of the smooth part alone, a bivariate cubic.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from appliance.measure.accept.plane import PlaneFit
 from appliance.measure.accept.points import Array
 
 REFERENCE_MM = 250.0
-"""d_r: a constant of the instrument, fixed by its measuring field; the paper wants at least half the volume's diagonal."""
+"""d_r: a constant of the instrument, fixed by its measuring field; the paper wants at least half the volume's diagonal.
+"""
 NOISE_CELL_MM = 6.0
 NOISE_LEAST_POINTS = 12
 _POWERS = [(i, j) for i in range(4) for j in range(4 - i)]

@@ -39,7 +39,8 @@ class Plane:
     axis_x: tuple[float, float, float]
     axis_y: tuple[float, float, float]
     covariance: Array
-    """(3, 3) of the offset along the normal (mm) and of the slopes along the axes (mm/mm), from the residuals' scatter."""
+    """(3, 3) of the offset along the normal (mm) and of the slopes along the axes (mm/mm), from the residuals' scatter.
+    """
 
     def distance_mm(self, points: Array) -> Array:
         """Return (n,) signed distance of points (n, 3), positive behind the plane."""
@@ -93,7 +94,8 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
     rows = finite_rows(cloud.points_mm)
     if rows.size < LEAST_POINTS:
         return NotFound(
-            f"the cloud has only {rows.size} points; bring the plane into the light of the projector, at the working distance, or see whether the calibration is of this instrument"
+            f"the cloud has only {rows.size} points; bring the plane into the light of the projector, at the working "
+            "distance, or see whether the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
     plane = _most_agreed(points[thinned(points, CELL_MM)])
@@ -104,7 +106,8 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
         plane = orthogonal_plane(points[mine])
     if mine.mean() < LEAST_SHARE:
         return NotFound(
-            f"only {100 * mine.mean():.0f} % of the points lie on one plane; let nothing but the plane be in the picture"
+            f"only {100 * mine.mean():.0f} % of the points lie on one plane; let nothing but the plane be in the "
+            "picture"
         )
     near = np.flatnonzero(mine)
     keep = np.ones(near.size, bool)

@@ -12,7 +12,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 OUTLIER_SHARE = 0.003
-"""The largest part of the measured points that may be removed as outliers: VDI/VDE 2634, and the paper's section 3.5."""
+"""The largest part of the measured points that may be removed as outliers: VDI/VDE 2634, and the paper's section 3.5.
+"""
 
 
 class PointSource(Protocol):

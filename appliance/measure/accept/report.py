@@ -1,4 +1,5 @@
-"""Owns what an evaluation says to people and programs: one JSON-ready table, and one HTML page that needs no other file."""
+"""Owns what an evaluation says to people and programs: one JSON-ready table, and one HTML page that needs no other
+file."""
 
 from __future__ import annotations
 
@@ -98,9 +99,12 @@ def as_html(evaluation: Evaluation) -> str:
             f"{100 * OUTLIER_SHARE:g} % of a surface's points are removed as outliers.</p>"
         ),
         (
-            "<p>PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS = its "
-            "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the distances "
-            "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept when "
+            "<p>PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS "
+            "= its "
+            "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the "
+            "distances "
+            "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept "
+            "when "
             f"it is for every value within them. Limits: <b>{html.escape(content['limits_kept'])}</b>.</p>"
         ),
     ]

@@ -46,7 +46,8 @@ class Length:
     sigma_mm: float | None = None
     """Standard deviation from the noise of the points; ``None`` where that was not derived."""
     certificate_sd_mm: float | None = None
-    """Standard uncertainty of the calibrated length; ``None``: the certificate does not say, or nobody wrote it down."""
+    """Standard uncertainty of the calibrated length; ``None``: the certificate does not say, or nobody wrote it down.
+    """
 
     @property
     def e_l(self) -> float:
@@ -104,7 +105,8 @@ def evaluate(
     certificate: Certificate | None = None,
     limits_mm: Mapping[Symbol, float] = MappingProxyType({}),
 ) -> Result:
-    """Find ``artefact`` in ``cloud`` and compare it with its calibrated lengths (names in ``LENGTHS``) and ``limits_mm``."""
+    """Find ``artefact`` in ``cloud`` and compare it with its calibrated lengths (names in ``LENGTHS``) and
+    ``limits_mm``."""
     stated = certificate or Certificate()
     match artefact:
         case Artefact.BALL_BAR:

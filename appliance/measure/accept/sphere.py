@@ -1,8 +1,8 @@
 """Owns the sphere that fits points best: a closed form to start from, then Gauss–Newton on the error along the view.
 
 A point's error lies along the ray of its pixel, and the pixel itself is exact. The fit therefore minimises the distance
-between point and sphere *along that ray*, in units of its sigma. Distances along the normal, as is usual, would correlate
-with the direction they are taken in, and make the radius of a small cap wrong by several times sigma²/radius.
+between point and sphere *along that ray*, in units of its sigma. Distances along the normal, as is usual, would
+correlate with the direction they are taken in, and make the radius of a small cap wrong by several times sigma²/radius.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = 
 
 
 def _meeting(view: Array, x: Array) -> tuple[Array, Array]:
-    """Return the distance (n,) from the origin to the near side of the sphere, and half the chord (n,); missed: chord 0."""
+    """Return the distance (n,) from the origin to the near side of the sphere, and half the chord (n,); missed: chord
+    0."""
     towards = view @ x[:3]
     # |s v − c|² = r² along the unit view v: s = v·c − √((v·c)² − |c|² + r²), the nearer of both.
     square = towards**2 - (x[:3] @ x[:3] - x[3] ** 2)

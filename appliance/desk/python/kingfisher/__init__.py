@@ -1,4 +1,5 @@
-"""Open what dives left on the disk: points as NumPy arrays in mm, objects of many scans, meshes, deviations, files for other programs.
+"""Open what dives left on the disk: points as NumPy arrays in mm, objects of many scans, meshes, deviations, files for
+other programs.
 
     dive = kingfisher.open_dive("ROOT")           the folder that holds scans/
     scan = dive[7]                                <scan 000007: 282,679 points, 21 µm, good>
@@ -17,9 +18,9 @@ The names, each with a help of its own, in ``kingfisher.__all__``:
     errors         CalibrationError ConfigError ExportError MissingLibraryError NominalError ObjectError ScanError StorageError
                    SurfaceMatchError UnknownScan; a wrong type is a TypeError, a folder that is not there a NotADirectoryError
 
-Each is loaded when it is first asked for. They are the program's own classes and functions under one roof; functions compare their
-arguments with their annotations first. Before the first of them is loaded, compiled kernels are looked for, as the command line does: numba asks
-for their folder when a kernel is defined.
+Each is loaded when it is first asked for. They are the program's own classes and functions under one roof; functions
+compare their arguments with their annotations first. Before the first of them is loaded, compiled kernels are looked
+for, as the command line does: numba asks for their folder when a kernel is defined.
 """
 
 from __future__ import annotations
