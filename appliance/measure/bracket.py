@@ -23,7 +23,7 @@ from appliance.measure.news import Bracket
 from appliance.measure.points.fuse import fuse
 from appliance.measure.points.merge import Agreement, merge
 from appliance.measure.points.pipeline import Pipeline
-from appliance.measure.points.register import Registration, register
+from appliance.measure.points.register import Registration, register_exposures
 from appliance.measure.points.surface import surface_of
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdict import Judgement, Verdict
@@ -85,7 +85,7 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
         return story.refused(f"instrument and scene moved while the {which} exposure was recorded")
     height_px, width_px = first.bright.shape
     surface = surface_of(first.cloud, second.cloud, (height_px, width_px)) if len(first.cloud.pixel) else None
-    found = None if surface is None else register(surface, second.cloud)
+    found = None if surface is None else register_exposures(surface, second.cloud)
     if surface is None or found is None:
         return story.refused("the two exposures have too little in common to tell how they lie to each other")
     story.numbers |= _registration(found)

@@ -35,7 +35,7 @@ from appliance.measure.points import straighten
 from appliance.measure.points.fuse import fuse
 from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Pipeline
-from appliance.measure.points.register import register
+from appliance.measure.points.register import register_exposures
 from appliance.measure.points.surface import surface_of
 from appliance.measure.points.table import Cloud
 from appliance.measure.points.veil import warm_up as warm_veil
@@ -91,7 +91,7 @@ def _run_pair() -> None:
     pixel = np.arange(row.size, dtype=np.uint32)
     wall = Cloud(points, np.ones(row.size, np.uint8), ones, ones, ones, pixel, summary)
     surface = surface_of(wall, wall, shape)
-    found = register(surface, wall)
+    found = register_exposures(surface, wall)
     if found is not None:
         fuse(surface, wall, wall, found, (1.0, 1.0))
 

@@ -62,7 +62,7 @@ class Registration:
         return np.asarray(points_mm @ self.rotation.T + self.translation_mm, np.float32)
 
 
-def register(surface: Surface, second: Cloud) -> Registration | None:
+def register_exposures(surface: Surface, second: Cloud) -> Registration | None:
     """Return where ``second`` lies against ``surface``; ``None``: too little in common, or it does not settle."""
     chosen = thinned(len(second.pixel), SAMPLES)
     if len(chosen) < LEAST_SHARED:

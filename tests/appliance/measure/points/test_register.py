@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.cloud import CloudSummary
-from appliance.measure.points.register import Registration, register
+from appliance.measure.points.register import Registration, register_exposures
 from appliance.measure.points.surface import surface_of
 from appliance.measure.points.table import Cloud
 
@@ -46,7 +46,7 @@ def seen(sigma_mm: float = 0.02, moved: tuple[Array, Array] = AT_REST) -> Cloud:
 
 
 def laid(first: Cloud, second: Cloud) -> Registration:
-    found = register(surface_of(first, second, (HEIGHT_PX, WIDTH_PX)), second)
+    found = register_exposures(surface_of(first, second, (HEIGHT_PX, WIDTH_PX)), second)
     assert found is not None
     return found
 
@@ -117,4 +117,4 @@ def test_four_hundred_shared_points_are_enough_if_they_lie_no_farther_apart_than
     few = [replace(first, **{name: getattr(first, name)[inner[:n]] for name in columns}) for n in (400, 399)]
     far = [seen(moved=(np.eye(3), np.array([0.0, 0.0, z_mm]))) for z_mm in (5.0, 20.0)]
     surface = surface_of(first, first, (HEIGHT_PX, WIDTH_PX))
-    assert [register(surface, second) is not None for second in (*few, *far)] == [True, False, True, False]
+    assert [register_exposures(surface, second) is not None for second in (*few, *far)] == [True, False, True, False]
