@@ -230,7 +230,7 @@ def test_a_writer_that_keeps_no_order_is_found(tmp_path: Path, work: Callable[[P
 JUDGED = {
     "appliance/cli/setup.py": "firmware",
     "appliance/desk/anew/results.py": "results",
-    "appliance/calibrate/in_air.py": "recordings",
+    "appliance/calibrate/pictures.py": "recordings",
     "appliance/desk/foreign_import.py": "recordings",
     "appliance/desk/pull/taking.py": "pulling",
     "appliance/store/archive.py": "packed",

@@ -139,7 +139,9 @@ def test_what_is_left_of_a_scan_that_broke_in_its_second_direction_is_kept_apart
     assert recording.scan.manifest.reason.startswith("CAMERA_LOST: ")
     for bright, dark in (frames[side][:2] for side in SIDES):
         assert np.percentile(bright, 90) > 60 > 30 > np.percentile(dark, 90)
-    said = Shell(capsys)("rescue", folder.name, "--root", library.root, "--out", tmp_path / "rescued.ply", "--json")
+    said = Shell(capsys)(
+        "cloud", f"incomplete:{folder.name}", "--root", library.root, "--out", tmp_path / "rescued.ply", "--json"
+    )
     assert said.code == 0, said.err
     assert "CAMERA_LOST" in said.document["unchecked"]
     # Taken a moment before a whole one from the same place, as steady as a simulated hand is.
