@@ -31,8 +31,15 @@ NAME = "{}"
 """Stands for the scan's name in ``--out``."""
 INCOMPLETE = "incomplete:"
 """Prefix that tells the number of a recording that broke from that of a scan."""
-OWN, GRIDS, POSED, TRIANGLES, PAGE = ".ply", ".npz", ".e57", (".stl", ".obj"), ".html"
+OWN, GRIDS, POSED, PAGE = ".ply", ".npz", ".e57", ".html"
 log = logging.getLogger(__name__)
+
+
+def _triangles() -> tuple[str, ...]:
+    """Return the suffixes that only meshes have."""
+    from appliance.desk import MESH_SUFFIXES, SCAN_SUFFIXES
+
+    return tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SCAN_SUFFIXES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,8 +124,8 @@ class MakeCloud(WithObjects):
         for wanted in self.out or (f"{NAME}{OWN}",):
             path = Path(wanted)
             suffix = path.suffix.lower()
-            meshed = suffix in TRIANGLES or self.mesh
-            allowed, kind = (MESH_SUFFIXES, "a mesh") if meshed else ((*SCAN_SUFFIXES, *TRIANGLES), "a scan")
+            meshed = suffix in _triangles() or self.mesh
+            allowed, kind = (MESH_SUFFIXES, "a mesh") if meshed else ((*SCAN_SUFFIXES, *_triangles()), "a scan")
             # The folder, too, may have the scan's name in it.
             writable_as(path, allowed, kind) if NAME not in wanted else checked_as(path, allowed, kind)
             if len(self.what) > 1 and NAME not in wanted:
@@ -179,7 +186,7 @@ class MakeCloud(WithObjects):
         for out in outs:
             if out.suffix.lower() == PAGE:
                 raise UsageError(f"--out {out}: a page is made by `kingfisher report object:NAME`")
-            writable_as(out, (*SURFACE_SUFFIXES, *TRIANGLES, GRIDS), "an object")
+            writable_as(out, (*SURFACE_SUFFIXES, *_triangles(), GRIDS), "an object")
         # An option that would do nothing is a word that was meant otherwise.
         meshes = any(map(self._meshed, outs))
         if meshes:
@@ -225,7 +232,7 @@ class MakeCloud(WithObjects):
                         write_surface(out, surface, about_object(solved))
 
     def _meshed(self, out: Path) -> bool:
-        return out.suffix.lower() in TRIANGLES or (self.mesh and out.suffix.lower() == OWN)
+        return out.suffix.lower() in _triangles() or (self.mesh and out.suffix.lower() == OWN)
 
 
 _Work = Callable[[Path, "Wish", Progress], dict[str, Any]]

@@ -41,7 +41,6 @@ FORMATS = (
 SCAN_SUFFIXES = tuple(one.suffix for one in FORMATS if one.contents != ("mesh",))
 SURFACE_SUFFIXES = tuple(one.suffix for one in FORMATS if "points" in one.contents)
 MESH_SUFFIXES = tuple(one.suffix for one in FORMATS if "mesh" in one.contents)
-PAGE_LIBRARY = "plotly"
 
 
 def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
@@ -63,7 +62,7 @@ def require_library(path: Path) -> None:
     minutes of work."""
     suffix = path.suffix.lower()
     if suffix == ".html":
-        require(PAGE_LIBRARY, PAGE_LIBRARY, "a page with a surface that can be turned")
+        require("plotly", "plotly", "a page with a surface that can be turned")
     for one in FORMATS:
         if one.suffix == suffix and one.library is not None:
             require(one.library, one.library, f"{'an' if suffix == '.e57' else 'a'} {suffix[1:].upper()} file")
