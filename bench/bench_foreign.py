@@ -10,6 +10,7 @@ from time import process_time
 
 import numpy as np
 
+from appliance.base import silent
 from appliance.desk.foreign.guess import guess_sequence
 from appliance.desk.foreign.points import find_points
 from appliance.desk.foreign.problem import ForeignError
@@ -60,13 +61,13 @@ def measure() -> Iterator[Measured]:
                 yield from _at_half_size(one, make_set(one, Path(root) / f"{one.name}-half", HALF_WIDTH_PX))
         named = [_is_named(made[name], before, after) for name, before, after in WRONG]
         yield Measured("wrong words that are named", float(sum(named)), f"of {len(named)}", at_least=float(len(named)))
-        refused = sum(bool(read_foreign(one.description, _silent).wrong) for one in made.values())
+        refused = sum(bool(read_foreign(one.description, silent).wrong) for one in made.values())
         yield Measured("right descriptions that are refused", float(refused), f"of {len(made)}", at_most=0.0)
 
 
 def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
     begin_s = process_time()
-    found = _judged(made, read_foreign(made.description, _silent))
+    found = _judged(made, read_foreign(made.description, silent))
     cpu_s = process_time() - begin_s
     least_percent = LEAST_COARSE_PERCENT if one.coarse else LEAST_PERCENT
     yield Measured(f"{one.name}: points of what all see", found.complete_percent, "%", at_least=least_percent)
@@ -82,16 +83,16 @@ def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
     )
     yield Measured(f"{one.name}: CPU, tests and points", cpu_s, "s")
     guess = made.description.with_name("guess.toml")
-    best = guess_sequence(made.description.parent, _silent)[0]
+    best = guess_sequence(made.description.parent, silent)[0]
     guess.write_text(guessed_text(best, guess.parent), encoding="utf-8")
-    guessed = _judged(made, read_foreign(guess, _silent))
+    guessed = _judged(made, read_foreign(guess, silent))
     yield Measured(f"{one.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
 
 
 def _at_half_size(one: Convention, made: ForeignSet) -> Iterator[Measured]:
     """Stripes that the simulator's pixels sample at a point: it does not take the mean of a pattern that is finer than they are, so that
     borders lie a tenth of a pixel off instead of a hundredth. The points must say so."""
-    found = _judged(made, read_foreign(made.description, _silent))
+    found = _judged(made, read_foreign(made.description, silent))
     name = f"{one.name}, images {HALF_WIDTH_PX} px wide"
     yield Measured(
         f"{name}: distance in pixels of disparity", found.off_mm / found.pixel_mm, "px", at_most=2.0 * MOST_PIXELS
@@ -136,10 +137,6 @@ def _is_named(made: ForeignSet, before: str, after: str) -> bool:
         # Both names, or one camera's images would be there twice.
         changes = [('left = "left/', 'left = "xx/'), ('right = "right/', 'right = "left/'), ("xx/", "right/")]
     try:
-        return bool(read_foreign(made.described(*changes), _silent).wrong)
+        return bool(read_foreign(made.described(*changes), silent).wrong)
     except ForeignError:
         return False
-
-
-def _silent(_: str) -> None:
-    """Say nothing about the progress."""

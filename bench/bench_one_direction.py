@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from appliance.base import silent
 from appliance.desk.foreign.points import find_points
 from appliance.desk.foreign.reading import read_foreign
 from appliance.measure.light.sides import SIDES
@@ -118,7 +119,7 @@ def _described(steps: int, axes: str) -> str:
 
 def _judged(made: ForeignSet) -> tuple[float, float, float]:
     """Return completeness in percent of what all see, the root mean square distance of points from the surface, and ppm that are far."""
-    scan = read_foreign(made.description, lambda _: None)
+    scan = read_foreign(made.description, silent)
     cloud = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras["right"]).cloud
     seen = made.renderer.view("left", 0.0).seen_by_all
     points_mm = left_to_rig(made.renderer.truth, cloud.points_mm[cloud.mask])

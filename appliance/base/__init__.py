@@ -50,6 +50,11 @@ if TYPE_CHECKING:
         raise_if_interrupted,  # Raises KeyboardInterrupt where error was made of one
         use_one_blas_thread,  # Let linear algebra take one thread in processes of this environment
     )
+    from .progress import (
+        Progress,  # Hears what is being done now, and how much of the whole is done
+        part_of,  # Return the progress of a part of the work, which is the fractions begin to end of the whole
+        silent,  # Say nothing: the progress that nobody waits for
+    )
     from .sealed_file import (
         FINITE,  # Range of every finite number
         LEFT_OUT,  # Metadata of a field that is not written while it has its default

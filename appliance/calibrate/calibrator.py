@@ -13,7 +13,7 @@ It also owns what a calibration in water begins with: a file that was named, the
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance import __version__
+from appliance.base import Progress, silent
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Step, Verified
 from appliance.calibrate.recordings import ArtefactKind, CertificateMissing, NotConverged, Recording, RecordingError
@@ -226,7 +227,6 @@ def refuse_drawing(rig: Rig, path: Path | None) -> None:
 VERIFY_GAP_MM = 20.0
 """Largest ray gap of a point that verifies, as in ``kingfisher evaluate``: the calibration of before must not hide its
 own worst points."""
-Report = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,7 +283,7 @@ def basis_of(rig: Rig) -> Basis:
     return Basis(start_of(rig), kept or current, before_hash, rig, certificate)
 
 
-def examine_recording(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
+def examine_recording(rig: Rig, step: Step, folder: Path, report: Progress) -> Examined:
     """Judge a stored scan as a recording of ``step``.
 
     VERIFY judges with what was solved, or else with the calibration in use. Raises RecordingError, ScanError,
@@ -335,7 +335,7 @@ def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
     return RecordingCheck(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
 
 
-def solve_calibration(rig: Rig, date: str, report: Report) -> Solution:
+def solve_calibration(rig: Rig, date: str, report: Progress) -> Solution:
     """Adjust to the scans of the session; compare with the one of VERIFY where there is one.
 
     ``date`` is ISO 8601. Raises RecordingError, ScanError, CalibrationError, UnknownScan.
@@ -351,14 +351,14 @@ def solve_calibration(rig: Rig, date: str, report: Report) -> Solution:
     serials = cameras_of((folders[step] for step in USED), basis.start)
     recordings = []
     for k, step in enumerate(USED):
-        report(0.15 * k)
+        report(f"recording {step.value}", 0.15 * k)
         recordings.append(_recording(step, folders[step], basis))
-    report(0.6)
+    report("adjusting", 0.6)
     # The spline frees lenses and pose as well, held by their covariance from air; without that, only the ports are
     # adjusted.
     method = Method.PORTS if basis.start.air_covariance is None else Method.SPLINE
     result = calibrate(method, recordings, basis.start)
-    report(0.9)
+    report("checking", 0.9)
     calibration = replace(result.calibration, made_at=date, camera_serials=serials)
     result = replace(result, calibration=calibration)
     if calibration.residual_px is None:
@@ -379,7 +379,7 @@ def solve_calibration(rig: Rig, date: str, report: Report) -> Solution:
 
 def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
-    recording = recording_of_scan(folder, certificate, basis.start, basis.rig, _silent)
+    recording = recording_of_scan(folder, certificate, basis.start, basis.rig, silent)
     if isinstance(recording, NotFound):
         reason = f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again"
         raise RecordingError(reason, about=step.value)
@@ -446,18 +446,14 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
 def _wide(scan: StoredScan, basis: Basis) -> ReprocessedScan:
     """Reprocess with room for rays that miss each other because nobody knows the ports."""
     settings = Instrument(basis.rig).settings_of_scan(scan.manifest.record)
-    return reprocess_scan(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    return reprocess_scan(scan, basis.start, settings, silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
 
 
 def _fairly(scan: StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
     settings = Instrument(basis.rig).settings_of_scan(scan.manifest.record)
-    return reprocess_scan(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
+    return reprocess_scan(scan, calibration, settings, silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
 
 
 def _fair(scan: StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
     """Return the cloud with room for the errors of any calibration, so that all are judged by the same points."""
     return _fairly(scan, calibration, basis).cloud
-
-
-def _silent(what: str) -> None:
-    """Tell nobody of the progress on a single scan: it takes a second."""

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import Progress
 from appliance.calibrate.air.adjustment import BoardTolerance
 from appliance.calibrate.air.any_board import Wanted, search_board
 from appliance.calibrate.air.board import SMALL_SPREAD, BoardDesign, find_board, spread_of
@@ -50,7 +51,6 @@ from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration, 
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Tell = Callable[[str, float], None]
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +94,7 @@ def look_at(
     design: BoardDesign,
     size_px: tuple[int, int],
     strict: bool,
-    progress: Tell,
+    progress: Progress,
 ) -> Looked:
     """Find the board in the pictures that ``read`` gives by camera, as ``find_board`` does.
 
@@ -126,7 +126,7 @@ def look_at(
     return Looked(tuple(views), tuple(rejected), remarks, made_from)
 
 
-def find_boards(folder: Path, design: BoardDesign, size_px: tuple[int, int], progress: Tell) -> Looked:
+def find_boards(folder: Path, design: BoardDesign, size_px: tuple[int, int], progress: Progress) -> Looked:
     """Look at every pair of the instrument's folder. Raises PicturesError, ScanError, AirCalibrationError."""
 
     def read(pair: Pair) -> Mapping[str, Image]:
@@ -136,7 +136,7 @@ def find_boards(folder: Path, design: BoardDesign, size_px: tuple[int, int], pro
 
 
 def calibrate_folder(
-    rig: Rig, folder: Path, design: BoardDesign, out: Path, made_at: datetime, progress: Tell
+    rig: Rig, folder: Path, design: BoardDesign, out: Path, made_at: datetime, progress: Progress
 ) -> dict[str, Any]:
     """Calibrate in air from a folder, write ``out`` and beside it both pictures; what came out, JSON-ready.
 
@@ -164,7 +164,7 @@ def calibrate_pictures(
     flat: bool,
     out: Path,
     made_at: datetime,
-    progress: Tell,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Calibrate the cameras ``name`` from a folder, write ``out`` and what goes beside it; what came out, JSON-ready.
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from appliance import __version__
+from appliance.base import Progress, part_of
 from appliance.calibrate.stored_recordings import cameras_of, recording_of_scan
 from appliance.calibrate.water import report
 from appliance.calibrate.water.calibrate import calibrate
@@ -56,7 +57,7 @@ def run_water_calibration(
     start: Calibration,
     method: Method,
     made_at: str,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> WaterCalibration:
     """Reconstruct every scan of the list and calibrate; ``sources`` are they, in its order, with whole raw frames.
 
@@ -67,11 +68,8 @@ def run_water_calibration(
     recordings, left_out = [], {}
     for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):
         folder = source.scan.folder
-        at = RECONSTRUCTED * k / len(sources)
-
-        def step(what: str, at: float = at, name: str = folder.name) -> None:
-            progress(f"{name}: {what}", at)
-
+        begin, end = (RECONSTRUCTED * number / len(sources) for number in (k, k + 1))
+        step = part_of(progress, begin, end, folder.name)
         found = recording_of_scan(folder, _certificate(entry), start, source.rig, step)
         if isinstance(found, NotFound):
             left_out[folder.name] = found.reason
@@ -79,7 +77,7 @@ def run_water_calibration(
             recordings.append(found)
     # How many there were is told: one calibration of recordings in different water leans on the formula of the index.
     waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
-    result = calibrate(method, recordings, start, lambda what: progress(what, RECONSTRUCTED))
+    result = calibrate(method, recordings, start, part_of(progress, RECONSTRUCTED, 1.0))
     # The solver knows numbers only; day and cameras are the file's.
     calibration, *before = (
         replace(one, made_at=made_at, camera_serials=serials) for one in (result.calibration, *result.before.values())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
+from appliance.base import Progress
 from appliance.calibrate.recordings import CamerasDiffer, Recording
 from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.measure import Calibration, NotFound, QualityLimits, exchanged
@@ -46,7 +47,7 @@ def _cameras(folder: Path) -> tuple[str, str]:
 
 
 def recording_of_scan(
-    folder: Path, certificate: BarCertificate | None, start: Calibration, rig: Rig, progress: Callable[[str], None]
+    folder: Path, certificate: BarCertificate | None, start: Calibration, rig: Rig, progress: Progress
 ) -> Recording | NotFound:
     """Return the recording of a stored scan: of a ball bar with its certificate, of a plane with ``None``.
 

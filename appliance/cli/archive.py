@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from appliance.cli.arguments import Verb, operand, operands, path_option, switch
 from appliance.cli.desk import new_folder
-from appliance.cli.output import Exit, Progress, UsageError
+from appliance.cli.output import Exit, ProgressLine, UsageError
 from appliance.store import (
     BesideFile,
     Copied,
@@ -111,7 +111,7 @@ def _each(
     found: list[dict[str, Any]] = [
         {"scan": name, "done": "failed", "reason": reason, "bytes": 0} for name, reason in left.items()
     ]
-    with Progress() as progress:
+    with ProgressLine() as progress:
         for k, folder in enumerate(folders):
             progress(folder.name, k / len(folders))
             size = _size(folder)  # before: a source may be gone afterwards

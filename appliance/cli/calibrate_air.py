@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from appliance.cli.arguments import number, operand, option, path_option, switch, whole
 from appliance.cli.desk import existing, writable, writing
-from appliance.cli.output import Exit, Progress, UsageError, complain, table
+from appliance.cli.output import Exit, ProgressLine, UsageError, complain, table
 from appliance.cli.places import WithRoot
 
 if TYPE_CHECKING:  # imported inside the verb: a wrong word can do without
@@ -105,7 +105,7 @@ class CalibrateAir(WithRoot):
             # size.
             begun = ViewFolder.session(self.folder)
             design = design or (begun[1] if begun is not None else BoardDesign())
-            with Progress() as progress, writing(target):
+            with ProgressLine() as progress, writing(target):
                 report = calibrate_folder(rig, self.folder, design, target, datetime.now(UTC), progress)
         except (BoardError, PicturesError, ContentError) as error:
             raise UsageError(str(error)) from error
@@ -147,7 +147,7 @@ class CalibrateAir(WithRoot):
         wanted = Wanted(square_mm, across, down, marker_mm)
         target = self.out or self.folder / "pair.json"
         try:
-            with Progress() as progress, writing(target):
+            with ProgressLine() as progress, writing(target):
                 report = calibrate_pictures(
                     name,
                     self.folder,

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from appliance.base import part_of
 from appliance.calibrate import BEFORE_OPERATOR, Method
 from appliance.cli.arguments import operand, option, path_option, switch
 from appliance.cli.desk import opened_scans, place_of, writable, write_files
@@ -75,9 +76,7 @@ class CalibrateWater(WithRoot):
             for source in sources:
                 refuse_misfit(start, f"start {self.calibration or rig.storage.root}", source, foreign=False, start=True)
 
-            def step(what: str, part: float) -> None:
-                progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
-
+            step = part_of(progress, SCANS_CHECKED, 1.0)
             made = run_water_calibration(rig, scans, sources, start, method, made_at, step)
         content = made.as_json()
         text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"

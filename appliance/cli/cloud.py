@@ -21,7 +21,7 @@ from appliance.cli.desk import (
     writing,
 )
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError
+from appliance.cli.output import Exit, ProgressLine, UsageError
 
 if TYPE_CHECKING:
     from appliance.desk import PlacedGrid, StoredObject
@@ -99,7 +99,7 @@ class MakeCloud(WithObjects):
                 raise UsageError(f"{flag}: is for objects; give object:NAME")
         works = self._works(wish)
         reports: list[dict[str, Any]] = []
-        with Progress() as progress:
+        with ProgressLine() as progress:
             compile_kernels()
             for k, (out, work) in enumerate(works.items(), 1):
                 progress(f"comparing checksums ({k} of {len(works)})")
@@ -213,7 +213,7 @@ class MakeCloud(WithObjects):
             write_surface,
         )
 
-        with Progress() as progress:
+        with ProgressLine() as progress:
             surface = mesh = None
             for out in outs:
                 if out.suffix.lower() == GRIDS or (self.single_scans and out.suffix.lower() == POSED):
@@ -235,11 +235,11 @@ class MakeCloud(WithObjects):
         return out.suffix.lower() in _triangles() or (self.mesh and out.suffix.lower() == OWN)
 
 
-_Work = Callable[[Path, "Wish", Progress], dict[str, Any]]
+_Work = Callable[[Path, "Wish", ProgressLine], dict[str, Any]]
 """Makes a file and returns the report of it."""
 
 
-def _own(folder: Path, out: Path, wish: Wish, progress: Progress) -> dict[str, Any]:
+def _own(folder: Path, out: Path, wish: Wish, progress: ProgressLine) -> dict[str, Any]:
     """Make the instrument's own form, whose head says which damaged frame was made up."""
     from appliance.desk import reconstruct_scan, salvage
     from appliance.store import calibration_for, open_source
@@ -252,7 +252,7 @@ def _own(folder: Path, out: Path, wish: Wish, progress: Progress) -> dict[str, A
     return report
 
 
-def _exported(folder: Path, out: Path, wish: Wish, progress: Progress, meshed: bool) -> dict[str, Any]:
+def _exported(folder: Path, out: Path, wish: Wish, progress: ProgressLine, meshed: bool) -> dict[str, Any]:
     from appliance.desk import export_scan
     from appliance.store import calibration_for, open_source, refuse_damaged_frames
 
@@ -261,7 +261,7 @@ def _exported(folder: Path, out: Path, wish: Wish, progress: Progress, meshed: b
     return export_scan(source, calibration_for(source, wish), out, progress, mesh=meshed)
 
 
-def _merged(folders: Sequence[Path], out: Path, wish: Wish, progress: Progress) -> dict[str, Any]:
+def _merged(folders: Sequence[Path], out: Path, wish: Wish, progress: ProgressLine) -> dict[str, Any]:
     from appliance.desk import merge_scans
     from appliance.store import instrument_of, one_calibration, open_source, refuse_damaged_frames
 
@@ -274,7 +274,7 @@ def _merged(folders: Sequence[Path], out: Path, wish: Wish, progress: Progress) 
     return merge_scans(sources, one_calibration(sources, wish), out, progress)
 
 
-def _rescued(folder: Path, out: Path, wish: Wish, progress: Progress) -> dict[str, Any]:
+def _rescued(folder: Path, out: Path, wish: Wish, progress: ProgressLine) -> dict[str, Any]:
     from appliance.desk import rescue_recording
     from appliance.store import calibration_for, load_incomplete, open_source
 
@@ -283,7 +283,7 @@ def _rescued(folder: Path, out: Path, wish: Wish, progress: Progress) -> dict[st
     return rescue_recording(recording, source, calibration_for(source, wish), out, progress)
 
 
-def _grids(root: Path, solved: StoredObject, wish: Wish, progress: Progress) -> Iterator[PlacedGrid]:
+def _grids(root: Path, solved: StoredObject, wish: Wish, progress: ProgressLine) -> Iterator[PlacedGrid]:
     """Yield the scans that have a place, one at a time."""
     import numpy as np
 

@@ -19,7 +19,7 @@ from appliance.cli.desk import (
     writing,
 )
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress
+from appliance.cli.output import Exit, ProgressLine
 
 if TYPE_CHECKING:
     from appliance.desk import About, FusedCloud, NominalSurface, StoredObject
@@ -82,7 +82,7 @@ class Compare(WithObjects):
         compile_kernels()
         from appliance.desk import compare, errors_of, figures_of, write_comparison
 
-        with Progress() as progress:
+        with ProgressLine() as progress:
             nominal = self._nominal_surface(root, wish, progress)
             surface, about = self._surface(root, stored, wish, progress)
             progress(f"laying it onto {nominal.name}")
@@ -132,7 +132,7 @@ class Compare(WithObjects):
         return Rigid(rotation_matrix(np.radians(self.start[3:])), np.array(self.start[:3]))
 
     def _surface(
-        self, root: Path, stored: StoredObject | None, wish: Wish, progress: Progress
+        self, root: Path, stored: StoredObject | None, wish: Wish, progress: ProgressLine
     ) -> tuple[FusedCloud, About]:
         """Return the points that are compared, of the object or of the scan."""
         import numpy as np
@@ -148,7 +148,7 @@ class Compare(WithObjects):
         placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
         return fuse([placed], self.spacing), About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)
 
-    def _nominal_surface(self, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
+    def _nominal_surface(self, root: Path, wish: Wish, progress: ProgressLine) -> NominalSurface:
         """Return what is compared with. Raises NominalError, ObjectError."""
         from appliance.desk import (
             VOXEL_MM,

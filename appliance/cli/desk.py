@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import number, option
-from appliance.cli.output import Progress, UsageError, complain
+from appliance.cli.output import ProgressLine, UsageError, complain
 from appliance.cli.places import WithCalibration, root_of_rig, scan_folder
 from appliance.store import Library, LocalFileSystem, StorageError, Wish, remedy_for, replace_file
 
@@ -80,7 +80,7 @@ def place_of(listed: Path, scan: str) -> str:
 @contextmanager
 def opened_scans(
     wish: Wish, scans: Sequence[str], share: float = 1.0, check: Callable[[], None] = lambda: None
-) -> Iterator[tuple[Sequence[SourceScan], Progress]]:
+) -> Iterator[tuple[Sequence[SourceScan], ProgressLine]]:
     """Open ``scans``, by their numbers or folders, whose frames are whole: every byte is compared with its checksum.
 
     Comparing has the ``share`` of the progress; ``check`` is called before it, and may load what computes. What can be
@@ -93,7 +93,7 @@ def opened_scans(
     check()
     from appliance.store import open_source, refuse_damaged_frames
 
-    with Progress() as progress:
+    with ProgressLine() as progress:
         sources = []
         for k, folder in enumerate(folders):
             progress(f"comparing checksums of {folder.name}", share * k / len(folders))

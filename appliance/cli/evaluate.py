@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from appliance.base import part_of
 from appliance.cli.arguments import operand, path_option
 from appliance.cli.desk import opened_scans, place_of, scan_in, writable, writable_page, write_files
 from appliance.cli.output import Exit, UsageError, table
@@ -46,9 +47,7 @@ class Evaluate(WithCalibration):
             from appliance.desk import run_evaluation
             from appliance.store import instrument_of, one_calibration
 
-            def step(what: str, part: float) -> None:
-                progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
-
+            step = part_of(progress, SCANS_CHECKED, 1.0)
             instrument_of(sources, wish)  # refuses two
             evaluation = run_evaluation(scans, sources, one_calibration(sources, wish).calibration, step)
         from appliance.measure import as_html, as_json

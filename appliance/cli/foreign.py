@@ -8,7 +8,7 @@ from pathlib import Path
 from appliance.cli.arguments import Verb, operand, path_option, switch
 from appliance.cli.desk import writable, writable_as, writing
 from appliance.cli.kernels import compile_point_kernels
-from appliance.cli.output import Exit, Progress, UsageError
+from appliance.cli.output import Exit, ProgressLine, UsageError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class Import(Verb):
         from appliance.desk import check_import, import_cloud, import_scan
 
         check_import(self.source, out)
-        with Progress() as progress:
+        with ProgressLine() as progress:
             compile_point_kernels()
             with writing(out):
                 make = import_cloud if out.suffix else import_scan
@@ -62,7 +62,7 @@ class Import(Verb):
         description = out.with_suffix(".toml")
         if description.exists():
             raise UsageError(f"{description} is there already: import it, or give another name with --out FILE")
-        with Progress() as progress:
+        with ProgressLine() as progress:
             progress("looking for images")
             from appliance.desk import import_folder
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from appliance.base import importing
-from appliance.cli.output import Exit, Progress, table
+from appliance.cli.output import Exit, ProgressLine, table
 from appliance.cli.places import WithRig, WithRoot
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Check(WithRig):
         rig = self.read_rig()
         from appliance.instrument import check
 
-        with Progress() as progress:
+        with ProgressLine() as progress:
             progress("asking the devices")
             found = check(rig)
         facts = ("serial", "link", "firmware")

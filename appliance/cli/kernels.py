@@ -25,7 +25,7 @@ from appliance.base import (
 )
 from appliance.cli import output
 from appliance.cli.arguments import Verb, path_option, switch
-from appliance.cli.output import Exit, Progress, UsageError
+from appliance.cli.output import Exit, ProgressLine, UsageError
 
 log = logging.getLogger(__name__)
 service_log = logging.getLogger("kingfisher")
@@ -76,7 +76,7 @@ class CompileProgress:
         self._line = line
         self._last = Compiling(0, 0, (), 0.0)
         self._begun = False
-        self._progress = Progress(stream, lambda: self._last.seconds, line, after_s=(0.0, 0.0))
+        self._progress = ProgressLine(stream, lambda: self._last.seconds, line, after_s=(0.0, 0.0))
 
     def __call__(self, now: Compiling) -> None:
         self._last, self._begun = now, True

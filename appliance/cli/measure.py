@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import operand, operands, path_option, switch
 from appliance.cli.desk import opened_scans, writable, writing
-from appliance.cli.output import Exit, Progress, UsageError, table
+from appliance.cli.output import Exit, ProgressLine, UsageError, table
 from appliance.cli.places import WithRoot
 from appliance.store import LocalFileSystem, ScanError, make_folders, replace_file
 
@@ -54,7 +54,7 @@ class MeasureInstrument(WithRoot):
                 case _:
                     return self._exposures(sources, wish, progress)
 
-    def _noise(self, source: SourceScan, wish: Wish, progress: Progress) -> Exit:
+    def _noise(self, source: SourceScan, wish: Wish, progress: ProgressLine) -> Exit:
         from appliance.calibrate import NoiseError
         from appliance.desk import noise_of_scan, noise_to_store
         from appliance.measure import NOISE, of_side
@@ -89,7 +89,7 @@ class MeasureInstrument(WithRoot):
         self.tell(report, [table(("", *report), rows), *([] if path is None else [f"written: {path}"])])
         return Exit.OK
 
-    def _response(self, source: SourceScan, wish: Wish, progress: Progress) -> Exit:
+    def _response(self, source: SourceScan, wish: Wish, progress: ProgressLine) -> Exit:
         from appliance.calibrate import ResponseError
         from appliance.desk import response_of_scan
         from appliance.measure import RESPONSE
@@ -117,7 +117,7 @@ class MeasureInstrument(WithRoot):
         )
         return Exit.OK
 
-    def _exposures(self, sources: Sequence[SourceScan], wish: Wish, progress: Progress) -> Exit:
+    def _exposures(self, sources: Sequence[SourceScan], wish: Wish, progress: ProgressLine) -> Exit:
         from appliance.desk import exposure_found
         from appliance.store import instrument_of
 

@@ -12,7 +12,7 @@ from appliance.base import use_one_blas_thread
 from appliance.cli.arguments import operand, operands, option, switch, whole
 from appliance.cli.desk import library_root, scan_in
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError, complain
+from appliance.cli.output import Exit, ProgressLine, UsageError, complain
 from appliance.cli.places import WithCalibration, WithRoot
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class SolveObject(WithCalibration):
         compile_kernels()
         from appliance.desk import solve_object
 
-        with Progress() as progress:
+        with ProgressLine() as progress:
             answer = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
         # What was added in these minutes stays.
         solved = update_object(root, self.name, lambda now: published_object(now, answer))

@@ -232,7 +232,7 @@ class _PlainLine(logging.Formatter):
         return plain(super().format(record), lines=True)
 
 
-class Progress:
+class ProgressLine:
     """Says what work is at: on a terminal in one line that changes, elsewhere in lines some seconds apart. A context
     manager."""
 
@@ -265,7 +265,7 @@ class Progress:
         self._stream.flush()
         self._shown = len(text)
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> ProgressLine:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -14,7 +14,7 @@ from typing import ClassVar
 from appliance.base import require
 from appliance.cli.archive import target_folder
 from appliance.cli.arguments import Verb, number, operand, option, path_option, switch
-from appliance.cli.output import Exit, Progress, UsageError, time_text
+from appliance.cli.output import Exit, ProgressLine, UsageError, time_text
 from appliance.desk import (
     ANSWER_S,
     LIBRARY,
@@ -67,7 +67,7 @@ class Pull(Verb):
         make_folders(LocalFileSystem(), target)
         if not os.access(target, os.W_OK | os.X_OK):
             raise UsageError(f"--out {target}: this user may not write there; give another folder, or change its owner")
-        with hold_lock(target), Progress() as progress:
+        with hold_lock(target), ProgressLine() as progress:
             begun_s = time.monotonic()
             # An Event that nobody sets: it waits, and Ctrl-C ends the wait.
             wait = threading.Event().wait
@@ -129,7 +129,7 @@ def _root_below(folder: Path) -> Path:
 class _Said:
     """Says how far it is and how long it will take, from the first byte of an attempt on."""
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: ProgressLine) -> None:
         self._progress = progress
         self._begun_s = time.monotonic()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from appliance.cli.arguments import operands, path_option
 from appliance.cli.desk import WithObjects, object_named, writable_page, write_files, writing
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError
+from appliance.cli.output import Exit, ProgressLine, UsageError
 
 TABLE = ".csv"
 
@@ -51,7 +51,7 @@ class MakeReport(WithObjects):
             )
         from appliance.desk import report_of_dive, write_report
 
-        with Progress() as progress:
+        with ProgressLine() as progress:
             report = report_of_dive(root, entries, progress)
             with writing(out):
                 write_report(out, report)
@@ -77,7 +77,7 @@ class MakeReport(WithObjects):
         compile_kernels()
         from appliance.desk import report_of, surface_of, write_report
 
-        with Progress() as progress:
+        with ProgressLine() as progress:
             surface = surface_of(root, solved, wish, progress, self.spacing)
             with writing(out):
                 write_report(out, report_of(solved, surface))

@@ -15,7 +15,7 @@ from appliance.base import require
 from appliance.cli.archive import shelves_of, storage_root
 from appliance.cli.arguments import Verb, number, operand, option, path_option, switch, whole
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError, time_text
+from appliance.cli.output import Exit, ProgressLine, UsageError, time_text
 from appliance.cli.places import measuring
 from appliance.store import hold_lock, scan_folders
 
@@ -87,7 +87,7 @@ class Reprocess(Verb):
             for folder in folders
         ]
         rows = []
-        with hold_lock(results.folder), Progress() as progress:
+        with hold_lock(results.folder), ProgressLine() as progress:
             swept = results.sweep()
             with closing(work_through_all(jobs, scheduler, workers, self.timeout_s)) as coming:
                 for row in coming:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 from appliance.base import ContentError
 from appliance.cli.arguments import operand, operands, option, path_option, switch
 from appliance.cli.desk import writable, write_files
-from appliance.cli.output import Exit, Progress, UsageError, shown, table
+from appliance.cli.output import Exit, ProgressLine, UsageError, shown, table
 from appliance.cli.places import WithRoot, scan_folder
 from appliance.instrument import ASHORE
 from appliance.measure import SIDES, FaultCode
@@ -140,7 +140,7 @@ class VerifyScans(OfScans):
             shelves = tuple(LibraryFolder) if self.all else (LibraryFolder.SCANS,)
             folders = [entry.folder for shelf in shelves for entry in library.entries(shelf)]
         checked: list[ScanEntry] = []
-        with Progress() as progress:
+        with ProgressLine() as progress:
             for k, folder in enumerate(folders):
                 progress(f"verifying {folder.name}", k / len(folders))
                 checked.append(_with_frames_named(_decoded(entry_of(folder, checksums=True))))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
 from appliance.cli.arguments import number, operand, operands, option, path_option, switch
 from appliance.cli.desk import new_folder, writing
-from appliance.cli.output import Exit, Progress, UsageError, complain, say, table
+from appliance.cli.output import Exit, ProgressLine, UsageError, complain, say, table
 from appliance.cli.places import WithRig
 from appliance.store import LocalFileSystem, make_folders, move_folder, replace_file
 
@@ -67,7 +67,7 @@ class SetupGuide(WithRig):
                 raise UsageError(f"STEP {name}: no such step; allowed are {', '.join(names)}")
         options = GuideOptions(tuple(self.steps), self.endurance_minutes, self.plane_mm)
         try:
-            with Progress() as progress:
+            with ProgressLine() as progress:
                 walked = walk(self.rig, self.out, options, AtTheTerminal(sys.stdin, sys.stderr), progress, self._tell)
         except BringupError as error:
             complain(str(error), as_json=self.json)
@@ -101,7 +101,7 @@ class SetupMeasure(WithRig):
             raise UsageError("--out and --install: are for the projector")
         from appliance.workshop import fired, light_bench, trigger_findings
 
-        with Progress() as progress, light_bench(rig) as bench:
+        with ProgressLine() as progress, light_bench(rig) as bench:
             progress("firing")
             findings = trigger_findings(fired(bench, rig).ledger)
         self.tell([one.as_dict() for one in findings], lines_of(findings))
@@ -133,7 +133,7 @@ class SetupMeasure(WithRig):
         # Read before the long measurement, so that a file that cannot be edited is known by then.
         text = "" if path is None else path.read_text(encoding="utf-8-sig")
         try:
-            with Progress() as progress, light_bench(rig) as bench:
+            with ProgressLine() as progress, light_bench(rig) as bench:
                 measured = measure_projector(bench, rig.scan.most_gain_db, progress)
             outcomes, findings = outcomes_in_order(judge_together(STEPS, measure_on_wall, measured, rig).values())
             keys = keys_of(outcomes)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from appliance.cli.arguments import meant, one_of, operands, path_option, switch, whole
 from appliance.cli.instrument import serve
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError
+from appliance.cli.output import Exit, ProgressLine, UsageError
 from appliance.cli.places import WithRoot
 from appliance.cli.simrig import (
     OBJECTS,
@@ -182,7 +182,7 @@ def _compared(rig: Rig, accepted: list[str]) -> dict[str, Any]:
     are."""
     library = Library(rig.storage.root)
     lost, damaged = [], []
-    with Progress() as progress:
+    with ProgressLine() as progress:
         for k, scan_id in enumerate(accepted):
             progress(f"verifying {scan_id}", k / len(accepted))
             try:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from appliance import __version__
+from appliance.base import Progress
 from appliance.desk.report.content import Report, ReportScan, ReportVerdict, when
 from appliance.desk.report.still import picture_of_scan
 from appliance.measure import CAUSES_NAME as CAUSES
@@ -25,7 +26,7 @@ _VERDICTS: Mapping[Grade, ReportVerdict] = {
 """Signs of the grades."""
 
 
-def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[[str, float], None]) -> Report:
+def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Progress) -> Report:
     """Return the page's content for scans under a storage root, in their order.
 
     A scan that cannot be read is on the page, with its problem.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from appliance import __version__
+from appliance.base import Progress, part_of
 from appliance.measure import Calibration, Certificate, Evaluation, Item, QualityLimits, evaluate
 from appliance.store import RAW_FILES, Instrument, ScanList, SourceScan, refuse_empty, reprocess_scan
 
@@ -20,7 +21,7 @@ def run_evaluation(
     listed: ScanList,
     sources: Sequence[SourceScan],
     chosen: Calibration,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> Evaluation:
     """Reconstruct and measure every scan of the list; ``sources`` are they, in its order, with whole raw frames.
 
@@ -28,11 +29,8 @@ def run_evaluation(
     """
     items = []
     for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):
-        at, scan = k / len(sources), source.scan
-
-        def step(what: str, at: float = at, name: str = scan.folder.name) -> None:
-            progress(f"{name}: {what}", at)
-
+        scan = source.scan
+        step = part_of(progress, k / len(sources), (k + 1) / len(sources), scan.folder.name)
         settings = Instrument(source.rig).settings_of_scan(scan.manifest.record)
         reprocessed = reprocess_scan(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
         # An artefact that was not found is a result; a calibration that does not fit the scan measures nothing.

@@ -3,10 +3,11 @@ picture of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from appliance.base import Progress
 from appliance.desk.foreign.guess import TriedSequence, guess_sequence
 from appliance.desk.foreign.problem import ForeignError
 from appliance.desk.foreign.sheet import contact_sheet
@@ -20,9 +21,7 @@ def beside_cloud(out: Path) -> tuple[Path, Path, Path]:
     return out.with_suffix(".toml"), out.with_name(f"{out.stem}.roles.png"), out.with_name(f"{out.stem}.cloud.png")
 
 
-def import_folder(
-    folder: Path, out: Path, progress: Callable[[str], None], reasons: Path | None = None
-) -> dict[str, Any]:
+def import_folder(folder: Path, out: Path, progress: Progress, reasons: Path | None = None) -> dict[str, Any]:
     """Guess what the images below ``folder`` show, and write the cloud ``out`` with all that belongs to it.
 
     Raises ForeignError where nothing stands out, or the cameras are not known: descriptions and contact sheet are there

@@ -7,7 +7,7 @@ one, what the camera saw.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance import __version__
+from appliance.base import Progress
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
 from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
@@ -104,7 +105,7 @@ def check_import(path: Path, out: Path) -> None:
 def import_cloud(
     path: Path,
     out: Path,
-    progress: Callable[[str], None],
+    progress: Progress,
     *,
     as_described: bool = False,
     reasons: Path | None = None,
@@ -139,7 +140,7 @@ def import_cloud(
 
 
 def import_scan(
-    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False, reasons: Path | None = None
+    path: Path, out: Path, progress: Progress, *, as_described: bool = False, reasons: Path | None = None
 ) -> dict[str, Any]:
     """Make the scan folder ``out`` of images that have our own form.
 
@@ -203,7 +204,7 @@ def _own_sequence(path: Path, out: Path, description: Description, images: Image
     return found
 
 
-def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> ForeignScan:
+def _read(path: Path, progress: Progress, as_described: bool) -> ForeignScan:
     scan = read_foreign(path, progress)
     if scan.wrong and not as_described:
         said = "; ".join(map(str, scan.wrong))
@@ -213,7 +214,7 @@ def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> Fo
     return scan
 
 
-def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None], reasons: Path | None) -> ForeignCloud:
+def _found(path: Path, scan: ForeignScan, progress: Progress, reasons: Path | None) -> ForeignCloud:
     progress("finding points")
     found = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras.get("right"))
     if reasons is not None:

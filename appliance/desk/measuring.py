@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from appliance.base import Progress
 from appliance.calibrate import (
     CameraImages,
     MeasuredNoise,
@@ -37,9 +37,7 @@ MOST_NOISIER = 1.1
 1.01."""
 
 
-def response_of_scan(
-    rig: Rig, folder: Path, progress: Callable[[str, float], None]
-) -> tuple[StoredResponse, MeasuredResponse]:
+def response_of_scan(rig: Rig, folder: Path, progress: Progress) -> tuple[StoredResponse, MeasuredResponse]:
     """Return the projector's response from the raw frames of a stored scan, ready for its file, and what else the
     scan says.
 

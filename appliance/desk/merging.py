@@ -3,10 +3,10 @@ the other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from appliance.base import Progress
 from appliance.measure import Calibration, Cloud, Verdict, Water
 from appliance.store import (
     RAW_FILES,
@@ -24,7 +24,7 @@ from appliance.store import (
 
 
 def merge_scans(
-    sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path | None, progress: Callable[[str], None]
+    sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path | None, progress: Progress
 ) -> dict[str, Any]:
     """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to ``out``
     (``None``: ``NAME+NAME.ply`` here).
@@ -81,7 +81,7 @@ def merged_cloud_of(
     scans: tuple[StoredScan, StoredScan],
     rig: Rig,
     calibration: Calibration,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> tuple[Cloud, Verdict, Water]:
     """Return the full cloud of two scans as one, in the frame of the first; the verdict ``pair``, and the water.
 

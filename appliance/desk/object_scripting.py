@@ -3,11 +3,11 @@ surface, errors and lengths."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.base import refuse_wrong_types
+from appliance.base import Progress, refuse_wrong_types, silent
 from appliance.desk import object_store as objects
 from appliance.desk.comparing import Comparison, NominalSurface, compare
 from appliance.desk.object_errors import errors_of, length_between
@@ -19,8 +19,6 @@ from appliance.desk.surface.deviation import LIMIT_MM
 from appliance.desk.surface.fusion import SPACING_MM, FusedCloud, PlacedScan
 from appliance.measure import Rigid
 from appliance.store import Wish
-
-Doing = Callable[[str, float | None], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +43,12 @@ class ObjectOfDive:
         return errors_of(self.stored)
 
     @refuse_wrong_types
-    def placed_scans(self, progress: Doing = lambda *_: None) -> Iterator[PlacedScan]:
+    def placed_scans(self, progress: Progress = silent) -> Iterator[PlacedScan]:
         """Yield the scans that have a place, one at a time. Raises ObjectError, ScanError, CalibrationError."""
         return placed_scans(self.root, self.stored, self.wish, progress)
 
     @refuse_wrong_types
-    def surface(self, spacing_mm: float = SPACING_MM, progress: Doing = lambda *_: None) -> FusedCloud:
+    def surface(self, spacing_mm: float = SPACING_MM, progress: Progress = silent) -> FusedCloud:
         """Return one surface of all placed scans, a point about every ``spacing_mm``.
 
         Raises ObjectError, ScanError, CalibrationError.

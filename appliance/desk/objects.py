@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance import __version__
+from appliance.base import Progress, part_of, silent
 from appliance.calibrate import OverlapNews
 from appliance.desk import object_store as objects
 from appliance.desk.export.content import OBJECT_FRAME, About
@@ -45,7 +46,6 @@ from appliance.store import (
     water_of_scan,
 )
 
-Progress = Callable[[str, float | None], None]
 CLEAR_FACTOR = 4.0
 """Variance factor from which on the pairs contradict each other by more than they state."""
 
@@ -107,7 +107,7 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCl
 
 
 def _made(source: SourceScan, chosen: Chosen) -> dict[str, NDArray[Any]]:
-    made = organised_scan(source, chosen, lambda _: None)
+    made = organised_scan(source, chosen, silent)
     verdicts = np.array([f"{fault.code.value}: {fault.detail}" for fault in made.faults], dtype=np.str_)
     cloud = made.cloud
     return {
@@ -147,9 +147,7 @@ def solve_object(
     clouds: list[tuple[str, str, float, tuple[str, ...]]] = []
     used: list[Calibration] = []
     facts: dict[str, CloudFacts] = {}
-    for member in clouds_of(
-        root, stored_object, wish, lambda what, part: progress(what, None if part is None else 0.5 * part)
-    ):
+    for member in clouds_of(root, stored_object, wish, part_of(progress, 0.0, 0.5)):
         scans.append(
             ready(
                 member.cloud,
@@ -166,7 +164,7 @@ def solve_object(
     calibrations = {one.hash: one.depth_error_mm2 for one in used}
     known = next(iter(calibrations.values())) if len(calibrations) == 1 else None
     stated = None if known is None else np.array(known)
-    solved = solve(scans, lambda what, part: progress(what, 0.5 + 0.5 * part), with_shared_error, stated)
+    solved = solve(scans, part_of(progress, 0.5, 1.0), with_shared_error, stated)
     # Of several calibrations the first's volume: what they differ by is in no budget, and said.
     joint = joint_errors(solved.placed, used[0].rig.volume)
     places = _places(solved, scans, clouds, with_shared_error, known_before(stated), joint, facts)

@@ -3,12 +3,12 @@ its bright image."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import Progress
 from appliance.desk.reconstruct import cloud_of_scan
 from appliance.measure import Fault, OrganisedCloud, Water, organised
 from appliance.store import Chosen, SourceScan, sequence_of_scan
@@ -43,7 +43,7 @@ class OrganisedScan:
         return self.cloud.sigma_mm[self.cloud.mask]
 
 
-def organised_scan(source: SourceScan, chosen: Chosen, progress: Callable[[str], None]) -> OrganisedScan:
+def organised_scan(source: SourceScan, chosen: Chosen, progress: Progress) -> OrganisedScan:
     """Return the full cloud of a stored scan, of both exposures where it has two, on the grid of its left image.
 
     Raises ScanError, also where no points are left.

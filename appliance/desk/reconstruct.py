@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import Progress
 from appliance.measure import (
     PHASE_STEPS,
     SIDES,
@@ -191,7 +192,7 @@ def reconstruct_scan(
     source: SourceScan,
     chosen: Chosen,
     out: Path | None,
-    progress: Callable[[str], None],
+    progress: Progress,
     salvaged: Salvaged | None = None,
 ) -> dict[str, Any]:
     """Make the cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
@@ -270,7 +271,7 @@ def cloud_of_scan(
     scan: StoredScan,
     rig: Rig,
     calibration: Calibration,
-    progress: Callable[[str], None],
+    progress: Progress,
     salvaged: Salvaged | None = None,
 ) -> tuple[Cloud, Water, tuple[Fault, ...]]:
     """Return the cloud of one sequence, or of both that the scan has, its water, and warnings.
@@ -285,7 +286,7 @@ def work_through(
     scan: StoredScan,
     rig: Rig,
     calibration: Calibration,
-    progress: Callable[[str], None],
+    progress: Progress,
     salvaged: Salvaged | None = None,
 ) -> WorkedThrough:
     """Reconstruct and judge a scan, one sequence or both. Raises ScanError, also where no points are left."""

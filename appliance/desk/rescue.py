@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from appliance.base import Progress
 from appliance.measure import UNCHECKED, CurveError, NoPoint, OneDirectionError, first_direction_cloud
 from appliance.store import (
     Chosen,
@@ -28,7 +28,7 @@ def rescue_recording(
     source: SourceScan,
     chosen: Chosen,
     out: Path | None,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> dict[str, Any]:
     """Make the cloud of ``recording``, which ``source`` is of, written as PLY to ``out`` (``None``:
     ``incomplete-NUMBER.ply`` here).

@@ -3,10 +3,10 @@ it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from appliance.base import Progress
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_mesh, write_scan
 from appliance.desk.export.formats import MESH_SUFFIXES, SCAN_SUFFIXES, checked_suffix
@@ -16,7 +16,7 @@ from appliance.store import Chosen, SourceScan
 
 
 def export_scan(
-    source: SourceScan, chosen: Chosen, out: Path, progress: Callable[[str], None], *, mesh: bool = False
+    source: SourceScan, chosen: Chosen, out: Path, progress: Progress, *, mesh: bool = False
 ) -> dict[str, Any]:
     """Write the points of a stored scan, or with ``mesh`` its triangles, to ``out``; the suffix says how.
 

@@ -8,7 +8,7 @@ names, and errors are those of the command line: one sentence that says what is 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Literal, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import refuse_wrong_types
+from appliance.base import Progress, refuse_wrong_types, silent
 from appliance.desk.export.content import CAMERA_FRAME, OBJECT_FRAME, About
 from appliance.desk.export.files import write_mesh, write_scan, write_surface
 from appliance.desk.organised import OrganisedScan, organised_scan
@@ -52,8 +52,6 @@ from appliance.store import (
     standing_root,
     where_none_was_found,
 )
-
-Said = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +135,7 @@ class ScanOfDive:
         self,
         calibration: Calibration | Path | str | None = None,
         water: Water | None = None,
-        progress: Said = lambda _: None,
+        progress: Progress = silent,
     ) -> OrganisedScan:
         """Make the scan's points from its raw frames, every byte of which is compared with its checksum first.
 

@@ -7,13 +7,14 @@ fit it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import Progress
 from appliance.measure import IDENTITY_NAME as IDENTITY
 from appliance.measure import (
     SPOILS_POINTS,
@@ -146,7 +147,7 @@ def reprocess_scan(
     scan: stored.StoredScan,
     calibration: Calibration,
     settings: AcquisitionSettings,
-    progress: Callable[[str], None],
+    progress: Progress,
     limits: QualityLimits | None = None,
 ) -> ReprocessedScan:
     """Reconstruct and judge a stored scan with ``calibration``, as the instrument does; of a pair, its first sequence.
@@ -187,7 +188,7 @@ def reprocess_bracket(
     second: Mapping[str, NDArray[np.uint8]],
     both: tuple[AcquisitionSettings, AcquisitionSettings],
     calibration: Calibration,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> ReprocessedBracket:
     """Reconstruct and judge ``first`` and the frames of a ``second`` sequence as one, as the instrument does.
 
@@ -220,7 +221,7 @@ def _work_through(
     frames: Mapping[str, NDArray[np.uint8]],
     settings: AcquisitionSettings,
     count: int,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> FullCloud:
     """Take every step with one stored sequence of ``count`` frames, also where it shows wrong patterns; return the last
     one."""

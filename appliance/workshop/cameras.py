@@ -140,7 +140,7 @@ def _dark(at: Workplace, bench: LightBench) -> tuple[list[Finding], dict[str, tu
         at.person.tell(numbered("put the caps on both lenses", turn))
         until_ns = clock.now_ns() + int(PATIENCE_S * 1e9)
         while True:
-            at.say("waiting for dark images", None)
+            at.say("waiting for dark images")
             short: dict[str, Image] = {}
             # Both lengths: what a longer exposure adds is light, what both have is the black level.
             for exposure_us in (SHORT_US, None):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import appliance
+from appliance.base import Progress
 from appliance.instrument import whatever_is_there
 from appliance.store import Rig, hold_lock, load_rig
 from appliance.workshop import steps
@@ -18,7 +19,7 @@ from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.kept import PAGE, STATE, STATE_FILE, GuideFolder, GuideState, StepRecord
 from appliance.workshop.page import guide_page
 from appliance.workshop.rig_edit import KeyValue, Value, replace_rig, with_keys
-from appliance.workshop.step import GivenUp, GuideStep, Person, Say, StepOutcome, Workplace, inputs_of, refusal
+from appliance.workshop.step import GivenUp, GuideStep, Person, StepOutcome, Workplace, inputs_of, refusal
 from drivers import rig as drivers_rig
 from drivers.api import DeviceError, Wires
 
@@ -55,7 +56,7 @@ def walk(
     folder: Path,
     options: GuideOptions,
     person: Person,
-    say: Say,
+    say: Progress,
     told: Callable[[str, StepRecord], None],
 ) -> Walked:
     """Walk the steps from where the last call ended, and stop at the first that is not good.
@@ -84,7 +85,7 @@ class _Walk:
     options: GuideOptions
     wires: Wires
     person: Person
-    say: Say
+    say: Progress
     told: Callable[[str, StepRecord], None]
     state: GuideState
     steps: Sequence[GuideStep]

@@ -165,7 +165,7 @@ def do(at: Workplace) -> StepOutcome:
             if all(_lit(one, sequence).mean() >= LEAST_LIT for one in frames.values()):
                 break
     scan_id = _stored(at, report, frames, sequence, exposure, None if response is None else response.hash)
-    at.say("decoding", None)
+    at.say("decoding")
     sides = {side: _decoded(sequence, frames[side]) for side in SIDES}
     shape, curve = (None, None) if response is not None else _seen_response(sequence, frames, sides)
     flat, why_not, faults = _worked_through(at, scan_id)
@@ -225,7 +225,7 @@ def _recorded(at: Workplace, patterns: DrawnPatterns, exposure: Exposure) -> tup
         recorder = ScanRecorder(grabbers, board, projector, at.wires.clock, settings)
         fault = None
         for _ in range(TRIES):
-            at.say("scanning", None)
+            at.say("scanning")
             report = recorder.record(sequence, store, lambda _side, _index: None, lambda: None)
             fault = report.fault
             if fault is None:
@@ -331,7 +331,7 @@ def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, 
         return None, "there is no calibration yet; calibrate next (docs/calibration.md)", ()
     scan = load_scan(Library(rig.storage.root).entry(scan_id).folder)
     try:
-        worked = work_through(scan, rig, calibration, lambda what: at.say(what, None))
+        worked = work_through(scan, rig, calibration, at.say)
     except ScanError as error:
         return None, str(error), (str(error),)
     faults = tuple(f"{fault.code.value}: {fault.detail}" for fault in worked.faults)

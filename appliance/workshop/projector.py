@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import Progress
 from appliance.workshop.bench import Bench, Image, Shot, bench_on, flat_pictures, lit_part, mean_levels
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.latency import measure_latency
@@ -32,7 +33,7 @@ from appliance.workshop.light import (
 )
 from appliance.workshop.raster import LineLight, SeenPicture, measure_lines, measure_orientation
 from appliance.workshop.response import RAMP_CODES, ResponseShape, Shape, judge_response, ramp_codes, shuffled
-from appliance.workshop.step import MOST_ASKED, Say, StepOutcome, Workplace, numbered, wall
+from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered, wall
 
 BIT_CODES = (255, 128, 64, 32, 16, 8, 4, 2, 1)
 WHITE_FRAMES, CODE_FRAMES = 4, 2
@@ -99,7 +100,7 @@ def _before_white(at: Workplace, bench: Bench) -> None:
     tried as it is."""
     for turn in range(MOST_ASKED):
         at.person.ask(numbered(f"{wall(at)}, and darken the room", turn))
-        at.say("looking for the projector's light", None)
+        at.say("looking for the projector's light")
         if _lit(at, bench):
             return
 
@@ -114,7 +115,7 @@ def _lit(at: Workplace, bench: Bench) -> bool:
     return all(float(one.max() - one.min()) > LEAST_LIGHT_DN for one in levels)
 
 
-def measure_projector(bench: Bench, gain_db: float, say: Say) -> ProjectorMeasured:
+def measure_projector(bench: Bench, gain_db: float, say: Progress) -> ProjectorMeasured:
     """Measure everything; ``gain_db`` is that of the short exposures. Raises BringupError, DeviceError."""
     if not LEAST_HZ <= bench.refresh_hz <= MOST_HZ:
         raise BringupError(

@@ -7,13 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from appliance.base import Progress
 from appliance.store import Rig
 from appliance.workshop.finding import Finding
 from appliance.workshop.rig_edit import KeyValue, Value
 from drivers.api import DeviceError, Wires
 
-Say = Callable[[str, float | None], None]
-"""Takes what is being done, and how much of it (0..1; ``None``: not known)."""
 MOST_ASKED = 3
 """Times that one thing is asked for; then it is judged as it is."""
 
@@ -44,7 +43,7 @@ class Workplace:
     rig: Rig
     wires: Wires
     person: Person
-    say: Say
+    say: Progress
     minutes: float
     """Length of the endurance run."""
     plane_mm: float

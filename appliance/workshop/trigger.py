@@ -42,7 +42,7 @@ class FiredFrames:
 
 def do(at: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError, BringupError."""
-    at.say("firing", None)
+    at.say("firing")
     with bench_on(at.rig, at.wires) as bench:
         return StepOutcome(trigger_findings(fired(bench, at.rig).ledger))
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import silent
 from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
@@ -171,9 +172,7 @@ def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tupl
     wish = Wish(rig=load_rig(Path(rig)), root=scan.parents[1])
     source = open_source(scan, wish)
     try:
-        worked = work_through(
-            change(source.scan), source.rig, calibration_for(source, wish).calibration, lambda _: None
-        )
+        worked = work_through(change(source.scan), source.rig, calibration_for(source, wish).calibration, silent)
     except ScanError as error:
         return {"refused": str(error)}, {}
     verdicts = [

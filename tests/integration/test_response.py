@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from appliance.base import silent
 from appliance.desk.measuring import noise_of_scan, noise_to_store, response_of_scan
 from appliance.instrument.service.app import run
 from appliance.measure.calibration.noise_file import NOISE
@@ -44,10 +45,10 @@ def test_response_and_noise_measured_under_water_are_used_from_the_next_start_on
     found = noise_of_scan(rig, before)
     (Instrument(rig).noise_file).parent.mkdir(parents=True, exist_ok=True)
     (Instrument(rig).noise_file).write_bytes(NOISE.encode(noise_to_store(rig, before, found)))
-    stored, bent = response_of_scan(rig, before, lambda what, part: None)
+    stored, bent = response_of_scan(rig, before, silent)
     (Instrument(rig).response_file).write_bytes(RESPONSE.encode(stored))
     after = dive(rig)
-    _, straight = response_of_scan(rig, after, lambda what, part: None)
+    _, straight = response_of_scan(rig, after, silent)
 
     assert bent.phase_error_rad > 0.03
     assert straight.phase_error_rad < bent.phase_error_rad / 3.0

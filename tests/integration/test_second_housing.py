@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.base import silent
 from appliance.calibrate.air.calibrate import AirCalibration, calibrate_air
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.calibrator import Solution, examine_recording, solve_calibration
@@ -190,9 +191,9 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
         trial = RecordingCheck(step, None, None, scan_id=pending.scan_id)
         session = replace(session, trials=(*session.trials, trial))
         if step in USED:
-            checks[step] = examine_recording(rig, step, library.entry(pending.scan_id).folder, lambda _: None).check
+            checks[step] = examine_recording(rig, step, library.entry(pending.scan_id).folder, silent).check
     store.write(session)
-    return Calibrated(rig, truth, air, checks, solve_calibration(rig, "2026-11-24T10:00:00+00:00", lambda _: None))
+    return Calibrated(rig, truth, air, checks, solve_calibration(rig, "2026-11-24T10:00:00+00:00", silent))
 
 
 def test_boards_in_air_find_lenses_and_baseline_and_recordings_at_its_distances_will_do(calibrated: Calibrated) -> None:

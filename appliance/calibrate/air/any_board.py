@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import Progress
 from appliance.calibrate.air.board import (
     FAMILIES,
     LEAST_MARKERS,
@@ -71,7 +72,7 @@ class Wanted:
 def search_board(
     pictures: Sequence[tuple[str, Callable[[], Image]]],
     wanted: Wanted,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> BoardDesign:
     """Find the board that pictures show, each a name and how to read it. Raises BoardNotFoundError."""
     step = max(1, len(pictures) // LOOKED_AT)

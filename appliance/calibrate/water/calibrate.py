@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from appliance.base import Progress, silent
 from appliance.calibrate.recordings import Recording
 from appliance.calibrate.water.artefact import Residuals, residuals_of
 from appliance.calibrate.water.bundle import BundleSettings, adjust
@@ -16,15 +17,11 @@ from appliance.calibrate.water.start import check_start
 from appliance.measure import Calibration, warnings_about
 
 
-def _silent(_: str) -> None:
-    pass
-
-
 def calibrate(
     method: Method,
     recordings: Sequence[Recording],
     start: Calibration,
-    progress: Callable[[str], None] = _silent,
+    progress: Progress = silent,
 ) -> WaterResult:
     """Calibrate in water, from ``start``: lenses and pose from air, ports as drawn (``start_from_air``).
 

@@ -34,6 +34,7 @@ from appliance.base import (
     missing_kernels,
     needed,
     raise_if_interrupted,
+    silent,
     use_kernel_cache,
 )
 from appliance.desk.anew.results import Results, Row, name_of, program_digits
@@ -123,7 +124,7 @@ def _worked_through(job: Job, settings: Mapping[str, Any], wish: Wish) -> tuple[
     chosen = calibration_for(source, wish)
     if settings["water"] is not None:
         source = _in_water(source, settings["water"], chosen.calibration)
-    worked = work_through(source.scan, source.rig, chosen.calibration, lambda _: None)
+    worked = work_through(source.scan, source.rig, chosen.calibration, silent)
     record = source.scan.manifest.record
     found: Row = {
         **asdict(worked.cloud.summary),

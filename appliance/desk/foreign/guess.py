@@ -24,7 +24,7 @@ by chance is the less likely the fewer fringes there are.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,6 +34,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import Progress
 from appliance.desk.foreign.appearance import Looks, agreement, look_at, share_of_range, words_by_looks
 from appliance.desk.foreign.arrangement import WHICH_IS_LEFT
 from appliance.desk.foreign.assumptions import (
@@ -272,7 +273,7 @@ class TriedSequence:
 class _ReducedPictures:
     """Pictures of a folder, each read once and reduced by whole numbers to ``MOST_PIXELS``: each pixel is a mean."""
 
-    progress: Callable[[str], None]
+    progress: Progress
     _read: dict[tuple[Frame, str], NDArray[Any]] = field(default_factory=dict)
 
     def of(self, camera: CameraFiles, channel: str) -> tuple[NDArray[Any], tuple[int, int]]:
@@ -289,7 +290,7 @@ class _ReducedPictures:
         return np.stack([self._read[frame, channel] for frame in camera.files]), (width_px, height_px)
 
 
-def guess_sequence(folder: Path, progress: Callable[[str], None]) -> tuple[TriedSequence, ...]:
+def guess_sequence(folder: Path, progress: Progress) -> tuple[TriedSequence, ...]:
     """Return what the images below ``folder`` show: one sequence, or the best two where none stands out.
 
     Raises ForeignError where nothing is known that they could show.

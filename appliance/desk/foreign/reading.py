@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from appliance.base import Progress
 from appliance.desk.foreign.arrangement import examine_cameras
 from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome, examine_axis, examine_references
 from appliance.desk.foreign.camera import CleanCamera, DecodedCamera, clean_camera, decode_camera
@@ -31,7 +32,7 @@ class ForeignScan:
         return tuple(one for one in self.tested if one.outcome is Outcome.WRONG)
 
 
-def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
+def read_foreign(path: Path, progress: Progress) -> ForeignScan:
     """Read what the description at ``path`` describes, decode it and test it. Raises ForeignError."""
     said = load_description(path)
     read = {}

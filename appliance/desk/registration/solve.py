@@ -6,13 +6,13 @@ It also owns which pairs of scans are worth comparing, so that forty scans need 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import one_line
+from appliance.base import Progress, one_line
 from appliance.desk.registration.bow import Array, known_before
 from appliance.desk.registration.graph import Edge, Placed, place
 from appliance.measure import PairRefusal, ReadyScan, RegisteredPair, Rigid, register
@@ -146,7 +146,7 @@ class Solved:
 
 def solve(
     scans: Sequence[ReadyScan],
-    progress: Callable[[str, float], None],
+    progress: Progress,
     with_bow: bool = False,
     stated_mm2: Array | None = None,
 ) -> Solved:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import silent
 from appliance.calibrate import BoardView, NoBoard, ViewFolder, coverage, find_boards, mean_of, view_of
 from appliance.instrument.capture.grabber import Grabber
 from appliance.instrument.capture.scan import ScanRecorder, ScanSettings
@@ -114,7 +115,7 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
 def _known(target: ViewFolder, size_px: tuple[int, int]) -> list[BoardView]:
     if not any(target.folder.glob("*/left.png")):
         return []
-    found = find_boards(target.folder, target.design, size_px, lambda _what, _part: None)
+    found = find_boards(target.folder, target.design, size_px, silent)
     return list(found.views)
 
 

@@ -48,9 +48,8 @@ from appliance.store import Instrument, Rig, ScanError, StorageError
 NICENESS = 10
 """Priority of the process, behind the heartbeat, the cameras and the reconstruction."""
 
-Report = Callable[[float], None]
 Job = Callable[..., Any]
-"""Called with its arguments and a ``Report``, which takes 0..1."""
+"""Called with its arguments and a ``Progress``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +152,9 @@ def _serve(pipe: Connection) -> None:
         while True:
             ticket, job, arguments = pipe.recv()
 
-            def report(progress: float, ticket: int = ticket) -> None:
-                pipe.send((ticket, Progressed(progress)))
+            def report(what: str, fraction: float | None = None, /, ticket: int = ticket) -> None:
+                if fraction is not None:
+                    pipe.send((ticket, Progressed(fraction)))
 
             try:
                 outcome: Done | Failed = Done(job(*arguments, report))

@@ -15,7 +15,7 @@ import pytest
 
 from appliance.base.process_start import interrupts
 from appliance.cli import main
-from appliance.cli.output import Exit, Progress, complain, plain
+from appliance.cli.output import Exit, ProgressLine, complain, plain
 from appliance.cli.verbs import Listed
 from appliance.measure.verdict import Verdict
 from appliance.store import manifest as form
@@ -112,7 +112,7 @@ class AtATerminal(io.StringIO):
 
 def test_progress_on_a_terminal_is_one_line_that_is_cleared_and_silent_for_a_second() -> None:
     now_s, terminal, file = 0.0, AtATerminal(), io.StringIO()
-    with Progress(terminal, lambda: now_s) as progress, Progress(file, lambda: now_s) as in_file:
+    with ProgressLine(terminal, lambda: now_s) as progress, ProgressLine(file, lambda: now_s) as in_file:
         progress("verifying", 0.1)
         now_s = 0.9
         progress("verifying", 0.2)
@@ -126,7 +126,7 @@ def test_progress_on_a_terminal_is_one_line_that_is_cleared_and_silent_for_a_sec
 
 def test_where_there_is_no_terminal_progress_comes_in_lines_some_seconds_apart() -> None:
     now_s, lines = 0.0, list[tuple[float, str]]()
-    with Progress(io.StringIO(), lambda: now_s, lambda text: lines.append((now_s, text))) as progress:
+    with ProgressLine(io.StringIO(), lambda: now_s, lambda text: lines.append((now_s, text))) as progress:
         for k in range(60):
             now_s = 0.5 * k
             progress(f"pair {k}\x1b[2J", k / 60)
@@ -152,5 +152,5 @@ def test_an_interruption_within_a_compiled_library_is_one() -> None:
 def test_every_verb_that_may_take_long_says_how_far_it_is(words: tuple[str, ...], listed: Listed) -> None:
     """Off a terminal, too: by the one class that does it."""
     source = inspect.getsource(sys.modules[listed.load().__module__])
-    says = "Progress(" in source or "opened_scans(" in source
+    says = "ProgressLine(" in source or "opened_scans(" in source
     assert says or listed.at.partition(":")[0] in QUICK or listed.load().service

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from appliance.base import silent
 from appliance.desk.merging import merge_scans, merged_cloud_of
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store import scan as stored
@@ -25,10 +26,6 @@ from tests.support.truth import true_calibration
 
 SCENE = Scene(object="stones", texture="checker")
 SIZE_PX = (240, 180)
-
-
-def silent(what: str) -> None:
-    """No progress is shown."""
 
 
 @pytest.fixture

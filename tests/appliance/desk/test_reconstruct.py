@@ -19,6 +19,7 @@ from appliance.store.origin import calibration_for, open_source
 from appliance.store.ply import read_ply
 from appliance.store.wish import Wish
 from tests.support.planes import small_rig, store_plane
+from tests.support.told import Told
 
 
 @pytest.fixture
@@ -32,13 +33,13 @@ def test_another_calibration_gives_other_points(rig: Rig, tmp_path: Path) -> Non
     other, out = replace(Instrument(rig).design(), method="bundle"), tmp_path / "again.ply"
     moved = replace(other.rig.left, port=replace(other.rig.left.port, distance_mm=33.0))
     (tmp_path / "other.json").write_bytes(encode_calibration(replace(other, rig=replace(other.rig, left=moved))))
-    wish, seen = Wish(rig, calibration=tmp_path / "other.json"), list[str]()
+    wish, seen = Wish(rig, calibration=tmp_path / "other.json"), Told()
     source = open_source(folder, wish)
-    report = reconstruct_scan(source, calibration_for(source, wish), out, seen.append)
+    report = reconstruct_scan(source, calibration_for(source, wish), out, seen)
     again = read_ply(out).points_mm
     assert (report["same_calibration"], report["points"]) == (False, len(again))
     assert abs(np.max(again[:, 2]) - np.max(points[:, 2])) > 0.2, "three millimetres of port bend the plane"
-    assert any("frame 24 of 24" in text for text in seen)
+    assert any("frame 24 of 24" in text for text in seen.words)
 
 
 def test_when_the_calibration_is_damaged_or_anothers_the_one_before_is_used_and_that_is_said(rig: Rig) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from appliance.base import silent
 from appliance.desk.rescue import rescue_recording
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store import incomplete
@@ -54,7 +55,7 @@ def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -
 def rescued(recording: incomplete.IncompleteRecording, out: Path) -> dict[str, object]:
     """The report; no rig file and no root is given: the recording carries all that it needs."""
     source = open_source(recording.scan.folder, Wish(), recording.scan)
-    return dict(rescue_recording(recording, source, calibration_for(source, Wish()), out, lambda text: None))
+    return dict(rescue_recording(recording, source, calibration_for(source, Wish()), out, silent))
 
 
 def test_the_points_are_those_of_the_whole_scan_and_say_that_nothing_checked_them(

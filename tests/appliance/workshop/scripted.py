@@ -22,6 +22,7 @@ from appliance.workshop.step import Workplace
 from appliance.workshop.steps import STEPS
 from drivers.api import BoardEvent, BoardTime, KeyEvent, LaserState, Vsync
 from tests.drivers.clock import SteppedClock
+from tests.support.told import Told
 
 RIG_FILE = default_sim_rig().with_name("small.toml")
 PERIOD_NS = 1e9 / 60.0
@@ -41,14 +42,6 @@ class AskedPerson:
         self.hand(what)
 
     ask = tell
-
-
-class Told:
-    def __init__(self) -> None:
-        self.all: list[tuple[str, float | None]] = []
-
-    def __call__(self, what: str, part: float | None) -> None:
-        self.all.append((what, part))
 
 
 def workplace(

@@ -26,9 +26,10 @@ from appliance.workshop.steps import STEPS
 from drivers import rig as drivers_rig
 from drivers.api import DeviceGone
 from tests.appliance.instrument.service.test_start_and_end import nothing
-from tests.appliance.workshop.scripted import RIG_FILE, AskedPerson, Told
+from tests.appliance.workshop.scripted import RIG_FILE, AskedPerson
 from tests.drivers.clock import SteppedClock
 from tests.support.projector_model import Model, ModelBench, planes_in
+from tests.support.told import Told
 
 GOOD, BAD = Finding("rate", True, "60 Hz"), Finding("rate", False, "59 Hz", "60 Hz", "choose a mode of 60 Hz")
 PNG = b"\x89PNG dark"

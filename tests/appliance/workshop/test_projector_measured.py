@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from appliance.base import silent
 from appliance.store.config import default_rig_path, parse_rig
 from appliance.workshop.bench import Shot
 from appliance.workshop.finding import BringupError, Finding
@@ -24,7 +25,7 @@ VIDEO = Model(planes_in(5_000.0, 12_400.0), planes_in(500.0, 4_500.0), latency=1
 
 
 def measured(model: Model) -> tuple[ProjectorMeasured, dict[str, Finding]]:
-    found = measure_projector(ModelBench(model), 12.0, lambda _what, _part: None)
+    found = measure_projector(ModelBench(model), 12.0, silent)
     return found, projector_findings(found)
 
 
@@ -109,5 +110,5 @@ def test_a_camera_that_exposes_late_is_named() -> None:
 )
 def test_what_cannot_be_measured_is_said_at_once(bench: ModelBench, takes: int, said: str) -> None:
     with pytest.raises(BringupError, match=said):
-        measure_projector(bench, 12.0, lambda _what, _part: None)
+        measure_projector(bench, 12.0, silent)
     assert bench.takes == takes

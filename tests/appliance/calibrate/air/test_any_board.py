@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.base import silent
 from appliance.calibrate.air.any_board import (
     BoardNotFoundError,
     Wanted,
@@ -35,7 +36,7 @@ def shown(*images: Image) -> list[tuple[str, Callable[[], Image]]]:
 
 
 def searched(*images: Image, wanted: Wanted | None = None) -> BoardDesign:
-    return search_board(shown(*images), wanted or Wanted(15.0), lambda what, share: None)
+    return search_board(shown(*images), wanted or Wanted(15.0), silent)
 
 
 TAGS = ("16h5", "25h9", "36h10", "36h11")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.base import silent
 from appliance.calibrate.recordings import Recording
 from appliance.calibrate.stored_recordings import recording_of_scan
 from appliance.calibrate.water.extract import BarCertificate
@@ -41,7 +42,7 @@ class Case:
     """Ports as drawn: the hidden rig's are others."""
 
     def extracted(self, certificate: BarCertificate | None) -> Recording | NotFound:
-        return recording_of_scan(self.folder, certificate, self.start, load_rig(default_sim_rig()), lambda _: None)
+        return recording_of_scan(self.folder, certificate, self.start, load_rig(default_sim_rig()), silent)
 
     def recording(self, certificate: BarCertificate | None) -> Recording:
         found = self.extracted(certificate)

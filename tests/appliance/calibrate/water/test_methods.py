@@ -17,6 +17,7 @@ from appliance.measure.light.water import Water
 from hw_sim.truth import TrueRig
 from tests.support import calibrating
 from tests.support.calibrating import Errors, calibration_recordings, evaluate, hidden_rig
+from tests.support.told import Told
 from tests.support.truth import WATER
 
 SEEDS = range(1, 9)
@@ -39,12 +40,12 @@ class Case:
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    truth, told = hidden_rig("realistic", 1), list[str]()
+    truth, told = hidden_rig("realistic", 1), Told()
     start = calibrating.start_of(calibrating.air_of(truth))
     recordings = calibration_recordings(truth)
-    results = {m: calibrate(m, recordings, start, told.append) for m in Method}
+    results = {m: calibrate(m, recordings, start, told) for m in Method}
     errors = {m: evaluate(truth, r.calibration.rig, frustums=2) for m, r in results.items()}
-    return Case(truth, start, recordings, results, errors, told)
+    return Case(truth, start, recordings, results, errors, told.words)
 
 
 @pytest.mark.dive

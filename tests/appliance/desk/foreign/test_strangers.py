@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from appliance.base import silent
 from appliance.desk.foreign.guess import guess_sequence
 from appliance.desk.foreign_folder import guessed_text
 from appliance.desk.foreign_import import import_cloud
@@ -187,14 +188,14 @@ CASES = (
 def test_a_strangers_folder_needs_no_more_than_a_guess(tmp_path: Path, case: Case) -> None:
     folder = tmp_path / "set"
     case.make(folder)
-    candidates = guess_sequence(folder, lambda _: None)
+    candidates = guess_sequence(folder, silent)
     assert len(candidates) == 1, [one.program for one in candidates]
     text = guessed_text(candidates[0], folder)
     (folder / "description.toml").write_text(text)
     said = re.sub(r" +# .*", "", text)
     for one in case.said:
         assert one in said
-    import_cloud(folder / "description.toml", tmp_path / "cloud.npz", lambda _: None)
+    import_cloud(folder / "description.toml", tmp_path / "cloud.npz", silent)
     with np.load(tmp_path / "cloud.npz") as grid:
         there = grid["mask"]
         points_mm = np.stack([grid[f"{axis}_mm"][there] for axis in "xyz"], -1)

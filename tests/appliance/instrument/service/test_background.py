@@ -4,29 +4,30 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
+from appliance.base import Progress
 from appliance.calibrate.recordings import NotConverged
 from appliance.instrument.service.calibrating import Background, Done, Failed, Progressed
 from drivers.native import MonotonicClock
 
 
-def double(x: int, report: Callable[[float], None]) -> int:
-    report(0.5)
+def double(x: int, report: Progress) -> int:
+    report("doubling", 0.5)
     return 2 * x
 
 
-def refuse(report: Callable[[float], None]) -> None:
+def refuse(report: Progress) -> None:
     raise NotConverged("no calibration fits M3", about="M3")
 
 
-def die(report: Callable[[float], None]) -> None:
+def die(report: Progress) -> None:
     os.abort()
 
 
-def hang(report: Callable[[float], None]) -> None:
+def hang(report: Progress) -> None:
     while True:
         time.sleep(0.05)
 

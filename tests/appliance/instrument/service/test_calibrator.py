@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from appliance.base import silent
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.calibrator import Examined, Solution, basis_of, examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
@@ -89,21 +90,21 @@ def test_a_recording_that_is_gone_is_named(rig: Rig) -> None:
     store = Calibrations(rig.storage.root, rig.rig.serial)
     store.write(Session(tuple(RecordingCheck(step, None, 0.03) for step in USED)))
     with pytest.raises(RecordingError, match="no recording of M1, M2, M3, M4"):
-        solve_calibration(rig, "2026-11-21", lambda _: None)
+        solve_calibration(rig, "2026-11-21", silent)
     store.write(Session(tuple(RecordingCheck(step, None, 0.03, scan_id="000099") for step in USED)))
     with pytest.raises(UnknownScan, match="000099"):
-        solve_calibration(rig, "2026-11-21", lambda _: None)
+        solve_calibration(rig, "2026-11-21", silent)
 
 
 def test_planes_and_what_is_none_are_told_apart(rig: Rig) -> None:
     folder, _ = store_plane(rig, 50.0)
-    near = examine_recording(rig, Step.M3, folder, lambda _: None).check
+    near = examine_recording(rig, Step.M3, folder, silent).check
     assert near.refusal is None
     assert near.points > 500
-    far = examine_recording(rig, Step.M4, folder, lambda _: None).check
+    far = examine_recording(rig, Step.M4, folder, silent).check
     assert far.refusal is Refusal.TOO_NEAR
     assert far.number == pytest.approx(474.0, abs=1.0)
-    bar = examine_recording(rig, Step.M1, folder, lambda _: None).check
+    bar = examine_recording(rig, Step.M1, folder, silent).check
     assert bar.refusal is Refusal.NOT_FOUND
     assert "ball" in bar.detail
 
