@@ -28,7 +28,7 @@ SIMULATOR = tuple(
 PRODUCT = (
     *("appliance/measure", "appliance/store", "appliance/calibrate", "appliance/workshop"),
     *(f"appliance/instrument/{room}" for room in ("capture", "ranging", "worker", "service", "machine")),
-    *(f"appliance/desk/{room}" for room in ("foreign", "registration", "surface", "anew", "pull")),
+    *(f"appliance/desk/{room}" for room in ("foreign", "registration", "surface", "anew")),
     *(f"appliance/desk/{file.name}" for file in sorted((ROOT / "appliance" / "desk").glob("*.py"))),
 )
 _UNITS = "px mm um nm deg rad hz ms us ns s c k dn e db per_m psu"

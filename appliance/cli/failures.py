@@ -14,7 +14,14 @@ CONFIG = "appliance.store.config.load:ConfigError"
 STORAGE = "appliance.store.atomic:StorageError"
 DEVICE = "drivers.errors:DeviceError"
 # A rig file and a list are typed by a person, too, so that an error in them is one of usage.
-USAGE = frozenset((CONFIG, "appliance.cli.output:UsageError", "appliance.store.scan_list:ListError"))
+USAGE = frozenset(
+    (
+        CONFIG,
+        "appliance.cli.output:UsageError",
+        "appliance.store.pull.pulling:PullWordError",
+        "appliance.store.scan_list:ListError",
+    )
+)
 FAILED = frozenset(
     (
         STORAGE,
@@ -28,7 +35,7 @@ FAILED = frozenset(
         "appliance.base.kernel_build:CompileError",
         "appliance.desk.anew.results:ResultsError",
         "appliance.desk.anew.work:SchedulerError",
-        "appliance.desk.pull.source:PullError",
+        "appliance.store.pull.source:PullError",
         "appliance.desk.registration.reference:SurfaceMatchError",
         "appliance.base.sealed_file:ContentError",
         "appliance.store.library:UnknownScan",

@@ -107,27 +107,6 @@ if TYPE_CHECKING:
     from .organised import (
         organised_scan,  # Return the full cloud of a stored scan, of both exposures where it has two
     )
-    from .pull.pulling import (
-        HowFar,  # State of a call
-        Open,  # Way to open a source of scans
-        Pulled,  # Result of a call
-        pull_scans,  # Take what is finished there and not here to the storage root target, which is there. every
-    )
-    from .pull.source import (
-        FolderSource,  # A storage root on this computer: a mounted share, the instrument's disk, a USB disk
-        is_linked,  # Return True if a component of path below root is a link
-    )
-    from .pull.ssh import (
-        ANSWER_S,  # Longest silence before a link counts as broken
-        LIBRARY,  # Library that speaks SSH
-        NEEDS_IT,  # What needs that library, in words
-        PORT,  # Port of the instrument's server; not 22, which a Debian with a login of its own may use
-        Host,  # An instrument on the network
-        SshLink,  # Opens links to one instrument, one after the other
-    )
-    from .pull.taking import (
-        PullOutcome,  # Outcomes for one recording
-    )
     from .reconstruct import (
         reconstruct_scan,  # Make the cloud of a stored scan from its raw frames, written as PLY to out (None
         salvage,  # Open a scan, damaged or not. Raises ScanError that names what cannot be done without

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     )
     from .atomic import (
         StorageError,  # The disk refused. path and the reason are in the text, and what to do
-        add_beside,  # Write a file that comes from elsewhere, and replace nothing
-        checked_stamp,  # Return the length and sha256 of a file as it lies on the disk. Raises OSError
-        discard,  # Remove what an earlier, failed attempt left. Raises StorageError
         draft_of,  # Return the path at which the new content of path is written before it replaces the old
         make_folders,  # Make a folder and those above it that are missing
         move_folder,  # Rename a folder, whose files are durable, so that the new name is durable
@@ -54,15 +51,11 @@ if TYPE_CHECKING:
         refuse_damaged_frames,  # Compare every byte of a scan's frames with its checksum; ScanError if any differs
     )
     from .filesystem import (
-        AppendingFileSystem,  # A file system on which a file that was begun can be gone on with
         Bytes,  # Content of a file in memory
         FileSystem,  # The operations that storage needs of a file system. Every call raises OSError on failure
         LocalFileSystem,  # The disk of this machine (POSIX)
     )
     from .incomplete import (
-        INCOMPLETE,  # File that says what there is of a recording that broke off
-        INCOMPLETE_FOLDER,  # Folder of recordings that broke off
-        INCOMPLETE_OF,  # Kind of the file, which tells it from a scan's manifest
         IncompleteRecording,  # An incomplete recording as it lies on disk
         find_incomplete,  # Return the folder of a recording by its number. Raises ScanError
         keep_incomplete,  # Make the first frames of a sequence durable, all or nothing, and return their folder
@@ -73,8 +66,6 @@ if TYPE_CHECKING:
         load_calibration,  # Read a calibration file. Raises CalibrationError also for a missing or unreadable file
     )
     from .label import (
-        LABEL,  # File of a scan's name and note
-        LABEL_FILE,  # Name of that file
         LONGEST_NAME,  # Greatest lengths in characters: a name is a column of a list, a note a paragraph
         LONGEST_NOTE,  # Greatest lengths in characters: a name is a column of a list, a note a paragraph
         Label,  # Name and note of a scan; None: there is none
@@ -95,7 +86,6 @@ if TYPE_CHECKING:
     )
     from .manifest import (
         INCOMPLETE_MANIFEST_FILE,  # The file that stands in its place where a scan broke off (incomplete)
-        MANIFEST,  # File that makes a folder a scan
         MANIFEST_FILE,  # Name of that file
         Decision,  # Decisions of the diver about a scan
         Manifest,  # The whole manifest
@@ -113,10 +103,8 @@ if TYPE_CHECKING:
         NameShapeError,  # A name cannot be part of a path; the text says which and what is allowed
         by_number,  # Return what orders names of scans as they were taken, 1000000 after 999999
         component,  # Return name, which is one component of a path; NameShapeError otherwise
-        is_component,  # Tell whether name is one component of a path, neither hidden nor like an option
         is_kept_calibration,  # Return True if name is that of a kept calibration, and of nothing outside its folder
         is_object,  # Return True if name can name an object, whose folder and files are called so
-        scan_number,  # Return the number in the name of a scan's folder
     )
     from .object_numbers import (
         largest_number,  # Return the largest number that one of the newest scans carries, wherever it lies
@@ -135,7 +123,6 @@ if TYPE_CHECKING:
     )
     from .packed import (
         PackedError,  # A packed file cannot be used; the text says why, without its path
-        packed_path,  # Return where the packed form of a file of frames lies
     )
     from .picture_size import (
         KNOWN,  # Formats of pictures whose size is read, in words
@@ -145,6 +132,9 @@ if TYPE_CHECKING:
     from .ply import (
         encode_ply,  # Return the header and body of the file
         write_ply,  # Write a cloud for a desk, whole or not at all
+    )
+    from .pull.pulling import (
+        pull_scans,  # Take what is finished at host and not here to the storage root out
     )
     from .reprocess import (
         ReprocessedScan,  # A stored scan after everything the instrument does with one
@@ -185,7 +175,6 @@ if TYPE_CHECKING:
         second_frames_file,  # Name of the file with one camera's frames of the second exposure, where a scan has one
         size_bytes,  # Return the room one scan with one exposure needs at most
         write_raw,  # Make folder with the frames
-        wrong_files,  # Return what is wrong, by name, with the files a scan must have and those its manifest lists
     )
     from .scan_list import (
         ListedScan,  # One scan of the list, and what it shows

@@ -24,7 +24,6 @@ from appliance.desk.anew.results import Results
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
 from appliance.desk.foreign_import import _publish as publish_import
-from appliance.desk.pull.source import FolderSource
 from appliance.store import archive, incomplete
 from appliance.store import label as labels
 from appliance.store import scan as stored
@@ -32,10 +31,11 @@ from appliance.store.atomic import add_beside, make_folders, replace_by, replace
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Decision
+from appliance.store.pull.source import FolderSource
 from appliance.store.room import Room
 from kingfisher_setup import durable, versions
 from kingfisher_transfer import serving
-from tests.appliance.desk.pull.instrument import instrument, pulled
+from tests.appliance.store.pull.instrument import instrument, pulled
 from tests.appliance.store.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
 from tests.support.power_loss import judge
 from tests.support.solids import Ball, looking, seen
@@ -232,7 +232,7 @@ JUDGED = {
     "appliance/desk/anew/results.py": "results",
     "appliance/calibrate/pictures.py": "recordings",
     "appliance/desk/foreign_import.py": "recordings",
-    "appliance/desk/pull/taking.py": "pulling",
+    "appliance/store/pull/taking.py": "pulling",
     "appliance/store/archive.py": "packed",
     "appliance/store/atomic.py": "files",
     "appliance/calibrate/calibrations.py": "calibrations",

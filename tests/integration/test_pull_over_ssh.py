@@ -23,14 +23,13 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.desk.pull.pulling import HowFar
-from appliance.desk.pull.ssh import Host, SshLink
 from appliance.store import scan as stored
 from appliance.store.library import Library
 from appliance.store.manifest import Decision
+from appliance.store.pull.source import SshLink
 from kingfisher_transfer import keys, serving
 from kingfisher_transfer.serving import Places
-from tests.appliance.desk.pull.instrument import FS, content, instrument, pulled
+from tests.appliance.store.pull.instrument import FS, content, instrument, pulled
 from tests.appliance.store.scenes import ORIGIN, record
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
@@ -55,7 +54,7 @@ class Served:
     known_hosts: Path
 
     def link(self) -> SshLink:
-        return SshLink(Host(f"{USER}@127.0.0.1", self.port, self.identity, self.known_hosts), LIMIT_S)
+        return SshLink(f"{USER}@127.0.0.1", self.port, self.identity, self.known_hosts, LIMIT_S)
 
     def sftp(self, *lines: str) -> str:
         """Return what the sftp program says to each line; it goes on after a refusal."""
@@ -229,11 +228,11 @@ def test_a_link_that_is_cut_in_a_file_is_opened_again_and_goes_on_there(served: 
     here, armed = tmp_path / "desk", True
     cuts: list[list[int]] = []
 
-    def far(how: HowFar) -> None:
+    def far(_doing: str, _done: int, _of: int, done_bytes: int, _of_bytes: int) -> None:
         # What is on the way still comes after a cut; a link that was opened anew counts from nothing again.
         nonlocal armed
-        armed = armed or how.done_bytes < 3_000_000
-        if how.done_bytes > 5_000_000 and armed and len(cuts) < 2:
+        armed = armed or done_bytes < 3_000_000
+        if done_bytes > 5_000_000 and armed and len(cuts) < 2:
             cuts.append(served.sessions())
             for pid in cuts[-1]:
                 os.kill(pid, signal.SIGKILL)

@@ -246,7 +246,7 @@ def test_addresses_of_the_link_alone_come_last(tmp_path: Path, monkeypatch: pyte
 
 
 def test_paths_of_units_settings_and_program_are_the_same_and_nothing_runs_before_the_note_is_there() -> None:
-    from appliance.desk.pull.ssh import PORT, SERVED, USER
+    from appliance.store.pull.source import PORT, SERVED, USER
 
     server, unit, one, users = (
         (SYSTEMD / f"kingfisher{name}").read_text()

@@ -8,13 +8,37 @@ loss of power are the same thing. Nothing is deleted or replaced at either end.
 from __future__ import annotations
 
 import logging
+import os
+import re
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Any
 
-from appliance.desk.pull.source import LinkLost, NotThere, PullError, Source, Unreadable, text_of
-from appliance.desk.pull.taking import (
+from appliance.base import require
+from appliance.store.atomic import add_beside, make_folders
+from appliance.store.filesystem import AppendingFileSystem, LocalFileSystem
+from appliance.store.incomplete import INCOMPLETE_FOLDER
+from appliance.store.library import LibraryFolder
+from appliance.store.lock import hold_lock
+from appliance.store.names import CALIBRATIONS, OBJECTS, by_number, is_component, scan_number
+from appliance.store.pull.source import (
+    LIBRARY,
+    NEEDS_IT,
+    PORT,
+    FolderSource,
+    LinkLost,
+    NotThere,
+    PullError,
+    Source,
+    SshLink,
+    Unreadable,
+    is_linked,
+    text_of,
+)
+from appliance.store.pull.taking import (
     FoundRecording,
     NotYet,
     PullOutcome,
@@ -23,17 +47,6 @@ from appliance.desk.pull.taking import (
     given,
     present,
     take,
-)
-from appliance.store import (
-    CALIBRATIONS,
-    INCOMPLETE_FOLDER,
-    OBJECTS,
-    AppendingFileSystem,
-    LibraryFolder,
-    add_beside,
-    by_number,
-    is_component,
-    scan_number,
 )
 
 WAITS_S = (1.0, 2.0, 4.0, 8.0, 15.0)
@@ -49,6 +62,12 @@ RIG_PLACES = (f"../{INSTRUMENT}/rig.toml", f"{INSTRUMENT}/rig.toml", "../../etc/
 """Places of the rig file: as the instrument's server shows it, in what was pulled before, and on the instrument's own
 disk."""
 _SMALL = (".json", ".html", ".toml")
+ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
+"""Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole
+disk."""
+_WITH_PORT = re.compile(r"((?:[^@]*@)?(?:[^:@\[\]]+|\[[^\]]+\])):(\d{1,5})")
+"""``address:port``; an address of IPv6, which has colons of its own, stands in brackets then."""
+_BRACKETS = str.maketrans("", "", "[]")
 log = logging.getLogger(__name__)
 
 Open = Callable[[], AbstractContextManager[Source]]
@@ -91,28 +110,100 @@ class Pulled:
 
         return sorted((one for one in self.came.values() if one.outcome in outcomes), key=by_shelf)
 
+    def report(self) -> dict[str, Any]:
+        """Return the call in numbers and by item, JSON-ready."""
+        items = [
+            {"path": one.what, "outcome": one.outcome.name.lower(), "reason": one.reason, "bytes": one.size_bytes}
+            for one in self.of(*PullOutcome)
+        ]
+        counts = {outcome.name.lower(): len(self.of(outcome)) for outcome in PullOutcome}
+        facts = {"being_written": self.being_written, "bytes": self.taken_bytes, "links": self.links}
+        return {**counts, **facts, "items": items}
+
+    def lines(self) -> list[str]:
+        """Return what is to be told of what did not come, a line each, and last what did."""
+        lines = [
+            f"{one.what}  {one.outcome.value}: {one.reason}"
+            for one in self.of(PullOutcome.LATER, PullOutcome.DIFFERS, PullOutcome.FAILED)
+        ]
+        if self.being_written:
+            lines.append(f"{self.being_written} still being written or undecided there; left for next time")
+        told = ", ".join(f"{count} {one.value}" for one in PullOutcome if (count := len(self.of(one))))
+        return [*lines, f"{told or 'nothing there'}; {self.taken_bytes / 1e6:.1f} MB"]
+
     @property
     def whole(self) -> bool:
         """True if everything that is finished there is here."""
         return all(one.outcome in (PullOutcome.TAKEN, PullOutcome.ALREADY) for one in self.came.values())
 
 
-@dataclass(frozen=True, slots=True)
-class HowFar:
-    """State of a call."""
-
-    doing: str
-    done: int
-    of: int
-    """Recordings."""
-    done_bytes: int
-    of_bytes: int
+Far = Callable[[str, int, int, int, int], None]
+"""Hears what is done, how many recordings of how many, and how many bytes of how many."""
 
 
-Far = Callable[[HowFar], None]
+class PullWordError(PullError):
+    """A word of the call names no place that scans can be taken from, or to."""
 
 
 def pull_scans(
+    host: str,
+    out: Path,
+    far: Far,
+    *,
+    every: bool = False,
+    identity: Path | None = None,
+    known_hosts: Path | None = None,
+    limit_s: float,
+) -> Pulled:
+    """Take what is finished at ``host`` and not here to the storage root ``out``, which is made where it is not there.
+
+    ``host``: [user@]address[:port] of an instrument, or a folder. ``limit_s``: longest silence of the link.
+
+    Raises PullWordError before anything is made, MissingLibraryError, and as ``pull_from``.
+    """
+    fs, target = LocalFileSystem(), out.absolute()
+    opened = _opened(host, out, identity, known_hosts, limit_s)
+    make_folders(fs, target)
+    if not os.access(target, os.W_OK | os.X_OK):
+        raise PullWordError(f"--out {target}: this user may not write there; give another folder, or change its owner")
+    with hold_lock(target):
+        # An Event that nobody sets: it waits, and Ctrl-C ends the wait.
+        return pull_from(opened, target, fs, every=every, far=far, wait=threading.Event().wait)
+
+
+def _opened(host: str, out: Path, identity: Path | None, known_hosts: Path | None, limit_s: float) -> Open:
+    """Return how the place is reached that the words mean. Raises PullWordError, MissingLibraryError."""
+    if "/" in host or Path(host).is_dir():
+        root = _root_below(Path(host))
+        if identity is not None:
+            raise PullWordError(f"HOST {host}: a folder; --identity is for an instrument on the network")
+        if root.resolve() == out.resolve():
+            raise PullWordError(f"--out {out}: is where the scans are read from; give another folder")
+        return lambda: nullcontext(FolderSource(root))
+    if host.startswith("-") or not host.isprintable() or " " in host or not host:
+        raise PullWordError(f"HOST {host!r}: give an address, [user@]address[:port], or the path of a folder")
+    if identity is not None and not identity.is_file():
+        raise PullWordError(f"--identity {identity}: no such file; give the private key's")
+    require(LIBRARY, LIBRARY, NEEDS_IT)
+    found = _WITH_PORT.fullmatch(host)
+    name, port = (host, PORT) if found is None else (found[1], int(found[2]))
+    if not 0 < port < 65_536:
+        raise PullWordError(f"HOST {host}: port {port}; allowed are 1..65535")
+    return SshLink(name.translate(_BRACKETS), port, identity, known_hosts, limit_s)
+
+
+def _root_below(folder: Path) -> Path:
+    """Return the storage root below a folder. Raises PullWordError."""
+    for root in ROOTS:
+        scans = f"{root}/{LibraryFolder.SCANS.value}"
+        if (folder / scans).is_dir() and not is_linked(folder, scans):
+            return folder / root
+    raise PullWordError(
+        f"HOST {folder}: no scans there; give the folder that holds scans/, or the instrument's mounted disk"
+    )
+
+
+def pull_from(
     opened: Open, target: Path, fs: AppendingFileSystem, *, every: bool, far: Far, wait: Callable[[float], object]
 ) -> Pulled:
     """Take what is finished there and not here to the storage root ``target``, which is there. ``every``: also rejected
@@ -151,7 +242,7 @@ def _attempt(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled
     _beside(source, target, fs, done)
     wanted: list[FoundRecording] = []
     for k, path in enumerate(paths):
-        far(HowFar(f"looking at {path}", k, len(paths), 0, 0))
+        far(f"looking at {path}", k, len(paths), 0, 0)
         if path in done.came:
             continue
         try:
@@ -170,7 +261,7 @@ def _attempt(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled
 
         def came(length: int, k: int = k, path: str = one.path) -> None:
             done.taken_bytes += length
-            far(HowFar(f"taking {path}", k, len(wanted), done.taken_bytes - begun_bytes, of_bytes))
+            far(f"taking {path}", k, len(wanted), done.taken_bytes - begun_bytes, of_bytes)
 
         try:
             take(one, source, fs, target / one.path, came)

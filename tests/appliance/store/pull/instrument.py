@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from appliance.desk.pull.pulling import HowFar, Open, Pulled, pull_scans
-from appliance.desk.pull.source import FolderSource, LinkLost, RemoteEntry, Source
 from appliance.store import incomplete
 from appliance.store import label as labels
 from appliance.store import scan as stored
 from appliance.store.filesystem import AppendingFileSystem, LocalFileSystem
 from appliance.store.manifest import Decision
+from appliance.store.pull.pulling import Far, Open, Pulled, pull_from
+from appliance.store.pull.source import FolderSource, LinkLost, RemoteEntry, Source
 from tests.appliance.store.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 FS = LocalFileSystem()
@@ -62,11 +62,11 @@ def opened(source: Source) -> Open:
 
 def pulled(
     link: Source | Open, target: Path, fs: AppendingFileSystem = FS, *, every: bool = False,
-    far: Callable[[HowFar], None] = lambda _: None,
+    far: Far = lambda *_: None,
 ) -> Pulled:  # fmt: skip
     """One call, which waits for nothing."""
     target.mkdir(exist_ok=True)
-    return pull_scans(link if callable(link) else opened(link), target, fs, every=every, far=far, wait=lambda _: None)
+    return pull_from(link if callable(link) else opened(link), target, fs, every=every, far=far, wait=lambda _: None)
 
 
 class BreakingSource:

@@ -16,9 +16,8 @@ import asyncssh
 import pytest
 
 from appliance.cli import main
-from appliance.desk.pull import ssh
-from appliance.desk.pull.source import LinkLost, NotThere, PullError, RemoteEntry, Unreadable
-from appliance.desk.pull.ssh import Host, SshLink
+from appliance.store.pull import source as sources
+from appliance.store.pull.source import LinkLost, NotThere, PullError, RemoteEntry, SshLink, Unreadable
 
 LIMIT_S = 20.0
 MB = 1 << 20
@@ -36,8 +35,8 @@ class Server:
     known_hosts: Path
 
     @property
-    def host(self) -> Host:
-        return Host("127.0.0.1", self.port, self.identity, self.known_hosts)
+    def link(self) -> SshLink:
+        return SshLink("127.0.0.1", self.port, self.identity, self.known_hosts, LIMIT_S)
 
 
 def new_key(path: Path) -> Any:
@@ -81,8 +80,8 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., Server]]:
     loop.close()
 
 
-def refused(host: Host) -> str:
-    with pytest.raises(PullError) as error, SshLink(host, LIMIT_S)():
+def refused(link: SshLink) -> str:
+    with pytest.raises(PullError) as error, link():
         pass
     return str(error.value)
 
@@ -97,7 +96,7 @@ def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere
     (scans / "a").mkdir()
     (scans / "link").symlink_to("f")
     Path(os.fsdecode(os.fsencode(scans) + b"/\xff")).write_bytes(b"")
-    with SshLink(server.host, LIMIT_S)() as source:
+    with server.link() as source:
         odd, folder, file = sorted(source.listing("scans"), key=lambda entry: (entry.name.isprintable(), entry.name))
         assert not odd.name.isprintable(), "no name that is taken"
         assert (folder.name, folder.folder) == ("a", True)
@@ -110,9 +109,9 @@ def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere
                 ask()
         with pytest.raises(Unreadable):
             list(source.read("scans/a", 0, 9))
-        monkeypatch.setattr(ssh, "MOST_NAMES", 3)
+        monkeypatch.setattr(sources, "MOST_NAMES", 3)
         assert len(source.listing("scans")) == 3
-        monkeypatch.setattr(ssh, "MOST_NAMES", 2)
+        monkeypatch.setattr(sources, "MOST_NAMES", 2)
         with pytest.raises(Unreadable, match="2 names"):
             source.listing("scans")
 
@@ -122,15 +121,15 @@ def test_an_unknown_or_changed_host_key_is_refused_and_an_unknown_ones_line_lets
 ) -> None:
     server = serve()
     server.known_hosts.unlink()
-    said = refused(server.host)
+    said = refused(server.link)
     assert said.endswith(f"{server.known_hosts} and call again: {server.key}")
     server.known_hosts.write_text(said.rpartition("call again: ")[2] + "\n")
-    with SshLink(server.host, LIMIT_S)():
+    with server.link():
         pass
     for kind in ("ssh-ed25519", "ecdsa-sha2-nistp256"):
         other = asyncssh.generate_private_key(kind).export_public_key().decode()
         server.known_hosts.write_text(f"[127.0.0.1]:{server.port} {other}")
-        assert f"`ssh-keygen -R '[127.0.0.1]:{server.port}' -f {server.known_hosts}`" in refused(server.host)
+        assert f"`ssh-keygen -R '[127.0.0.1]:{server.port}' -f {server.known_hosts}`" in refused(server.link)
 
 
 def test_a_name_of_the_users_configuration_brings_address_key_and_known_hosts(
@@ -142,7 +141,7 @@ def test_a_name_of_the_users_configuration_brings_address_key_and_known_hosts(
     (tmp_path / ".ssh" / "config").write_text(
         f"Host reef\n Hostname 127.0.0.1\n IdentityFile {server.identity}\n UserKnownHostsFile {server.known_hosts}\n"
     )
-    with SshLink(Host("reef", server.port), LIMIT_S)() as source:
+    with linked("reef", server.port)() as source:
         assert source.listing("scans") == []
 
 
@@ -155,15 +154,20 @@ def test_a_key_that_is_given_is_the_only_one_that_is_tried_and_no_agent_is_asked
         agent.listen()
         agent.settimeout(0)
         monkeypatch.setenv("SSH_AUTH_SOCK", str(tmp_path / "agent"))
-        with SshLink(server.host, LIMIT_S)():
+        with server.link():
             pass
         new_key(tmp_path / "other")
-        other = replace(server.host, identity=tmp_path / "other")
+        other = replace(server.link, identity=tmp_path / "other")
         assert "does not take this key" in refused(other)
         with pytest.raises(BlockingIOError):
             agent.accept()
     (tmp_path / "other").write_text("no key\n")
     assert "cannot be read: " in refused(other)
+
+
+def linked(host: str, port: int, limit_s: float = LIMIT_S) -> SshLink:
+    """With the user's own keys and known hosts."""
+    return SshLink(host, port, None, None, limit_s)
 
 
 def free_port() -> int:
@@ -174,24 +178,24 @@ def free_port() -> int:
 
 def test_nobody_there_is_told_at_first_and_waited_for_once_there_was_a_link(serve: Callable[..., Server]) -> None:
     both = "[Errno 111] Connect call failed ('::1', 9, 0, 0), [Errno 111] Connect call failed ('127.0.0.1', 9)"
-    found = SshLink(Host("reef", 9))._meant(asyncssh, OSError(f"Multiple exceptions: {both}"))
+    found = linked("reef", 9)._meant(asyncssh, OSError(f"Multiple exceptions: {both}"))
     assert (type(found), "port 9" in str(found)) == (PullError, True), "at any address of a name"
     port = free_port()
-    assert f"port {port}" in refused(Host("127.0.0.1", port))
-    link = SshLink(serve().host, LIMIT_S)
+    assert f"port {port}" in refused(linked("127.0.0.1", port))
+    link = serve().link
     with link():
         pass
-    link._host = Host("127.0.0.1", port)
+    link.port = port
     with pytest.raises(LinkLost), link():
         pass
-    assert "SFTP" in refused(serve(sftp=False).host), "a server without files"
+    assert "SFTP" in refused(serve(sftp=False).link), "a server without files"
 
 
 def test_a_server_that_says_nothing_is_a_lost_link_after_the_limit() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
-        with pytest.raises(LinkLost, match="nothing came"), SshLink(Host("127.0.0.1", other.getsockname()[1]), 0.2)():
+        with pytest.raises(LinkLost, match="nothing came"), linked("127.0.0.1", other.getsockname()[1], 0.2)():
             pass
 
 

@@ -17,30 +17,24 @@ from enum import Enum
 from pathlib import Path
 
 from appliance.base import ContentError
-from appliance.desk.pull.source import NotThere, RemoteEntry, Source, Unreadable, text_of
-from appliance.store import (
-    INCOMPLETE,
-    INCOMPLETE_MANIFEST_FILE,
-    INCOMPLETE_OF,
-    LABEL,
-    LABEL_FILE,
-    MANIFEST,
-    MANIFEST_FILE,
-    AppendingFileSystem,
-    Manifest,
-    ScanError,
+from appliance.store.archive import problems_of
+from appliance.store.atomic import (
     StorageError,
     checked_stamp,
     discard,
-    is_component,
     make_folders,
     move_folder,
-    packed_path,
-    problems_of,
     refused,
     replace_file,
-    wrong_files,
 )
+from appliance.store.filesystem import AppendingFileSystem
+from appliance.store.incomplete import INCOMPLETE, INCOMPLETE_OF
+from appliance.store.label import LABEL, LABEL_FILE
+from appliance.store.manifest import INCOMPLETE_MANIFEST_FILE, MANIFEST, MANIFEST_FILE, Manifest
+from appliance.store.names import is_component
+from appliance.store.packed import packed_path
+from appliance.store.pull.source import NotThere, RemoteEntry, Source, Unreadable, text_of
+from appliance.store.scan import ScanError, wrong_files
 
 TIMES = 3
 """Number of times that a recording whose bytes do not fit is read."""

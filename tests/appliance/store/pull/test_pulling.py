@@ -11,8 +11,15 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.desk.pull.pulling import HowFar, Pulled, pull_scans
-from appliance.desk.pull.source import (
+from appliance.store import archive, incomplete, packed
+from appliance.store import label as labels
+from appliance.store import scan as stored
+from appliance.store.atomic import StorageError
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.manifest import Decision
+from appliance.store.pull.pulling import Pulled, pull_from
+from appliance.store.pull.source import (
     FolderSource,
     LinkLost,
     NotThere,
@@ -22,7 +29,7 @@ from appliance.desk.pull.source import (
     is_linked,
     text_of,
 )
-from appliance.desk.pull.taking import (
+from appliance.store.pull.taking import (
     ROOM_LEFT_BYTES,
     NotYet,
     PullOutcome,
@@ -32,14 +39,7 @@ from appliance.desk.pull.taking import (
     present,
     take,
 )
-from appliance.store import archive, incomplete, packed
-from appliance.store import label as labels
-from appliance.store import scan as stored
-from appliance.store.atomic import StorageError
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.library import Library, LibraryFolder
-from appliance.store.manifest import Decision
-from tests.appliance.desk.pull.instrument import FS, BreakingSource, content, instrument, opened, pulled, scan
+from tests.appliance.store.pull.instrument import FS, BreakingSource, content, instrument, opened, pulled, scan
 from tests.appliance.store.scenes import ORIGIN, BadDisk, cloud, frames, record
 
 MB = 1 << 20
@@ -76,8 +76,8 @@ def test_everything_that_is_finished_comes_byte_for_byte_and_once(there: Path, h
         (there / "scans" / name).mkdir()
     for name in (".000008", "000009"):
         (there / "scans" / name).write_text("")
-    before, told = content(there.parent.parent), list[HowFar]()
-    done = pulled(FolderSource(there), here, far=told.append)
+    before, told = content(there.parent.parent), list[tuple[int, int]]()
+    done = pulled(FolderSource(there), here, far=lambda *far: told.append(far[3:]))
     assert (done.whole, done.being_written) == (True, 1)
     theirs, ours = content(there), content(here)
     none = ("scans/.000008", "scans/000009")
@@ -90,7 +90,7 @@ def test_everything_that_is_finished_comes_byte_for_byte_and_once(there: Path, h
     came = {path: len(data) for path, data in ours.items() if not path.endswith(("manifest.json", "incomplete.json"))}
     assert done.taken_bytes == sum(came.values())
     of_scans = sum(length for path, length in came.items() if path.startswith(("scans/", "incomplete/")))
-    assert told[-1].done_bytes == told[-1].of_bytes == of_scans, "manifests were read while looking"
+    assert told[-1] == (of_scans, of_scans), "manifests were read while looking"
     for number in ("1000000", "999999"):
         scan(there, number, 6)
     stood = {path: path.stat().st_mtime_ns for path in here.rglob("*") if path.is_file() and "run" not in path.parts}
@@ -282,14 +282,14 @@ def test_a_link_that_breaks_now_and_then_is_opened_again_and_one_over_which_noth
     links = iter(BreakingSource(there, 2_000) for _ in range(1000))
     waits: list[float] = []
     here.mkdir()
-    done = pull_scans(lambda: opened(next(links))(), here, FS, every=False, far=lambda _: None, wait=waits.append)
+    done = pull_from(lambda: opened(next(links))(), here, FS, every=False, far=lambda *_: None, wait=waits.append)
     assert done.whole
     assert done.links == len(waits) + 1 > 3
     assert len(done.of(TAKEN)) == 7, "what came over an earlier link is not looked at again"
     assert set(waits) == {1.0}, "each link brought something: none waits longer than after the first break"
     waits.clear()
     with pytest.raises(PullError, match="6 times"):
-        pull_scans(opened(BreakingSource(there, 0)), here, FS, every=False, far=lambda _: None, wait=waits.append)
+        pull_from(opened(BreakingSource(there, 0)), here, FS, every=False, far=lambda *_: None, wait=waits.append)
     assert waits == [1.0, 2.0, 4.0, 8.0, 15.0]
 
 

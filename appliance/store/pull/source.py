@@ -1,21 +1,26 @@
-"""Owns the link to an instrument: asyncssh, which does keys, host keys, encryption and SFTP, and what its complaints
-mean."""
+"""Owns what is asked of the place that scans are taken from, and how it is answered: by a mounted folder or a USB disk,
+and by an instrument over SSH (asyncssh does keys, host keys, encryption and SFTP).
+
+Paths are relative to the storage root there, with ``/`` between names. Nothing is ever changed there: the protocol has
+no way to.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import errno
 import socket
+import stat
 from collections.abc import Coroutine, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from appliance.base import needed
-from appliance.desk.pull.source import BLOCK_BYTES, LinkLost, NotThere, PullError, RemoteEntry, Unreadable, entry_of
 
+BLOCK_BYTES = 1024 * 1024
 LIBRARY = "asyncssh"
 NEEDS_IT = "an instrument on the network"
 USER = "kingfisher-pull"
@@ -23,33 +28,120 @@ PORT = 2222
 """Port of the instrument's server; not 22, which a Debian with a login of its own may use."""
 SERVED = "data"
 """Folder in which the instrument's server shows its storage root; beside it lies ``instrument`` with the rig file."""
-ANSWER_S = 30.0
-"""Longest silence before a link counts as broken."""
 MOST_NAMES = 200_000
 """Most names in a folder that are believed."""
 KNOWN_HOSTS = "~/.ssh/known_hosts"
 T = TypeVar("T")
+_GONE = (errno.ENOENT, errno.ENOTDIR)
+_LINK = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.ESTALE, errno.ENOTCONN, errno.EHOSTDOWN, errno.ETIMEDOUT)
+"""Errors of a network folder or a stick whose cable moved; a disk that fails gives the first of them, too."""
+
+
+class PullError(Exception):
+    """Scans cannot be taken from there at all; the text says why and what to do."""
+
+
+class LinkLost(Exception):
+    """The link broke or fell silent; what was taken is kept, and the next attempt goes on behind it."""
+
+
+class NotThere(Exception):
+    """A file or a folder is not there, or not any more."""
+
+
+class Unreadable(Exception):
+    """A file or a folder is there and is not given; the text names it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Host:
-    """An instrument on the network."""
+class RemoteEntry:
+    """One name in a folder there."""
 
     name: str
-    """``[user@]host``, or a name of the user's ssh configuration."""
-    port: int = PORT
-    identity: Path | None = None
-    known_hosts: Path | None = None
-    """File of the host keys that are trusted; ``None``: the user's own."""
+    size_bytes: int
+    folder: bool
 
 
+class Source(Protocol):
+    """A storage root that is read. Each call may raise LinkLost, and Unreadable for what is not given."""
+
+    def listing(self, folder: str) -> list[RemoteEntry]:
+        """Return the ordinary files and folders in a folder, by name. Raises NotThere."""
+
+    def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
+        """Give a file's bytes from ``start`` to ``end``, in order; fewer where it ends before. Raises NotThere."""
+
+
+class FolderSource:
+    """A storage root on this computer: a mounted share, the instrument's disk, a USB disk."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+
+    def listing(self, folder: str) -> list[RemoteEntry]:
+        with self._told(folder) as path:
+            found = [(one.name, one.lstat()) for one in sorted(path.iterdir())]
+        return [entry for name, about in found if (entry := entry_of(name, about.st_mode, about.st_size)) is not None]
+
+    def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
+        with self._told(path) as here, here.open("rb") as file:
+            file.seek(start)
+            while start < end and (block := file.read(min(BLOCK_BYTES, end - start))):
+                start += len(block)
+                yield block
+
+    @contextmanager
+    def _told(self, path: str) -> Iterator[Path]:
+        """Give where ``path`` lies, and turn OSError into what the protocol promises."""
+        here = self._root / path
+        if is_linked(self._root, path):
+            raise Unreadable(f"{here}: leads over a link, which could lead anywhere on this computer; not followed")
+        try:
+            yield here
+        except OSError as error:
+            kind = NotThere if error.errno in _GONE else LinkLost if error.errno in _LINK else Unreadable
+            raise kind(f"{here}: {error.strerror or error}") from error
+
+
+def entry_of(name: str, mode: int, size_bytes: int) -> RemoteEntry | None:
+    """Return an entry of a listing; ``None`` for what is neither file nor folder: a link could lead anywhere."""
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        return None
+    return RemoteEntry(name, size_bytes, stat.S_ISDIR(mode))
+
+
+def is_linked(root: Path, path: str) -> bool:
+    """Return True if a component of ``path`` below ``root`` is a link: on a strange disk it may lead to the desk's own
+    files."""
+    parts = Path(path).parts
+    return any(root.joinpath(*parts[: k + 1]).is_symlink() for k in range(len(parts)))
+
+
+def text_of(source: Source, path: str, most_bytes: int) -> bytes:
+    """Return a whole small file. Raises NotThere, LinkLost, Unreadable where it is larger than ``most_bytes``."""
+    data = b"".join(source.read(path, 0, most_bytes + 1))
+    if len(data) > most_bytes:
+        raise Unreadable(f"{path}: more than {most_bytes} bytes")
+    return data
+
+
+# -------------------------------------------------- an instrument on the network
+
+
+@dataclass(slots=True)
 class SshLink:
     """Opens links to one instrument, one after the other."""
 
-    def __init__(self, host: Host, limit_s: float = ANSWER_S) -> None:
-        self._host, self._limit_s = host, limit_s
-        self._linked = False
-        """True once there was a link: what is wrong later may pass."""
+    host: str
+    """``[user@]host``, or a name of the user's ssh configuration."""
+    port: int
+    identity: Path | None
+    known_hosts: Path | None
+    """File of the host keys that are trusted; ``None``: the user's own."""
+    limit_s: float
+    """Longest silence before a link counts as broken."""
+    _linked: bool = False
+    """True once there was a link: what is wrong later may pass."""
 
     @contextmanager
     def __call__(self) -> Iterator[SftpSource]:
@@ -63,24 +155,24 @@ class SshLink:
         with asyncio.Runner() as runner:
             loop = runner.get_loop()
             try:
-                connecting = asyncio.wait_for(self._connected(library), self._limit_s)
+                connecting = asyncio.wait_for(self._connected(library), self.limit_s)
                 connection, sftp = loop.run_until_complete(connecting)
             except (library.Error, OSError) as error:
                 raise self._meant(library, error) from error
             self._linked = True
             try:
-                yield SftpSource(library, loop, sftp, self._limit_s, SERVED)
+                yield SftpSource(library, loop, sftp, self.limit_s, SERVED)
             finally:
                 connection.abort()
 
     async def _connected(self, library: ModuleType) -> tuple[Any, Any]:
         """Return a connection to a host whose key is known, and its SFTP; only keys are tried, and nothing is asked."""
-        user, _, address = self._host.name.rpartition("@")
+        user, _, address = self.host.rpartition("@")
         try:
             options = library.SSHClientConnectionOptions(
                 config=(),
                 host=address,
-                port=self._host.port,
+                port=self.port,
                 username=user or USER,
                 preferred_auth="publickey",
                 # The instrument has one host key; asked only for kinds that are known already, it would not show
@@ -90,15 +182,15 @@ class SshLink:
                 encryption_algs="^aes128-gcm@openssh.com",
                 **self._keys(),
             )
-            files = options.known_hosts if self._host.known_hosts is None else [str(self._host.known_hosts)]
+            files = options.known_hosts if self.known_hosts is None else [str(self.known_hosts)]
             files = [str(Path(one).expanduser()) for one in files or [KNOWN_HOSTS]]
             known = library.read_known_hosts([one for one in files if Path(one).exists()])
         except (ValueError, OSError) as error:
             raise self._final(f"the private key, or ssh's own files, cannot be read: {error}") from error
         try:
-            connection = await library.connect(address, self._host.port, options=options, known_hosts=known)
+            connection = await library.connect(address, self.port, options=options, known_hosts=known)
         except library.HostKeyNotVerifiable as error:
-            key = await library.get_server_host_key(address, self._host.port)
+            key = await library.get_server_host_key(address, self.port)
             host, port = options.host_key_alias or options.host, options.port
             place = host if port == library.DEFAULT_PORT else f"[{host}]:{port}"
             if any(library.match_known_hosts(known, host, "", port)[0]):
@@ -117,14 +209,14 @@ class SshLink:
     def _keys(self) -> dict[str, Any]:
         """Return which private keys are tried; one that is given is the only one, and the agent may hold it by its
         public half."""
-        if self._host.identity is None:
+        if self.identity is None:
             return {}
-        public = Path(f"{self._host.identity}.pub")
+        public = Path(f"{self.identity}.pub")
         agent = {"agent_identities": [str(public)]} if public.exists() else {"agent_path": None}
-        return {"client_keys": [str(self._host.identity)], "ignore_encrypted": True, **agent}
+        return {"client_keys": [str(self.identity)], "ignore_encrypted": True, **agent}
 
     def _final(self, meaning: str) -> PullError:
-        return PullError(f"{self._host.name}: {meaning}")
+        return PullError(f"{self.host}: {meaning}")
 
     def _meant(self, library: ModuleType, error: Exception) -> LinkLost | PullError:
         """Return what to tell of a link that was not to be had; what may pass by itself once there was one is a link
@@ -147,11 +239,11 @@ class SshLink:
         refused = isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in said
         if refused and not self._linked:
             return self._final(
-                f"nobody listens at port {self._host.port}; switch TRANSFER on in the instrument's menu (it is off "
+                f"nobody listens at port {self.port}; switch TRANSFER on in the instrument's menu (it is off "
                 "after each "
                 f"power-on) ({said})"
             )
-        return LinkLost(f"{self._host.name}: {said}")
+        return LinkLost(f"{self.host}: {said}")
 
 
 class SftpSource:
