@@ -44,6 +44,22 @@ if TYPE_CHECKING:
         needed,  # Import module of package, which what (a file or a page, in words) cannot do without
         require,  # Raises MissingLibraryError where package is absent, before minutes of work; nothing is imported
     )
+    from .page import (
+        Html,  # A text that is HTML already, for a cell of a table
+        Page,  # A page in the making, from its head on: one file of HTML with its pictures in it
+    )
+    from .plot import (
+        DIVERGING,  # Colours from blue to red through white: negative, none, positive
+        SEQUENTIAL,  # Colours of even steps, also in grey and for those who see no red or green
+        bars,  # Draw a bar for each name, full for a share of 1
+        coloured,  # Return the colour of each value on a scale of colours
+        draw_curves,  # Draw curves by name into axes that hold all of them; a PNG
+        hex_of,  # Return a colour of three numbers 0..255 as HTML writes it
+        histogram,  # Draw how many values lie where between two ends
+        minus,  # Return a number in digits with a minus sign as long as a plus
+        number_text,  # Return a number as an axis has it
+        png,  # Return an image as PNG
+    )
     from .process_start import (
         importing,  # Import modules inside without the garbage collector, and keep it from what they made ever after
         interrupts,  # Return True if error is an interruption (Ctrl-C), or was made of one

@@ -23,14 +23,6 @@ if TYPE_CHECKING:
         Flatness,  # Flatness of a measured plane, as parts of d_r (1 is 100 %)
         flatness,  # Return E_F, E_F,sys and noise of a plane; the 0.3 % outliers are out already
     )
-    from .accept.page import (
-        PAGE_END,  # End of a page that page_head began
-        drawing,  # Return a drawing, a whole svg element, with what it shows
-        figure,  # Return a picture with what it shows
-        page_head,  # Return the page down to its title
-        rows,  # Return a table with one row each (at least one), all with the keys of the first
-        table,  # Return a table of names and values
-    )
     from .accept.plane import (
         PlaneFit,  # A plane found in a cloud and the points it rests on
         fit_plane,  # Return the plane that most of the cloud lies on

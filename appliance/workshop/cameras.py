@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from appliance.base import png
 from appliance.instrument import Devices, ask_devices
 from appliance.measure import SIDES, of_side
 from appliance.store import CameraRig, Instrument
 from appliance.workshop.bench import Image, LightBench, bench_on
 from appliance.workshop.finding import Finding, judged
-from appliance.workshop.plots import png, side_by_side
+from appliance.workshop.page import side_by_side
 from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered, refusal
 from appliance.workshop.trigger import PULSES, fired, trigger_findings
 from drivers.api import Camera, CameraSettings, DeviceError, FeatureValue, HeldSetting, Projector, ReadsBack

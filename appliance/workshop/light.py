@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import draw_curves
 from appliance.measure import STEPS_MS
 from appliance.store import Rig
 from appliance.workshop.finding import BringupError, Finding, judged
-from appliance.workshop.plots import plot
 from appliance.workshop.response import RAMP_CODES, STRAIGHT, ResponseShape, Shape, ramp_codes
 from appliance.workshop.rig_edit import KeyValue, Value
 from appliance.workshop.step import StepOutcome
@@ -390,7 +390,7 @@ def _drawn(lamp: Lamp, period_us: float) -> dict[str, tuple[str, bytes]]:
     shown = list(lamp.profiles)[:MOST_CURVES]
     first_us = lamp.timing.latency_blanks * period_us
     edges_us = [first_us + edge for one in lamp.timing.windows for edge in (one.begins_us, one.ends_us)]
-    flash = plot(
+    flash = draw_curves(
         {f"code {code}": (times_ms[code], lamp.profiles[code]) for code in shown},
         "ms after the blank of the flip",
         "grey values per slice",
@@ -405,5 +405,5 @@ def _drawn(lamp: Lamp, period_us: float) -> dict[str, tuple[str, bytes]]:
             f"{trial.exposure_us / 1000.0:g} ms from {trial.delay_us} us": (codes, lamp.ramps[trial])
             for trial in best[:MOST_CURVES]
         }
-        drawn["grey.png"] = "Light by code, as exposures see it", plot(curves, "code", "share of white")
+        drawn["grey.png"] = "Light by code, as exposures see it", draw_curves(curves, "code", "share of white")
     return drawn

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import appliance
+from appliance.base import draw_curves, png
 from appliance.desk import work_through
 from appliance.instrument import CaptureReport, Devices, DrawnPatterns, FrameStore, ScanRecorder, ScanSettings, opened
 from appliance.measure import (
@@ -38,7 +39,6 @@ from appliance.measure import (
 from appliance.store import Instrument, Library, ScanError, ScanRecord, SequenceInfo, load_scan
 from appliance.workshop.bench import Image
 from appliance.workshop.finding import BringupError, Finding, judged
-from appliance.workshop.plots import plot, png
 from appliance.workshop.response import ResponseShape, Shape, judge_response
 from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered, wall
 from drivers.output.gl import open_gl
@@ -319,7 +319,9 @@ def _seen_response(
     shape = judge_curve(codes, even, odd)
     if shape is None:
         return None, None
-    return shape, plot({"even rows": (codes, even), "odd rows": (codes, odd)}, "code", "share of bright over dark")
+    return shape, draw_curves(
+        {"even rows": (codes, even), "odd rows": (codes, odd)}, "code", "share of bright over dark"
+    )
 
 
 def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, tuple[str, ...]]:

@@ -16,9 +16,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import png
 from appliance.workshop.bench import MOST_FRAMES, Bench, Image, Shot, flat_pictures, lit_part, mean_levels
 from appliance.workshop.finding import Finding, judged
-from appliance.workshop.plots import png
 from appliance.workshop.step import StepOutcome
 
 QUARTERS = (0.25, 0.5, 0.75)

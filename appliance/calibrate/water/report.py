@@ -3,14 +3,23 @@ file."""
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping
 from typing import Any
 
-from appliance.calibrate.water.drawings import cost_svg, residual_svg, seen_svg
+import numpy as np
+
+from appliance.base import Page, bars, draw_curves
+from appliance.calibrate.water.artefact import Residuals
 from appliance.calibrate.water.method import WaterResult
-from appliance.measure import PAGE_END, Calibration, Estimate, HousedCamera, drawing, page_head, rows, table
+from appliance.measure import Calibration, Estimate, HousedCamera
+
+WIDTH = 480
+CELLS = (20, 15)
+FEWEST_IN_CELL = 3
+ARROW = 0.9
+"""Length of the longest usual arrow, in cells."""
+
 
 SCHEMA = 1
 TITLE = "Calibration in water"
@@ -68,32 +77,69 @@ def as_json(
 def as_html(result: WaterResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
     """Return the page; drawings and pictures are in it, and nothing is loaded from elsewhere."""
     content = as_json(result, start, about, left_out)
-    parts = [page_head(TITLE), table(content["about"])]
-    parts += [f'<p class="no">{html.escape(warning)}</p>' for warning in result.warnings]
-    parts += [f'<p class="no">Scan {html.escape(n)} not used: {html.escape(why)}.</p>' for n, why in left_out.items()]
-    parts += ["<h2>Ports</h2>", table(content["ports"])]
-    parts += [
-        "<h2>What is left of the recordings</h2>",
-        table({key: content[key] for key in WHAT_IS_LEFT}),
-        f"<p>{EXPLAINED}</p>",
-    ]
+    page = Page(TITLE, about=content["about"])
+    for warning in result.warnings:
+        page.problem(warning)
+    for name, why in left_out.items():
+        page.problem(f"Scan {name} not used: {why}.")
+    page.heading("Ports")
+    page.facts(content["ports"])
+    page.heading("What is left of the recordings")
+    page.facts({key: content[key] for key in WHAT_IS_LEFT})
+    page.note(EXPLAINED)
     if content["recordings"]:
-        parts.append(rows(content["recordings"]))
+        page.rows(content["recordings"])
     size = result.calibration.rig.left.width_px, result.calibration.rig.left.height_px
     for residuals in result.residuals:
         svg, unit_px = residual_svg(residuals, size)
-        parts.append(drawing(f"{residuals.name}: an arrow as long as a cell is {unit_px:.3f} px", svg))
+        page.figure(f"{residuals.name}: an arrow as long as a cell is {unit_px:.3f} px", svg)
     if result.before:
-        parts += ["<h2>The published models before the operator</h2>", table(content["before"])]
+        page.heading("The published models before the operator")
+        page.facts(content["before"])
     if result.costs:
-        parts += ["<h2>Convergence</h2>", drawing("cost before the first step and after each", cost_svg(result.costs))]
+        page.heading("Convergence")
+        falling = np.arange(len(result.costs), dtype=np.float64), np.log10(np.maximum(result.costs, 1e-300))
+        page.figure(
+            "cost before the first step and after each",
+            draw_curves({"cost": falling}, "step", "cost, power of ten"),
+        )
     if result.estimates:
-        parts += [
-            "<h2>What the recordings could see</h2>",
-            drawing("uncertainty taken from the prior; red: stayed at its prior", seen_svg(result.estimates)),
-            rows(content["estimates"]),
-        ]
-    return "\n".join([*parts, PAGE_END])
+        page.heading("What the recordings could see")
+        seen = {one.name: float(np.clip(1.0 - one.sd / one.prior_sd, 0.0, 1.0)) for one in result.estimates}
+        at_prior = {one.name for one in result.estimates if one.at_prior}
+        page.figure("uncertainty taken from the prior; red: stayed at its prior", bars(seen, at_prior))
+        page.rows(content["estimates"])
+    return page.as_html()
+
+
+def residual_svg(residuals: Residuals, size_px: tuple[int, int]) -> tuple[str, float]:
+    """Return the mean residuals over cells of the left image as arrows, and the px that an arrow of one cell stands
+    for."""
+    width_px, height_px = size_px
+    cell = width_px / CELLS[0]
+    column = np.clip(residuals.left_px[:, 0] / width_px * CELLS[0], 0, CELLS[0] - 1).astype(np.intp)
+    row = np.clip(residuals.left_px[:, 1] / height_px * CELLS[1], 0, CELLS[1] - 1).astype(np.intp)
+    which = row * CELLS[0] + column
+    count = np.bincount(which, minlength=CELLS[0] * CELLS[1])
+    total = np.stack([np.bincount(which, m, minlength=count.size) for m in residuals.miss_px.T], -1)
+    mean = total / np.maximum(count, 1)[:, None]
+    shown = np.flatnonzero(count >= FEWEST_IN_CELL)
+    longest = float(np.percentile(np.linalg.norm(mean[shown], axis=1), 95)) if shown.size else 0.0
+    scale = ARROW * cell / max(longest, 1e-9)
+    lines = []
+    for k in shown:
+        x, y = (k % CELLS[0] + 0.5) * cell, (k // CELLS[0] + 0.5) * height_px / CELLS[1]
+        dx, dy = mean[k] * scale
+        lines.append(
+            f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{0.06 * cell:.0f}"/>'
+            f'<line x1="{x:.0f}" y1="{y:.0f}" x2="{x + dx:.0f}" y2="{y + dy:.0f}"/>'
+        )
+    style = f'stroke="#222" stroke-width="{0.05 * cell:.1f}" fill="#222"'
+    svg = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" viewBox="0 0 {width_px} {height_px}">'
+        f"<g {style}>{''.join(lines)}</g></svg>"
+    )
+    return svg, longest / ARROW
 
 
 def _port(camera: HousedCamera) -> dict[str, float]:

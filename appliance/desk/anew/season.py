@@ -12,11 +12,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 
-from appliance.desk.report.frame import document, head, table, tiles
+from appliance.base import Page
 from appliance.measure import Grade
 
 Cells = Mapping[str, str]
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _WIDE, _HIGH = 1060, 230
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 40, 14, 40
 _COLOURS = ("#11698e", "#b25c00", "#4b7f2a", "#8a3d8f", "#a32638", "#5b6b7b")
@@ -36,29 +35,29 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
     times = sorted(_recorded(row) for row in rows if row["recorded"]) or ["no clock"]
     calibrations = sorted({row["calibration"][:_SHOWN_DIGITS] for row in rows if row["calibration"]})
     about = {"From": times[0], "To": times[-1], "Calibrations": _few(calibrations, 3, ", "), "Table": source}
-    parts = (
-        head("Season at a glance", f"{len(rows)} scans", about),
-        tiles(_tiles(rows)),
-        "<h2>Lengths over time</h2>",
-        _note("Measured, less what the certificate says. A step is a knock or a new calibration, a slope a housing that moves."),
-        _chart(rows, "length_error_mm", "length error, µm", lambda row: row["artefact"]),
-        "<h2>Health of the calibration</h2>",
-        _note("Median distance at which the two rays of a point miss each other. It rises when a camera moved or the water is another."),
-        _chart(known, "gap_mm", "ray gap, µm", lambda row: row["calibration"][:_SHOWN_DIGITS]),
-        "<h2>Noise</h2>",
-        _note("Median expected standard deviation of a point."),
-        _chart(rows, "noise_mm", "noise, µm", lambda row: "spoilt" if row["spoilt"] == "True" else row["grade"] or "not graded"),
-        "<h2>Water</h2>",
-        _note("Temperature that the scans were worked through with."),
-        _chart(rows, "temperature_c", "water, °C", lambda row: f"{row['salinity_psu'].removesuffix('.0')} psu" if row["salinity_psu"] else ""),
-        "<h2>Refused scans, and why</h2>",
-        _refused([row for row in rows if _is_refused(row)]),
+    page = Page("Season at a glance", f"{len(rows)} scans", about)
+    page.tiles(_tiles(rows))
+    charts: tuple[tuple[str, str, Sequence[Cells], str, str, Callable[[Cells], str]], ...] = (
+        ("Lengths over time", "Measured, less what the certificate says. A step is a knock or a new calibration, a slope a housing that moves.",
+         rows, "length_error_mm", "length error, µm", lambda row: row["artefact"]),
+        ("Health of the calibration", "Median distance at which the two rays of a point miss each other. It rises when a camera moved or the water is another.",
+         known, "gap_mm", "ray gap, µm", lambda row: row["calibration"][:_SHOWN_DIGITS]),
+        ("Noise", "Median expected standard deviation of a point.",
+         rows, "noise_mm", "noise, µm", lambda row: "spoilt" if row["spoilt"] == "True" else row["grade"] or "not graded"),
+        ("Water", "Temperature that the scans were worked through with.",
+         rows, "temperature_c", "water, °C", lambda row: f"{row['salinity_psu'].removesuffix('.0')} psu" if row["salinity_psu"] else ""),
     )  # fmt: skip
-    return document("Season", _POLICY, parts)
-
-
-def _note(words: str) -> str:
-    return f'<p class="note">{words}</p>'
+    for heading, words, drawn, column, what, group in charts:
+        page.heading(heading)
+        page.note(words)
+        chart = _chart(drawn, column, what, group)
+        if chart:
+            page.add(chart)
+        else:
+            page.note("Nothing in the table.")
+    page.heading("Refused scans, and why")
+    _add_refused(page, [row for row in rows if _is_refused(row)])
+    return page.as_html()
 
 
 def _tiles(rows: Sequence[Cells]) -> list[tuple[str, str, str]]:
@@ -81,12 +80,12 @@ def _tiles(rows: Sequence[Cells]) -> list[tuple[str, str, str]]:
 
 
 def _chart(rows: Sequence[Cells], column: str, what: str, group: Callable[[Cells], str]) -> str:
-    """Return dots over the scans' order, coloured by their group, with round numbers beside them."""
+    """Return dots over the scans' order, coloured by their group, with round numbers beside them; empty where there is none."""
     scale = 1000.0 if column.endswith("_mm") else 1.0
     # By number of the scan: the order in which they were taken, whatever a clock said.
     points = [(scale * value, at) for at, row in enumerate(rows) if (value := _number(row[column])) is not None]
     if not points:
-        return _note("Nothing in the table.")
+        return ""
     low, high = min(points)[0], max(points)[0]
     largest = max(abs(low), abs(high))
     # Of numbers that differ in their last digits alone, or are hardly more than nothing, an axis would have no length.
@@ -143,15 +142,14 @@ def _is_refused(row: Cells) -> bool:
     return row["state"] != "done" or row["spoilt"] == "True"
 
 
-def _refused(refused: Sequence[Cells]) -> str:
+def _add_refused(page: Page, refused: Sequence[Cells]) -> None:
     if not refused:
-        return _note("None.")
-    kinds = Counter(_kind(row) for row in refused).most_common()
-    each = ((row["scan"], _recorded(row) or "–", _told(row)) for row in refused)
-    return (
-        table(("reason", "scans"), ((html.escape(kind), str(count)) for kind, count in kinds))
-        + "<h2>Each of them</h2>"
-        + table(("scan", "recorded", "what was found"), (map(html.escape, row) for row in each))
+        page.note("None.")
+        return
+    page.rows([{"reason": kind, "scans": count} for kind, count in Counter(map(_kind, refused)).most_common()])
+    page.heading("Each of them")
+    page.rows(
+        [{"scan": row["scan"], "recorded": _recorded(row) or "–", "what was found": _told(row)} for row in refused]
     )
 
 

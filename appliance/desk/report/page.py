@@ -2,7 +2,7 @@
 from outside.
 
 It also owns the surface that can be turned: plotly's own JavaScript within the page, fed with numbers as base64, and
-buttons to colour it.
+buttons to colour it; colour bars and the net of the scans.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import needed
-from appliance.desk.report.charts import colour_bar, hex_of, histogram, minus, net
+from appliance.base import Page, hex_of, histogram, minus, needed, number_text
 from appliance.desk.report.content import (
     Report,
     ReportBudget,
@@ -28,7 +28,6 @@ from appliance.desk.report.content import (
     ReportVerdict,
     Vector,
 )
-from appliance.desk.report.frame import document, head, table, tiles
 from appliance.desk.report.shown import Colouring, ShownSurface, shown, thinned
 from appliance.desk.report.still import still, view_direction
 from appliance.measure import Grade
@@ -160,6 +159,13 @@ def _packed(values: NDArray[Any], kind: str) -> dict[str, str]:
     return {"dtype": {"<f4": "f4", "<i4": "i4"}[kind], "bdata": base64.b64encode(data.tobytes()).decode()}
 
 
+INK, MUTED, LINE = "#1c2733", "#5b6b7b", "#d5dde5"
+VERDICT_COLOURS = {
+    ReportVerdict.GOOD: "#1a7f52",
+    ReportVerdict.DOUBTFUL: "#b26a00",
+    ReportVerdict.UNCHECKED: "#b26a00",
+    ReportVerdict.REFUSED: "#b3261e",
+}
 SUFFIX = ".html"
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'"
 """Content security policy: whatever a browser would fetch from elsewhere is forbidden, so that nothing leaves with the
@@ -181,20 +187,22 @@ def write_report(path: Path | str, report: Report) -> None:
 def page(report: Report) -> str:
     """Return the page as HTML; everything it needs is in it. Raises MissingLibraryError where plotly is absent."""
     full = shown(report)
-    view, scripts = _view(full, report.up) if full is not None else ("", "")
-    parts = [
-        head(report.title, report.subtitle, report.about),
-        tiles(_tiles(report)),
-        _list("Warnings", report.warnings, "warnings"),
-        view,
-        "" if report.nominal is None or full is None else _nominal(report.nominal, full),
-        "" if report.budget is None else _budget(report.budget),
-        _scans(report.scans),
-        _pictures(report.scans),
-        _pairs(report.scans, report.pairs),
-        _READING,
-    ]
-    return document(report.title, _POLICY, parts, scripts)
+    made, scripts = Page(report.title, report.subtitle, report.about), ""
+    made.tiles(_tiles(report))
+    if report.warnings:
+        lines = "".join(f"<li>{html.escape(line)}</li>" for line in report.warnings)
+        made.add(f'<section class="warnings"><h2>Warnings</h2><ul>{lines}</ul></section>')
+    if full is not None:
+        view, scripts = _view(full, report.up)
+        made.add(view)
+        if report.nominal is not None:
+            made.add(_nominal(report.nominal, full))
+    if report.budget is not None:
+        made.add(_budget(report.budget))
+    _add_scans(made, report.scans)
+    _add_pairs(made, report.scans, report.pairs)
+    made.add(_READING)
+    return made.as_html(_POLICY, scripts)
 
 
 def _tiles(report: Report) -> list[tuple[str, str, str]]:
@@ -223,12 +231,6 @@ def _tiles(report: Report) -> list[tuple[str, str, str]]:
             )
         )
     return found
-
-
-def _list(title: str, lines: Sequence[str], kind: str) -> str:
-    if not lines:
-        return ""
-    return f'<section class="{kind}"><h2>{title}</h2><ul>{"".join(f"<li>{html.escape(line)}</li>" for line in lines)}</ul></section>'
 
 
 def _view(full: ShownSurface, up: Vector) -> tuple[str, str]:
@@ -272,10 +274,14 @@ def _nominal(nominal: ReportNominal, full: ShownSurface) -> str:
         # Points beyond the limit are NaN, and out of tolerance all the same.
         outside = 100.0 * (1.0 - float((near <= nominal.tolerance_mm).mean())) if len(near) else 0.0
         lines.append((f"Out of ± {_mm(nominal.tolerance_mm)}", f"{outside:.2f} %"))
+    map_ = full.colourings[0]
+    marks = () if nominal.tolerance_mm is None else (-1000.0 * nominal.tolerance_mm, 1000.0 * nominal.tolerance_mm)
+    mean_um = None if summary.mean_mm is None else 1000.0 * summary.mean_mm
+    drawn = histogram(map_.values, map_.low, map_.high, "deviation in µm, positive outside", marks, mean_um)
     rows = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in lines)
     return (
         f"<section><h2>Deviation from {html.escape(nominal.name)}</h2><div class='beside'>"
-        f"<figure>{histogram(nominal, full.colourings[0])}</figure><table "
+        f"<figure>{drawn}</figure><table "
         f"class='figures'>{rows}</table></div></section>"
     )
 
@@ -295,9 +301,9 @@ def _budget(budget: ReportBudget) -> str:
     )
 
 
-def _scans(scans: Sequence[ReportScan]) -> str:
+def _add_scans(made: Page, scans: Sequence[ReportScan]) -> None:
     if not scans:
-        return ""
+        return
     rows = (
         (
             f"<b>{html.escape(scan.name)}</b>",
@@ -325,24 +331,24 @@ def _scans(scans: Sequence[ReportScan]) -> str:
         "Pose",
         "Remarks",
     )
-    return f"<section><h2>Scans</h2>{table(columns, rows, 'scans')}</section>"
-
-
-def _pictures(scans: Sequence[ReportScan]) -> str:
+    made.heading("Scans")
+    made.table(columns, rows, "scans")
     shown_ = [(scan, scan.picture_png) for scan in scans if scan.picture_png is not None]
     if not shown_:
-        return ""
+        return
     figures = "".join(
         f'<figure><img alt="scan {html.escape(scan.name)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
         f"<figcaption><b>{html.escape(scan.name)}</b> {_given(scan.points, _count)} points</figcaption></figure>"
         for scan, png in shown_
     )
-    return f'<section><h2>Pictures</h2><p class="note">As the left camera sees them; yellow is near, dark is far, within each picture.</p><div class="pictures">{figures}</div></section>'
+    made.heading("Pictures")
+    made.note("As the left camera sees them; yellow is near, dark is far, within each picture.")
+    made.add(f'<div class="pictures">{figures}</div>')
 
 
-def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
+def _add_pairs(made: Page, scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> None:
     if not pairs:
-        return ""
+        return
     rows = (
         (
             f"<b>{html.escape(pair.first)}</b> – <b>{html.escape(pair.second)}</b>",
@@ -356,15 +362,15 @@ def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
         )
         for pair in pairs
     )
-    drawing = net(scans, pairs)
-    figure = (
-        f"<figure>{drawing}<figcaption>Places of the scans; the thicker a line, the larger the overlap. Dashed: "
-        "refused, overlap unknown.</figcaption></figure>"
-        if drawing
-        else ""
-    )
+    made.heading("Pairs of scans")
+    drawn = net(scans, pairs)
+    if drawn:
+        made.add(
+            f"<figure>{drawn}<figcaption>Places of the scans; the thicker a line, the larger the overlap. Dashed: "
+            "refused, overlap unknown.</figcaption></figure>"
+        )
     columns = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Displacement", "Rotation", "Remarks")
-    return f"<section><h2>Pairs of scans</h2>{figure}{table(columns, rows, 'pairs')}</section>"
+    made.table(columns, rows, "pairs")
 
 
 _READING = (
@@ -417,3 +423,65 @@ def _mm(value: float | None) -> str:
     if abs(value) < _SMALL_MM:
         return minus(f"{1000.0 * value:.0f} µm" if abs(value) >= 0.1 else f"{1000.0 * value:.1f} µm")
     return minus(f"{value:.3f} mm")
+
+
+def colour_bar(one: Colouring) -> str:
+    """Return the scale of a colouring with its ends and middle; empty for a plain picture."""
+    if one.name == "Picture":
+        return ""
+    stops = "".join(
+        f'<stop offset="{k / (len(one.colours) - 1):.3f}" stop-color="{hex_of(colour)}"/>'
+        for k, colour in enumerate(one.colours)
+    )
+    name = f"bar-{one.name.lower()}"
+    ticks = "".join(
+        f'<text x="{10 + 400 * part:.0f}" y="40" text-anchor="{anchor}">{html.escape(number_text(one.low + part * (one.high - one.low)))}</text>'
+        for part, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end"))
+    )
+    unit = f" in {one.unit}" if one.unit else ""
+    return (
+        f'<svg class="bar" viewBox="0 0 620 48" role="img" aria-label="{one.name}{unit}"><defs><linearGradient id="{name}">{stops}'
+        f'</linearGradient></defs><rect x="10" y="6" width="400" height="16" rx="3" fill="url(#{name})"/>'
+        f'<g font-size="15" fill="{MUTED}">{ticks}<text x="424" y="20" fill="{INK}">{one.name}{html.escape(unit)}</text></g></svg>'
+    )
+
+
+def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
+    """Return where the scans were taken from and which pairs hold them together; empty where fewer than two have a
+    place."""
+    placed = {scan.name: scan for scan in scans if scan.position_mm is not None}
+    if len(placed) < 2:
+        return ""
+    places = np.array([scan.position_mm for scan in placed.values()], float)
+    centred = places - places.mean(axis=0)
+    # The plane in which the places differ most: the two first right singular vectors.
+    flat = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    if flat.shape[1] < 2:
+        flat = np.column_stack([flat, np.zeros(len(flat))])
+    reach = np.maximum(np.abs(flat).max(axis=0), 1e-6)
+    scale = min(270.0 / reach[0], 110.0 / reach[1])
+    at = {name: (320 + scale * p[0], 140 + scale * p[1]) for name, p in zip(placed, flat, strict=True)}
+    lines = []
+    for pair in sorted(pairs, key=lambda one: one.verdict is not ReportVerdict.REFUSED):
+        if pair.first in at and pair.second in at:
+            (x1, y1), (x2, y2) = at[pair.first], at[pair.second]
+            dash = ' stroke-dasharray="4 4"' if pair.verdict is ReportVerdict.REFUSED else ""
+            thick = 1.0 + 3.0 * math.sqrt((pair.overlap_percent or 0.0) / 100.0)
+            lines.append(
+                f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{VERDICT_COLOURS[pair.verdict]}" '
+                f'stroke-opacity=".7" stroke-width="{thick:.1f}"{dash}/>'
+            )
+    dots = "".join(
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="13" fill="#fff" stroke="{VERDICT_COLOURS[placed[name].verdict]}" stroke-width="2.5"/>'
+        f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{html.escape(_short(name))}</text>'
+        for name, (x, y) in at.items()
+    )
+    return (
+        '<svg class="chart net" viewBox="0 0 640 280" role="img" aria-label="Places of the scans and the pairs between them">'
+        f'{"".join(lines)}<g font-size="11" fill="{INK}">{dots}</g></svg>'
+    )
+
+
+def _short(name: str) -> str:
+    """Return a name that fits into a dot: a scan's number without its zeros."""
+    return (name.lstrip("0") or "0")[-4:]

@@ -8,14 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import DIVERGING, SEQUENTIAL, coloured
 from appliance.desk.report.content import Report
 
 MOST_TURNED = 60_000
 """Points or vertices that a browser on a plain computer turns smoothly."""
-SEQUENTIAL = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-"""Viridis, by S. van der Walt and N. Smith: even steps, also in grey and for those who see no red or green."""
-DIVERGING = ((33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 165, 130), (178, 24, 43))
-"""Blue to red through white, after C. Brewer's RdBu: negative, none, positive."""
 GREYS = ((20, 20, 20), (250, 250, 250))
 
 
@@ -31,6 +28,10 @@ class Colouring:
     """Values of the first and the last colour."""
     unit: str
     colours: tuple[tuple[int, int, int], ...]
+
+    def rgb(self) -> NDArray[np.float32]:
+        """Return (n, 3) float32, 0..255: the colour of each value."""
+        return coloured(self.values, self.low, self.high, self.colours)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,19 +94,6 @@ def thinned(full: ShownSurface, most: int = MOST_TURNED) -> ShownSurface:
         Colouring(one.name, one.values[first], one.low, one.high, one.unit, one.colours) for one in full.colourings
     )
     return ShownSurface(full.points_mm[first], full.normals[first], faces, colourings)
-
-
-def coloured(one: Colouring) -> NDArray[np.float32]:
-    """Return (n, 3) float32, 0..255: the colour of each value, between neighbouring ones of the scale; light grey for
-    NaN."""
-    scale = np.asarray(one.colours, np.float32)
-    part = np.clip((one.values - one.low) / max(one.high - one.low, 1e-9), 0.0, 1.0) * (len(scale) - 1)
-    known = np.isfinite(part)
-    place = np.where(known, part, 0.0)
-    k = np.minimum(place.astype(np.int64), len(scale) - 2)
-    rest = (place - k)[:, None].astype(np.float32)
-    found: NDArray[np.float32] = np.where(known[:, None], scale[k] * (1 - rest) + scale[k + 1] * rest, np.float32(200))
-    return found
 
 
 def _grey(grey: NDArray[np.uint8]) -> Colouring:

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.base import SEQUENTIAL, coloured, png
 from appliance.desk.report.content import Vector
-from appliance.desk.report.shown import SEQUENTIAL, Colouring, ShownSurface, coloured
+from appliance.desk.report.shown import Colouring, ShownSurface
 
 WIDTH_PX, HEIGHT_PX = 1400, 900
 _SCAN_PX = (480, 360)
@@ -55,14 +56,12 @@ def still(shown: ShownSurface, colouring: Colouring, up: Vector) -> str:
     lamp = towards + 0.4 * above - 0.4 * right
     light = np.abs(normal @ (lamp / np.linalg.norm(lamp)))
     light[~np.isfinite(shown.normals[:, 0])] = 0.7
-    rgb = coloured(colouring) * (_AMBIENT + (1 - _AMBIENT) * light)[:, None]
+    rgb = colouring.rgb() * (_AMBIENT + (1 - _AMBIENT) * light)[:, None]
     if shown.faces is not None:
         image = _triangles(shown.faces, column, row, depth, rgb)
     else:
         image = _splats(column, row, depth, rgb)
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[:, :, ::-1]))
-    if not done:
-        raise ValueError("the picture could not be encoded as PNG")
+    data = png(image[:, :, ::-1])
     # What is wider than high is cut to what there is of it, so that paper is not spent on white.
     tall = min(HEIGHT_PX, max(LEAST_PX, high * px_per_mm + 2 * _MARGIN * HEIGHT_PX + 2 * _BAR_PX))
     top = (HEIGHT_PX - tall) / 2
@@ -71,7 +70,7 @@ def still(shown: ShownSurface, colouring: Colouring, up: Vector) -> str:
     bar_px = bar_mm * px_per_mm
     return (
         f'<svg class="still" viewBox="0 {top:.0f} {WIDTH_PX} {tall:.0f}" role="img" aria-label="{html.escape(colouring.name)}">'
-        f'<image width="{WIDTH_PX}" height="{HEIGHT_PX}" href="data:image/png;base64,{base64.b64encode(bytes(data)).decode()}"/>'
+        f'<image width="{WIDTH_PX}" height="{HEIGHT_PX}" href="data:image/png;base64,{base64.b64encode(data).decode()}"/>'
         f'<g font-size="26" font-family="sans-serif" fill="#1c2733"><rect x="40" y="{foot - 40:.0f}" width="{bar_px:.1f}" height="7"/>'
         f'<text x="40" y="{foot - 52:.0f}">{bar_mm:g} mm</text></g></svg>'
     )
@@ -87,13 +86,10 @@ def picture_of_scan(points_mm: NDArray[np.float32], grey: NDArray[np.uint8]) -> 
     column = _SCAN_PX[0] / 2 + (across - (across.min() + across.max()) / 2) * px
     row = _SCAN_PX[1] / 2 + (down - (down.min() + down.max()) / 2) * px
     low, far = (float(value) for value in np.percentile(points[:, 2], (2, 98)))
-    by_depth = coloured(Colouring("Depth", points_mm[:, 2], low, max(far, low + 0.1), "mm", SEQUENTIAL))
+    by_depth = coloured(points_mm[:, 2], low, max(far, low + 0.1), SEQUENTIAL)
     bright = np.clip(grey / max(float(np.percentile(grey, 98)), 1.0), 0.0, 1.0)
     image = _splats(column, row, -points[:, 2], by_depth * (_AMBIENT + (1 - _AMBIENT) * bright)[:, None], _SCAN_PX)
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[:, :, ::-1]))
-    if not done:
-        raise ValueError("the picture could not be encoded as PNG")
-    return bytes(data)
+    return png(image[:, :, ::-1])
 
 
 def _splats(

@@ -3,19 +3,21 @@ file."""
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from appliance.base import DIVERGING, Page, coloured, histogram, png
 from appliance.measure.accept.acceptance import Symbol, overall
-from appliance.measure.accept.page import PAGE_END, figure, page_head, rows, table
-from appliance.measure.accept.pictures import deviation_map, histogram, scale_mm
 from appliance.measure.accept.points import OUTLIER_SHARE, NotFound, Used
 from appliance.measure.accept.result import Artefact, Result
 
 SCHEMA = 1
 TITLE = "Evaluation after VDI/VDE 2634"
+WIDEST_PX = 640
+_EMPTY = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,41 +90,33 @@ def _largest(results: Sequence[Result], symbol: Symbol) -> float | None:
 def as_html(evaluation: Evaluation) -> str:
     """Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
     content = as_json(evaluation)
-    parts = [
-        page_head(TITLE),
-        table(content["about"]),
-        "<h2>Largest errors, mean noise</h2>",
-        table(content["summary"]),
-        (
-            f"<p>E_L = (measured − calibrated)/calibrated. E_F = range of the distances to the best-fit plane / d_r, "
-            f"d_r = {evaluation.reference_mm:g} mm; E_F,sys is that of a bivariate cubic through them. At most "
-            f"{100 * OUTLIER_SHARE:g} % of a surface's points are removed as outliers.</p>"
-        ),
-        (
-            "<p>PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS "
-            "= its "
-            "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the "
-            "distances "
-            "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept "
-            "when "
-            f"it is for every value within them. Limits: <b>{html.escape(content['limits_kept'])}</b>.</p>"
-        ),
-    ]
+    page = Page(TITLE, about=content["about"])
+    page.heading("Largest errors, mean noise")
+    page.facts(content["summary"])
+    page.note(
+        "E_L = (measured − calibrated)/calibrated. E_F = range of the distances to the best-fit plane / d_r, "
+        f"d_r = {evaluation.reference_mm:g} mm; E_F,sys is that of a bivariate cubic through them. At most "
+        f"{100 * OUTLIER_SHARE:g} % of a surface's points are removed as outliers."
+    )
+    page.note(
+        "PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS = its "
+        "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the distances "
+        "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept when "
+        f"it is for every value within them. Limits: {content['limits_kept']}."
+    )
     for item, written in zip(evaluation.items, content["scans"], strict=True):
-        parts.append(f"<h2>Scan {html.escape(item.scan)}: {item.result.artefact.value}</h2>")
+        page.heading(f"Scan {item.scan}: {item.result.artefact.value}")
         # On the page as in the JSON: an artefact that was not found must not look like one without errors.
         if written["reason"] is not None:
-            parts.append(f'<p class="no">Not evaluated: {html.escape(written["reason"])}.</p>')
-        parts.append(table({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")}))
-        if written["lengths"]:
-            parts.append(rows(written["lengths"]))
-        if written["quantities"]:
-            parts.append(rows(written["quantities"]))
-        if written["surfaces"]:
-            parts.append(rows(written["surfaces"]))
-        parts += [_pictures(n, u, evaluation.left_width_px) for n, u in item.result.surfaces.items()]
-        parts.append(table(written["provenance"]))
-    return "\n".join([*parts, PAGE_END])
+            page.problem(f"Not evaluated: {written['reason']}.")
+        page.facts({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")})
+        for key in ("lengths", "quantities", "surfaces"):
+            if written[key]:
+                page.rows(written[key])
+        for name, used in item.result.surfaces.items():
+            _add_pictures(page, name, used, evaluation.left_width_px)
+        page.facts(written["provenance"])
+    return page.as_html()
 
 
 def _item(item: Item) -> dict[str, Any]:
@@ -174,9 +168,23 @@ def _item(item: Item) -> dict[str, Any]:
     }
 
 
-def _pictures(name: str, used: Used, width_px: int) -> str:
-    limit_um = 1000.0 * scale_mm(used)
-    figures = []
-    for what, data in (("deviation", deviation_map(used, width_px)), ("histogram", histogram(used))):
-        figures.append(figure(f"{name}: {what}, ±{limit_um:.0f} µm", data))
-    return "".join(figures)
+def _add_pictures(page: Page, name: str, used: Used, width_px: int) -> None:
+    limit_mm = 3.0 * max(used.rms_mm, 1e-6)
+    page.figure(f"{name}: deviation, ±{1000.0 * limit_mm:.0f} µm", deviation_map(used, width_px, limit_mm))
+    micrometres = 1000.0 * used.residual_mm, -1000.0 * limit_mm, 1000.0 * limit_mm
+    page.figure(f"{name}: histogram", histogram(*micrometres, "deviation in µm"))
+
+
+def deviation_map(used: Used, width_px: int, limit_mm: float) -> bytes:
+    """Return the residuals as the left camera sees them, cut to the surface, as PNG: red positive, blue negative, dark
+    no point; ``limit_mm`` gets full colour."""
+    v, u = np.divmod(used.pixel.astype(np.int64), width_px)
+    v, u = v - v.min(), u - u.min()
+    # Whole pixels are averaged, so that neighbouring cells stand for equally many points.
+    step = int(max(1, np.ceil((u.max() + 1) / WIDEST_PX), np.ceil((v.max() + 1) / WIDEST_PX)))
+    height, width = int(v.max() // step) + 1, int(u.max() // step) + 1
+    cell = (v // step) * width + u // step
+    count = np.bincount(cell, minlength=height * width)
+    mean = np.bincount(cell, used.residual_mm, minlength=height * width) / np.maximum(count, 1)
+    image = np.where(count[:, None] > 0, coloured(mean, -limit_mm, limit_mm, DIVERGING), _EMPTY)
+    return png(image.reshape(height, width, 3)[:, :, ::-1].astype(np.uint8))
