@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Device, Machine, Part, State, boot
+from appliance.instrument.machine.states import Device, Machine, Part, PartTested, State, boot
 from appliance.instrument.machine.step import step
 from appliance.measure.cloud import CloudSummary
-from drivers.api import Key, LaserState, Telemetry
+from drivers.api import Key, KeyPress, LaserState, Telemetry
 from hw_sim.heat import Housing, Powers
 from tests.support import news
 
@@ -59,7 +59,7 @@ class Dive:
         self.machine = boot(0)
         for device in Device:
             self.say(on.DeviceUp(device))
-        self.say(on.BootFinished(), *(on.PartTested(part, True) for part in Part), on.StorageCounted(0, None, 500))
+        self.say(on.BootFinished(), *(PartTested(part, True) for part in Part), on.StorageCounted(0, None, 500))
 
     @property
     def over(self) -> bool:
@@ -83,7 +83,7 @@ class Dive:
             self.light_s += TICK_S if self._lit else 0.0
             self.housing.advance(TICK_S, Powers(self._lit, self._streams, self._lasers))
             now_ns = round(self._now_s * 1e9)
-            self.say(on.Tick(now_ns), on.TelemetryArrived(self._telemetry(now_ns)))
+            self.say(on.Tick(now_ns), self._telemetry(now_ns))
             if not self.samples or self._now_s - 60.0 * self.samples[-1].minute >= SAMPLE_S:
                 self._sample()
 
@@ -91,7 +91,7 @@ class Dive:
         """Aim, press SCAN, look, keep; whether a scan was saved."""
         self.wait(AIM_S)
         number = self.machine.captures + 1
-        self.say(on.KeyPressed(Key.SCAN))
+        self.say(KeyPress(Key.SCAN, 0))
         if self.machine.state is not State.ARMED:
             self.refused[self.machine.state.value] += 1
             return False
@@ -104,7 +104,7 @@ class Dive:
         self.wait(TICK_S)
         self.say(news.coarse(number, SUMMARY), news.full(number, SUMMARY))
         self.wait(LOOK_S)
-        self.say(on.KeyPressed(Key.SCAN))
+        self.say(KeyPress(Key.SCAN, 0))
         self.wait(TICK_S)
         self.scans += 1
         self.say(on.Saved(number, f"{self.scans:06d}"), on.StorageCounted(self.scans, f"{self.scans:06d}", 500))
@@ -114,10 +114,8 @@ class Dive:
         match effect:
             case do.GoLive(light, lasers):
                 self._lit, self._lasers, self._streams = light, lasers, True
-            case do.StopLive():
+            case do.Wish.DARK:
                 self._lit = self._lasers = self._streams = False
-            case do.LightsOff():
-                self._lit = self._lasers = False
             case _:
                 pass
 

@@ -16,6 +16,13 @@ from appliance.instrument.machine.states import Machine, NoticeKind, State
 from appliance.instrument.machine.words import STEP_NAMES, Label, Text
 from drivers.api import Key
 
+_DECISIONS = {
+    do.Wish.SOLVE_CALIBRATION: Text.SOLVE,
+    do.Wish.USE_SOLVED: Text.KEEP,
+    do.Wish.RESTORE_KEPT: Text.RESTORE,
+}
+"""Label of SCAN at a step of the calibration that records nothing, by what it wants there."""
+
 
 def late(machine: Machine) -> Result:
     """Do what follows from a deadline that has passed."""
@@ -174,15 +181,7 @@ def _calibrate(machine: Machine) -> dict[Key, Label]:
         meant[Key.DOWN] = Text.HOLD_NEW
     if calibrate.records(machine):
         meant[Key.SCAN] = Text.REDO if machine.session.done(at.step) else Text.SCAN
-    match calibrate.decision(machine):
-        case do.SolveCalibration():
-            meant[Key.SCAN] = Text.SOLVE
-        case do.UseSolved():
-            meant[Key.SCAN] = Text.KEEP
-        case do.RestoreKeptCalibration():
-            meant[Key.SCAN] = Text.RESTORE
-        case None:
-            pass
-        case unknown:
-            assert_never(unknown)
+    decision = calibrate.decision(machine)
+    if decision is not None:
+        meant[Key.SCAN] = _DECISIONS[decision]
     return meant

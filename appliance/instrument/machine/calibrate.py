@@ -35,18 +35,18 @@ def neighbour(machine: Machine, key: Key) -> Step | None:
     return next((step for step in there if machine.session.open(step)), None)
 
 
-def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.RestoreKeptCalibration | None:
+def decision(machine: Machine) -> do.Wish | None:
     """Return the effect that SCAN has at a step that records nothing."""
     at = machine.calibrating
     if at is None or at.task is not None:
         return None
     if at.step is Step.SOLVE:
-        return do.SolveCalibration()
+        return do.Wish.SOLVE_CALIBRATION
     if at.step is Step.RESULT and machine.session.solved is not None:
         if not machine.session.in_use:
-            return do.UseSolved()
+            return do.Wish.USE_SOLVED
         if machine.session.kept is not None:
-            return do.RestoreKeptCalibration()
+            return do.Wish.RESTORE_KEPT
     return None
 
 
@@ -74,18 +74,16 @@ def pressed(machine: Machine, key: Key) -> Result:
     if step is not None:
         return replace(machine, calibrating=replace(at, step=step)), ()
     wanted = decision(machine) if key is Key.SCAN else None
-    match wanted:
-        case None:
-            return machine, ()
-        case do.SolveCalibration():
-            return _wait(machine, Task.SOLVE, machine.settings.solve_s), (wanted,)
-        case _:
-            return _wait(machine, Task.SWITCH, machine.settings.saving_s), (wanted,)
+    if wanted is None:
+        return machine, ()
+    if wanted is do.Wish.SOLVE_CALIBRATION:
+        return _wait(machine, Task.SOLVE, machine.settings.solve_s), (wanted,)
+    return _wait(machine, Task.SWITCH, machine.settings.saving_s), (wanted,)
 
 
 def begin_session(machine: Machine) -> Result:
     """Put the session away for a new one, as DOWN was held at the result."""
-    return _wait(machine, Task.SWITCH, machine.settings.saving_s), (do.BeginSession(),)
+    return _wait(machine, Task.SWITCH, machine.settings.saving_s), (do.Wish.BEGIN_SESSION,)
 
 
 def captured(machine: Machine, number: int) -> Result:
@@ -93,7 +91,7 @@ def captured(machine: Machine, number: int) -> Result:
     machine = _wait(machine, Task.STORE, machine.settings.saving_s, number)
     # The worker decoded the frames while they came, and its cloud is not wanted: the artefact is looked for in
     # the stored frames, as it will be when the calibration is solved from them.
-    return machine, (do.CancelReconstruction(number), do.StoreRaw(number))
+    return machine, (do.Wish.CANCEL_RECONSTRUCTION, do.StoreRaw(number))
 
 
 def stored(machine: Machine, number: int) -> Result:
@@ -114,7 +112,7 @@ def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
     if check.refusal is None:
         machine = _wait(machine, Task.ACCEPT, machine.settings.saving_s, number)
         machine = replace(machine, calibrating=replace(at, task=Task.ACCEPT, number=number, latest=check))
-        # The step changes with SessionChanged only, which is sent after the fsync (ADR 0020): progress is what
+        # The step changes with the session only, which is sent after the fsync (ADR 0020): progress is what
         # the disk says.
         return machine, (do.AcceptRecording(number, check),)
     said = f"calibration {check.step.value}: {check.refusal.value}: {check.detail}"
@@ -192,7 +190,7 @@ def cancelled(machine: Machine, reason: str) -> tuple[do.Effect, ...]:
     # screen.
     if at is None or at.task not in (Task.STORE, Task.EXAMINE, Task.SOLVE):
         return ()
-    return do.CancelCalibration(), *_dropped(at, reason)
+    return do.Wish.CANCEL_CALIBRATION, *_dropped(at, reason)
 
 
 def _dropped(at: Calibrating, reason: str) -> tuple[do.Effect, ...]:

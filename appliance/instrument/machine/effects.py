@@ -3,11 +3,38 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 from appliance.calibrate import RecordingCheck, Step
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.machine.states import Device
 from appliance.measure import Exposure
+
+
+class Wish(Enum):
+    """Wishes that need nothing more to be said of them."""
+
+    DARK = "dark"
+    """End the live views; projector dark and lasers off now, in whatever state."""
+    ABORT_CAPTURE = "abort capture"
+    """Let go what was armed and end a sequence at the next vertical blank, dark. Its answer is no longer awaited."""
+    RECONSTRUCT = "reconstruct"
+    """Reconstruct the sequence recorded last. Answer News, the last of which is a FullCloud, a PatternIdentity with a
+    fault, or a ReconstructionFailure; of a second sequence a Bracket or a ReconstructionFailure."""
+    CANCEL_RECONSTRUCTION = "cancel reconstruction"
+    """The result is no longer wanted; a worker that hangs may be replaced."""
+    SOLVE_CALIBRATION = "solve calibration"
+    """Adjust to the session's recordings; answer CalibrationProgressed, then the Session or a Failure."""
+    USE_SOLVED = "use solved"
+    """Put what was solved in use and keep the file of before; answer the Session or a Failure, as the next two."""
+    RESTORE_KEPT = "restore kept"
+    """Put the kept file in use again, byte for byte."""
+    BEGIN_SESSION = "begin session"
+    """Put the session away and begin a new one."""
+    CANCEL_CALIBRATION = "cancel calibration"
+    """End what is being examined or solved; its answer is no longer awaited."""
+    LIST_GALLERY = "list gallery"
+    """Answer ScansListed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,16 +47,6 @@ class GoLive:
     light: bool
     lasers: bool
     exposure: Exposure
-
-
-@dataclass(frozen=True, slots=True)
-class StopLive:
-    """End the live views; the projector dark, the lasers off."""
-
-
-@dataclass(frozen=True, slots=True)
-class LightsOff:
-    """Projector dark and lasers off now, in whatever state: light is no longer permitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,34 +73,9 @@ class Capture:
 
 
 @dataclass(frozen=True, slots=True)
-class AbortCapture:
-    """Let go what was armed and end a sequence at the next vertical blank, dark. Its answer is no longer awaited."""
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
 class StoreRaw:
     """Make the raw frames durable in a hidden folder, those of a second sequence beside the first one's; answer
     RawStored or SaveFailed."""
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
-class StartReconstruction:
-    """Reconstruct a sequence.
-
-    Answer News, the last of which is a FullCloud, a PatternIdentity with a fault, or a ReconstructionFailure; of a
-    second sequence a Bracket or a ReconstructionFailure.
-    """
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
-class CancelReconstruction:
-    """The result is no longer wanted; a worker that hangs may be replaced."""
 
     number: int
 
@@ -100,7 +92,7 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Reject:
-    """Move the scan to the rejected ones; answer Rejected or SaveFailed."""
+    """Move the scan to the rejected ones; answer that what was NOT_SAVED is cleared, or SaveFailed."""
 
     number: int
     reason: str
@@ -108,7 +100,7 @@ class Reject:
 
 @dataclass(frozen=True, slots=True)
 class CheckRecording:
-    """Look for the step's artefact in a scan whose raw frames are stored; answer TrialExamined or CalibrationFailed."""
+    """Look for the step's artefact in a scan whose raw frames are stored; answer TrialExamined or a Failure."""
 
     number: int
     step: Step
@@ -116,69 +108,20 @@ class CheckRecording:
 
 @dataclass(frozen=True, slots=True)
 class AcceptRecording:
-    """Publish the scan, then enter it into the session; answer SessionChanged or SaveFailed of this number."""
+    """Publish the scan, then enter it into the session; answer the Session or SaveFailed of this number."""
 
     number: int
     check: RecordingCheck
 
 
 @dataclass(frozen=True, slots=True)
-class SolveCalibration:
-    """Adjust to the session's recordings; answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
+class UseChoices:
+    """Let what the diver chose take effect, and write it down for the next start: patterns of the period (a scan armed
+    meanwhile waits for them), the water of the next scan, and whether scans may be taken off; while they may, answer
+    Transfer."""
 
-
-@dataclass(frozen=True, slots=True)
-class UseSolved:
-    """Put what was solved in use and keep the file of before; answer SessionChanged or CalibrationFailed."""
-
-
-@dataclass(frozen=True, slots=True)
-class RestoreKeptCalibration:
-    """Put the kept file in use again, byte for byte; answer SessionChanged or CalibrationFailed."""
-
-
-@dataclass(frozen=True, slots=True)
-class BeginSession:
-    """Put the session away and begin a new one; answer SessionChanged or CalibrationFailed."""
-
-
-@dataclass(frozen=True, slots=True)
-class CancelCalibration:
-    """End what is being examined or solved; its answer is no longer awaited."""
-
-
-@dataclass(frozen=True, slots=True)
-class RememberChoices:
-    """Write the choices down, for the next start."""
-
-    choices: Choices
-
-
-@dataclass(frozen=True, slots=True)
-class SwitchTransfer:
-    """Scans may be taken off from now on, or not any more; while they may, answer TransferTold."""
-
-    to_on: bool
-
-
-@dataclass(frozen=True, slots=True)
-class UsePeriod:
-    """Patterns, frame memory and worker for another fringe period; a scan armed meanwhile waits for it."""
-
-    period_px: int
-
-
-@dataclass(frozen=True, slots=True)
-class UseWater:
-    """The next scan is measured in this water."""
-
-    salinity_psu: float
-    temperature_c: float
-
-
-@dataclass(frozen=True, slots=True)
-class ListGallery:
-    """Answer ScansListed."""
+    before: Choices
+    now: Choices
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,29 +146,16 @@ class Quit:
 
 
 Effect = (
-    GoLive
-    | StopLive
-    | LightsOff
+    Wish
+    | GoLive
     | Arm
     | Capture
-    | AbortCapture
     | StoreRaw
-    | StartReconstruction
-    | CancelReconstruction
     | Publish
     | Reject
     | CheckRecording
     | AcceptRecording
-    | SolveCalibration
-    | UseSolved
-    | RestoreKeptCalibration
-    | BeginSession
-    | CancelCalibration
-    | RememberChoices
-    | SwitchTransfer
-    | UsePeriod
-    | UseWater
-    | ListGallery
+    | UseChoices
     | ShowGalleryScan
     | ReopenDevice
     | Quit

@@ -1,6 +1,9 @@
 """Owns what can happen to the instrument: every input of ``step`` as a frozen value.
 
-What a scan's frames give comes as ``News``, as the worker tells it. Events about a scan carry the ``number`` of the
+Where somebody below has a value for it, that is the event: what the diver does with the keys (``KeyPress`` …), what the
+board reports (``Telemetry``, ``BoardBooted``), what a scan's frames give (``News``, ``LiveGuidance``), the calibration's
+``Session`` as it lies on the disk, also as the answer to what changed it, or the ``Failure`` of what was wanted of it,
+what the program that serves scans tells (``Transfer``), and a part's self-test (``PartTested``). Events about a scan carry the ``number`` of the
 Capture effect that began it, so that an answer that comes too late is recognised and ignored.
 """
 
@@ -10,12 +13,11 @@ from dataclasses import dataclass
 
 from appliance.calibrate import RecordingCheck, Session
 from appliance.instrument.machine.failure import Failure
-from appliance.instrument.machine.states import Device, Part
+from appliance.instrument.machine.states import Device, Part, PartTested
 from appliance.instrument.machine.transfer import Transfer
-from appliance.instrument.machine.words import Label
 from appliance.instrument.ranging.reach import Range
 from appliance.measure import Fault, FaultCode, LiveGuidance, News
-from drivers.api import Key, Telemetry
+from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck, Telemetry
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,32 +25,6 @@ class Tick:
     """Time passed. Sent at least ten times a second; deadlines are judged here only."""
 
     now_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class KeyPressed:
-    key: Key
-
-
-@dataclass(frozen=True, slots=True)
-class KeyHeld:
-    """The key of the latest KeyPressed has been held for 0.8 s."""
-
-    key: Key
-
-
-@dataclass(frozen=True, slots=True)
-class KeyJammed:
-    """The key does not come back; the driver masks it until it is seen released."""
-
-    key: Key
-
-
-@dataclass(frozen=True, slots=True)
-class KeyFreed:
-    """A key that was jammed is up again, and works."""
-
-    key: Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +39,6 @@ class DeviceDown:
     device: Device
     reason: str
     code: FaultCode | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class BoardReset:
-    """The board's boot banner: everything it was told is forgotten."""
-
-    cause: str
-
-
-@dataclass(frozen=True, slots=True)
-class TelemetryArrived:
-    telemetry: Telemetry
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,24 +79,8 @@ class ObjectsCounted:
 
 
 @dataclass(frozen=True, slots=True)
-class TransferTold:
-    """The program that serves scans to desks told something new."""
-
-    transfer: Transfer
-
-
-@dataclass(frozen=True, slots=True)
 class BootFinished:
     """Everything that can be opened was tried once."""
-
-
-@dataclass(frozen=True, slots=True)
-class PartTested:
-    """The self-test's result of a part that is no device."""
-
-    part: Part
-    passed: bool
-    detail: Label = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,14 +134,6 @@ class SaveFailed:
 
 
 @dataclass(frozen=True, slots=True)
-class Rejected:
-    """The scan the diver did not want lies among the rejected ones."""
-
-    number: int
-    scan_id: str
-
-
-@dataclass(frozen=True, slots=True)
 class TrialExamined:
     """A recording for a step of the calibration was judged."""
 
@@ -202,24 +142,10 @@ class TrialExamined:
 
 
 @dataclass(frozen=True, slots=True)
-class SessionChanged:
-    """The calibration's session as it lies on the disk now; also the answer to what changed it."""
-
-    session: Session
-
-
-@dataclass(frozen=True, slots=True)
 class CalibrationProgressed:
     """The adjustment went on: its progress, 0..1."""
 
     progress: float
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationFailed:
-    """A request of the calibration came to nothing; the session is as it was."""
-
-    failure: Failure
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,25 +167,23 @@ class ScansListed:
 class StopRequested:
     """The operating system wants the service to end (SIGTERM)."""
 
-    reason: str
-
 
 Event = (
     Tick
-    | KeyPressed
-    | KeyHeld
-    | KeyJammed
+    | KeyPress
+    | KeyLongPress
+    | KeyStuck
     | KeyFreed
+    | Telemetry
+    | BoardBooted
     | DeviceUp
     | DeviceDown
-    | BoardReset
-    | TelemetryArrived
     | ConditionRaised
     | ConditionCleared
     | Told
     | StorageCounted
     | ObjectsCounted
-    | TransferTold
+    | Transfer
     | BootFinished
     | PartTested
     | PartBusy
@@ -271,11 +195,10 @@ Event = (
     | LiveGuidance
     | Saved
     | SaveFailed
-    | Rejected
     | TrialExamined
-    | SessionChanged
+    | Session
     | CalibrationProgressed
-    | CalibrationFailed
+    | Failure
     | Ranged
     | ScansListed
     | StopRequested

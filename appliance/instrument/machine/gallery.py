@@ -12,7 +12,7 @@ from drivers.api import Key
 
 def open_gallery(machine: Machine) -> Result:
     """Open the gallery from AIM, or from the menu, which is where BACK leads then."""
-    return replace(enter(machine, State.GALLERY), gallery=Gallery()), (do.ListGallery(),)
+    return replace(enter(machine, State.GALLERY), gallery=Gallery()), (do.Wish.LIST_GALLERY,)
 
 
 def listed(machine: Machine, scans: tuple[str, ...]) -> Result:

@@ -50,7 +50,7 @@ def _to_safe(machine: Machine, cause: Fault) -> Result:
     effects: tuple[do.Effect, ...] = ()
     scan = machine.scan
     if machine.state in RECORDING:
-        effects = (do.AbortCapture(machine.captures),)
+        effects = (do.Wish.ABORT_CAPTURE,)
     elif machine.state is State.CALIBRATE:
         effects = calibrate.cancelled(machine, cause.detail or cause.code.value)
     deadline_ns = machine.deadline_ns
@@ -130,9 +130,9 @@ def stop(machine: Machine, how: Ending) -> Result:
         return saving.keep(machine, scan)
     match machine.state:
         case State.ARMED | State.CAPTURE:
-            effects: tuple[do.Effect, ...] = (do.AbortCapture(machine.captures),)
+            effects: tuple[do.Effect, ...] = (do.Wish.ABORT_CAPTURE,)
         case State.CHECK | State.RECONSTRUCT | State.REVIEW if scan is not None and not scan.settled:
-            effects = (do.CancelReconstruction(scan.number),)
+            effects = (do.Wish.CANCEL_RECONSTRUCTION,)
         case State.CALIBRATE:
             effects = calibrate.cancelled(machine, "switched off")
         case _:

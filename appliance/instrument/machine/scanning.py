@@ -120,10 +120,9 @@ def armed(machine: Machine, number: int) -> Result:
 
 def abandon(machine: Machine, notice: Notice | None) -> Result:
     """Give up what is being recorded."""
-    number = machine.captures
     if notice is not None and notice.kind is NoticeKind.FAILURE:
         notice = _failure(machine, notice.fault)
-    return replace(home(machine), notice=notice), (do.AbortCapture(number),)
+    return replace(home(machine), notice=notice), (do.Wish.ABORT_CAPTURE,)
 
 
 def _failure(machine: Machine, fault: Fault) -> Notice:
@@ -151,10 +150,10 @@ def finished(machine: Machine, number: int) -> Result:
         # A second sequence is not stored yet: its frames are written when the merge has succeeded (ADR 0025), so
         # that a refused one leaves nothing to be undone.
         machine = enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
-        return machine, (do.StartReconstruction(number),)
+        return machine, (do.Wish.RECONSTRUCT,)
     machine = enter(machine, State.CHECK, machine.settings.reconstruct_s)
     machine = replace(machine, scan=ScanInHand(number, machine.exposure), overlap_of=number)
-    return machine, (do.StoreRaw(number), do.StartReconstruction(number))
+    return machine, (do.StoreRaw(number), do.Wish.RECONSTRUCT)
 
 
 def failed(machine: Machine, number: int, fault: Fault) -> Result:
@@ -294,7 +293,7 @@ def no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
     if scan is None:
         return enter(machine, State.AIM), ()
     machine, effects = _show(replace(machine, scan=replace(scan, failed=fault)))
-    return machine, (do.CancelReconstruction(scan.number), *effects) if cancel else effects
+    return machine, (do.Wish.CANCEL_RECONSTRUCTION, *effects) if cancel else effects
 
 
 def _show(machine: Machine) -> Result:
@@ -350,5 +349,5 @@ def drop(machine: Machine, reason: str) -> Result:
         machine = enter(machine, State.AIM)
     if scan is None:
         return machine, after
-    cancel = () if scan.settled else (do.CancelReconstruction(scan.number),)
+    cancel = () if scan.settled else (do.Wish.CANCEL_RECONSTRUCTION,)
     return machine, (*cancel, do.Reject(scan.number, reason), *after)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.instrument.machine import events as on
 from appliance.instrument.machine.conditions import device_down
 from appliance.instrument.machine.moves import Result, enter
 from appliance.instrument.machine.permissions import refusal
-from appliance.instrument.machine.states import Device, Machine, Part, State, Tested, seconds_ns
+from appliance.instrument.machine.states import Device, Machine, Part, PartTested, State, seconds_ns
 from appliance.instrument.machine.words import Text
 from drivers.api import Key
 
@@ -20,9 +19,9 @@ def booted(machine: Machine) -> Result:
     return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
 
 
-def tested(machine: Machine, event: on.PartTested) -> Machine:
+def tested(machine: Machine, result: PartTested) -> Machine:
     """Take over a part's result, which may come again and be another."""
-    return replace(machine, parts={**machine.parts, event.part: Tested(event.passed, event.detail)})
+    return replace(machine, parts={**machine.parts, result.part: result})
 
 
 def busy(machine: Machine, part: Part) -> Machine:
@@ -88,6 +87,6 @@ def late(machine: Machine) -> Result:
     for device in Device:
         if device not in machine.up and device not in machine.lost:
             machine = device_down(machine, device, Text.NO_ANSWER.english, None)
-    silent = {part: Tested(False, Text.NO_ANSWER) for part in Part if part not in machine.parts}
+    silent = {part: PartTested(part, False, Text.NO_ANSWER) for part in Part if part not in machine.parts}
     # Shown from now on, for as long as any other result.
     return enter(replace(machine, parts={**machine.parts, **silent}), State.SELF_TEST), ()

@@ -85,9 +85,10 @@ class Part(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Tested:
-    """Result of the self-test for one part."""
+class PartTested:
+    """Result of the self-test for a part that is no device."""
 
+    part: Part
     passed: bool
     detail: Label = ""
 
@@ -363,7 +364,7 @@ class Machine:
     """Silent repetitions of the current capture."""
     choices: Choices = field(default_factory=Choices)
     """Choices for the next scan and the live views, until the diver changes them."""
-    parts: Mapping[Part, Tested] = field(default_factory=dict, hash=False)
+    parts: Mapping[Part, PartTested] = field(default_factory=dict, hash=False)
     """Results of the self-test; a part that is missing has not been heard of."""
     menu: Menu | None = None
     """Menu in MENU, and in a GALLERY that was entered from there."""

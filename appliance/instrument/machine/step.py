@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
+from appliance.calibrate import Session
 from appliance.instrument.machine import (
     asking,
     by_state,
@@ -26,13 +27,15 @@ from appliance.instrument.machine import (
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.conditions import cleared, device_down, device_up, judge, raised
+from appliance.instrument.machine.failure import Failure
 from appliance.instrument.machine.guiding import guides
 from appliance.instrument.machine.moves import Result
 from appliance.instrument.machine.permissions import may_lase, may_light, may_shine, refusal
-from appliance.instrument.machine.states import Device, Ending, Machine, Notice, NoticeKind, State
-from appliance.instrument.machine.transfer import NOT_TOLD
+from appliance.instrument.machine.states import Device, Ending, Machine, Notice, NoticeKind, PartTested, State
+from appliance.instrument.machine.transfer import NOT_TOLD, Transfer
 from appliance.instrument.ranging.reach import Reach, reach_of
 from appliance.measure import Fault, FaultCode, LiveGuidance, News
+from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck, Telemetry
 
 
 def step(machine: Machine, event: on.Event) -> Result:
@@ -59,24 +62,24 @@ def _react(machine: Machine, event: on.Event) -> Result:
     match event:
         case on.Tick(now_ns):
             return _tick(machine, now_ns)
-        case on.KeyPressed(key):
+        case KeyPress(key):
             # A key that is pressed is not stuck any more; what this press means was still said by the labels of
             # before.
             return keys.pressed(replace(machine, stuck=machine.stuck - {key}), keys.meaning(machine, key))
-        case on.KeyHeld(key):
+        case KeyLongPress(key):
             return keys.held(machine, keys.meaning(machine, key))
-        case on.KeyJammed(key):
+        case KeyStuck(key):
             return replace(machine, stuck=machine.stuck | {key}), ()
-        case on.KeyFreed(key):
+        case KeyFreed(key):
             return replace(machine, stuck=machine.stuck - {key}), ()
         case on.DeviceUp(device):
             return device_up(machine, device), ()
         case on.DeviceDown(device, reason, code):
             return device_down(machine, device, reason, code), ()
-        case on.BoardReset(cause):
-            return safety.board_reset(machine, cause)
-        case on.TelemetryArrived(telemetry):
-            return thermal.felt(judge(machine, telemetry), telemetry), ()
+        case BoardBooted():
+            return safety.board_reset(machine, event.cause)
+        case Telemetry():
+            return thermal.felt(judge(machine, event), event), ()
         case on.ConditionRaised(fault):
             return raised(machine, fault), ()
         case on.ConditionCleared(code, name):
@@ -87,12 +90,12 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return _counted(machine, scans, last_scan, scans_left), ()
         case on.ObjectsCounted(largest):
             return replace(machine, objects_used=largest), ()
-        case on.TransferTold(transfer):
+        case Transfer():
             # What was told of a transfer that was switched off since is of no interest.
-            return (replace(machine, transfer=transfer), ()) if machine.choices.transfer else (machine, ())
+            return (replace(machine, transfer=event), ()) if machine.choices.transfer else (machine, ())
         case on.BootFinished():
             return start.booted(machine)
-        case on.PartTested():
+        case PartTested():
             return start.tested(machine, event), ()
         case on.PartBusy(part):
             return start.busy(machine, part), ()
@@ -113,16 +116,14 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return saving.saved(machine, number, scan_id)
         case on.SaveFailed(number, fault):
             return saving.failed(machine, number, fault)
-        case on.Rejected():
-            return cleared(machine, FaultCode.NOT_SAVED), ()
         case on.TrialExamined(number, check):
             return calibrate.examined(machine, number, check)
-        case on.SessionChanged(session):
-            return calibrate.session_changed(machine, session)
+        case Session():
+            return calibrate.session_changed(machine, event)
         case on.CalibrationProgressed(progress):
             return calibrate.progressed(machine, progress), ()
-        case on.CalibrationFailed(failure):
-            return calibrate.failed(machine, failure)
+        case Failure():
+            return calibrate.failed(machine, event)
         case on.Ranged(measured):
             # The word keeps a memory (hysteresis), so that it does not flicker where the distance lies at a
             # limit.
@@ -158,14 +159,15 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
     """Add what follows from where the machine was and is: light, live views, and choices that take effect."""
     first: list[do.Effect] = []
     last: list[do.Effect] = []
-    # Off comes before everything else that this step does, on after it.
-    if may_light(before) and not may_light(after):
-        first.append(do.LightsOff())
     live_before, live_after = _live(before), _live(after)
-    if live_after is None and live_before is not None:
-        first.append(do.StopLive())
-    elif live_after is not None and live_after != live_before:
+    # Off comes before everything else that this step does, on after it.
+    if (may_light(before) and not may_light(after)) or (live_after is None and live_before is not None):
+        first.append(do.Wish.DARK)
+    if live_after is not None and live_after != live_before:
         last.append(live_after[0])
+    if after.choices != before.choices:
+        # Compared, not told by each key: whatever way a choice changed, it takes effect here.
+        first.append(do.UseChoices(before.choices, after.choices))
     lasers = live_after is not None and live_after[0].lasers
     if lasers:
         after = replace(after, lasers_off_since_ns=None)
@@ -183,23 +185,7 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
     lit = live_after is not None and live_after[0].light
     if lit is not after.thermal.lit:
         after = replace(after, thermal=replace(after.thermal, lit=lit))
-    return after, (*first, *_taken(before, after), *wanted, *last)
-
-
-def _taken(before: Machine, after: Machine) -> tuple[do.Effect, ...]:
-    """Return the effects of the diver's choices, which hold at once and are remembered."""
-    # Compared, not told by each key: whatever way a choice changed, it takes effect here.
-    was, is_now = before.choices, after.choices
-    effects: list[do.Effect] = []
-    if is_now.period_px != was.period_px:
-        effects.append(do.UsePeriod(is_now.period_px))
-    if (is_now.salinity_psu, is_now.water_c) != (was.salinity_psu, was.water_c):
-        effects.append(do.UseWater(is_now.salinity_psu, is_now.water_c))
-    if is_now.transfer is not was.transfer:
-        effects.append(do.SwitchTransfer(is_now.transfer))
-    if is_now != was:
-        effects.append(do.RememberChoices(is_now))
-    return tuple(effects)
+    return after, (*first, *wanted, *last)
 
 
 # -------------------------------------------------------------------------------------------- time

@@ -19,7 +19,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from types import TracebackType
-from typing import Any, Self, assert_never
+from typing import Any, Self
 
 from appliance.calibrate import (
     Calibrations,
@@ -52,31 +52,6 @@ Job = Callable[..., Any]
 """Called with its arguments and a ``Progress``."""
 
 
-@dataclass(frozen=True, slots=True)
-class Progressed:
-    """The job is so far."""
-
-    progress: float
-
-
-@dataclass(frozen=True, slots=True)
-class Done:
-    """The job's answer."""
-
-    answer: Any
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """The job raised, or its process is gone; why, in words."""
-
-    reason: str
-    error: str | None = None
-    """Name of the exception's class, where the job raised one."""
-    about: str = ""
-    """The subject of the exception in a word, where it has an ``about``."""
-
-
 class Background:
     """The parent's end. ``poll`` and all else are called by one thread, and none of it waits for the job."""
 
@@ -106,12 +81,13 @@ class Background:
         self.busy = True
         self._child.send((self._ticket, job, arguments))
 
-    def poll(self) -> Progressed | Done | Failed | None:
-        """Return the next thing it says about the job that was asked for last."""
+    def poll(self) -> object | None:
+        """Return the next thing that is known of the job that was asked for last: CalibrationProgressed, the Failure
+        that it came to where it raised or its process is gone, or its answer."""
         if not self._child.runs:
             if self.busy:
                 self.busy = False
-                return Failed("no process could be started; restart the instrument")
+                return Failure(FailureKind.BROKEN_OFF, "no process could be started; restart the instrument")
             return None
         try:
             # Past what earlier jobs still say, up to the first word on this one: one for each heartbeat is enough.
@@ -122,19 +98,19 @@ class Background:
         except ChildGone as gone:
             was_busy = self.busy
             self.stop()
-            return Failed(str(gone)) if was_busy else None
+            return Failure(FailureKind.BROKEN_OFF, str(gone)) if was_busy else None
         return None
 
-    def _of_this_job(self, message: object) -> Progressed | Done | Failed | None:
+    def _of_this_job(self, message: object) -> object | None:
         match message:
-            case (int(ticket), outcome) if ticket != self._ticket or not self.busy:
+            case (int(ticket), _) if ticket != self._ticket or not self.busy:
                 return None
-            case (int(), Progressed() | Done() | Failed() as outcome):
-                self.busy = isinstance(outcome, Progressed)
+            case (int(), outcome) if outcome is not None:
+                self.busy = isinstance(outcome, on.CalibrationProgressed)
                 return outcome
             case _:
                 self.busy = False
-                return Failed(f"it sent a {type(message).__name__}, which is no answer")
+                return Failure(FailureKind.BROKEN_OFF, f"it sent a {type(message).__name__}, which is no answer")
 
     def stop(self) -> None:
         """Give up the job, if there is one, and end the process."""
@@ -154,15 +130,14 @@ def _serve(pipe: Connection) -> None:
 
             def report(what: str, fraction: float | None = None, /, ticket: int = ticket) -> None:
                 if fraction is not None:
-                    pipe.send((ticket, Progressed(fraction)))
+                    pipe.send((ticket, on.CalibrationProgressed(fraction)))
 
             try:
-                outcome: Done | Failed = Done(job(*arguments, report))
+                outcome = job(*arguments, report)
             except (EOFError, BrokenPipeError):
                 raise
             except Exception as error:  # the one place where it can still be named
-                about = str(getattr(error, "about", ""))
-                outcome = Failed(str(error) or type(error).__name__, type(error).__name__, about)
+                outcome = _failure(error)
             pipe.send((ticket, outcome))
     except (EOFError, OSError):
         return  # the parent closed the pipe: the normal end
@@ -171,16 +146,16 @@ def _serve(pipe: Connection) -> None:
 log = logging.getLogger("kingfisher")
 
 _FAILURES = {
-    RecordingError.__name__: FailureKind.RECORDING,
-    CertificateMissing.__name__: FailureKind.CERTIFICATE,
-    CamerasDiffer.__name__: FailureKind.CAMERAS,
-    NotConverged.__name__: FailureKind.NO_SOLUTION,
-    ScanError.__name__: FailureKind.RECORDING,
-    CalibrationError.__name__: FailureKind.FILES,
-    SessionError.__name__: FailureKind.FILES,
-    StorageError.__name__: FailureKind.DISK,
+    RecordingError: FailureKind.RECORDING,
+    CertificateMissing: FailureKind.CERTIFICATE,
+    CamerasDiffer: FailureKind.CAMERAS,
+    NotConverged: FailureKind.NO_SOLUTION,
+    ScanError: FailureKind.RECORDING,
+    CalibrationError: FailureKind.FILES,
+    SessionError: FailureKind.FILES,
+    StorageError: FailureKind.DISK,
 }
-"""Kinds of failure by the name of an exception's class: what a job raises in its own process arrives as words."""
+"""Kinds of failure by an exception's class."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,17 +203,17 @@ class CalibrationController:
             log.warning("no process for calibrating yet: %s", error)
 
     def examine(self, number: int, step: Step) -> None:
-        """Answer TrialExamined or CalibrationFailed."""
+        """Answer TrialExamined or a Failure."""
         folder = self._scans.folder(number)
         if folder is None:
             reason = "the recording is not on the disk; record it again"
-            self._events.append(on.CalibrationFailed(Failure(FailureKind.RECORDING, reason)))
+            self._events.append(Failure(FailureKind.RECORDING, reason))
             return
         self._number = number
         self._background.ask(examine_recording, self._rig, step, folder)
 
     def accept(self, number: int, check: RecordingCheck) -> None:
-        """Publish the scan and enter it into the session; answer SessionChanged or SaveFailed."""
+        """Publish the scan and enter it into the session; answer the Session or SaveFailed."""
         numbers = {"points": float(check.points), "rms_mm": check.number}
         verdict = Verdict("calibration", True, numbers, f"{check.step.value}: {check.detail}")
         verified = self._verified
@@ -252,18 +227,18 @@ class CalibrationController:
             if check.step is Step.VERIFY and session.right and session.length_error is not None:
                 # Left for the heartbeat: the watch over the ray gaps is changed by one thread only.
                 self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
-            return [on.SessionChanged(session)]
+            return [session]
 
         self._scans.accept(number, verdict, entered)
 
     def solve(self) -> None:
-        """Answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
+        """Answer CalibrationProgressed, then the Session or a Failure."""
         self._background.ask(
             solve_calibration, self._rig, self._scans.calendar.today().utc.isoformat(timespec="seconds")
         )
 
     def use_solved(self) -> None:
-        """Answer SessionChanged or CalibrationFailed; the calibration in use is another from then on."""
+        """Answer the Session or a Failure; the calibration in use is another from then on."""
         date = self._scans.calendar.today().utc.date().isoformat()
         # Read back from the disk behind the change: what is measured with from now on is what the next start would
         # find.
@@ -274,7 +249,7 @@ class CalibrationController:
         self._ask(lambda: _Changed(self._store.restore(), Instrument(self._rig).calibration()))
 
     def begin(self) -> None:
-        """Begin a new session; answer SessionChanged or CalibrationFailed."""
+        """Begin a new session; answer the Session or a Failure."""
         self._ask(lambda: _Changed(self._store.begin()))
 
     def cancel(self) -> None:
@@ -293,26 +268,22 @@ class CalibrationController:
         while self._passed:
             events += self._lengths_right(self._passed.popleft())
         match self._background.poll():
-            case Progressed(progress):
-                events.append(on.CalibrationProgressed(progress))
-            case Done(Examined(check, verified)):
+            case on.CalibrationProgressed() as progressed:
+                events.append(progressed)
+            case Examined(check, verified):
                 log.info("calibration %s: %s (%s)", check.step.value, _outcome(check), check.detail)
                 self._verified = verified
                 events.append(on.TrialExamined(self._number, check))
-            case Done(Solution() as solution):
+            case Solution() as solution:
                 self._solved(solution)
-            # A job answers what it likes: one that fits nothing must not leave the diver waiting.
-            case Done(answer):
-                events.append(
-                    on.CalibrationFailed(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(answer).__name__}"))
-                )
-            case Failed(reason, error, about):
-                log.warning("calibration: %s", reason)
-                events.append(on.CalibrationFailed(_failure(error, reason, about)))
+            case Failure() as failure:
+                log.warning("calibration: %s", failure.detail)
+                events.append(failure)
             case None:
                 pass
-            case unknown:
-                assert_never(unknown)
+            # A job answers what it likes: one that fits nothing must not leave the diver waiting.
+            case other:
+                events.append(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(other).__name__}"))
         return events
 
     @property
@@ -344,8 +315,8 @@ class CalibrationController:
             changed = answer.result()
         except (StorageError, SessionError, CalibrationError) as error:
             log.warning("calibration: %s", error)
-            return [on.CalibrationFailed(_failure(type(error).__name__, str(error)))]
-        events: list[on.Event] = [on.SessionChanged(changed.session)]
+            return [_failure(error)]
+        events: list[on.Event] = [changed.session]
         if changed.in_use is not None:
             calibration, faults = changed.in_use
             log.info("in use: %s of %s", calibration.method, calibration.made_at)
@@ -361,8 +332,10 @@ class CalibrationController:
         self._answers.append(self._scans.submit(work))
 
 
-def _failure(error: str | None, reason: str, about: str = "") -> Failure:
-    return Failure(_FAILURES.get(error or "", FailureKind.BROKEN_OFF), reason, about)
+def _failure(error: Exception) -> Failure:
+    """Return what an exception means to the diver; one may have an ``about``, its subject in a word."""
+    kind = _FAILURES.get(type(error), FailureKind.BROKEN_OFF)
+    return Failure(kind, str(error) or type(error).__name__, str(getattr(error, "about", "")))
 
 
 def _outcome(check: RecordingCheck) -> str:

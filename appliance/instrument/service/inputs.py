@@ -62,9 +62,9 @@ class Inputs:
         match event:
             case Telemetry():
                 self.telemetry = event
-                return [on.TelemetryArrived(event), *self._ranging.heard(event.lasers)]
+                return [event, *self._ranging.heard(event.lasers)]
             case BoardBooted():
-                return [on.BoardReset(event.cause)]
+                return [event]
             case BoardLost():
                 return [*self._devices.board.lose(event.reason)]
             case VsyncLost():
@@ -89,14 +89,8 @@ class Inputs:
 
     def _key(self, event: KeyEvent) -> list[on.Event]:
         match event:
-            case KeyPress():
-                return [on.KeyPressed(event.key)]
-            case KeyLongPress():
-                return [on.KeyHeld(event.key)]
-            case KeyStuck():
-                return [on.KeyJammed(event.key)]
-            case KeyFreed():
-                return [on.KeyFreed(event.key)]
+            case KeyPress() | KeyLongPress() | KeyStuck() | KeyFreed():
+                return [event]
             case KeyRelease():
                 return []
             case KeysLost():

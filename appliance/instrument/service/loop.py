@@ -6,7 +6,7 @@ The thread is the process's main one and the sole owner of GL. A heartbeat is pa
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import assert_never
@@ -18,7 +18,7 @@ from appliance.instrument.machine.ashore import ASHORE
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.machine.keys import meaning
 from appliance.instrument.machine.permissions import LOST_CODES
-from appliance.instrument.machine.states import Machine, Part, State, boot
+from appliance.instrument.machine.states import Machine, Part, PartTested, State, boot
 from appliance.instrument.machine.step import step
 from appliance.instrument.machine.words import Language, Text
 from appliance.instrument.screens.painter import Painter
@@ -47,7 +47,7 @@ from appliance.measure import (
 )
 from appliance.measure import METHOD as DRAWN
 from appliance.store import Rig, StorageError
-from drivers.api import Clock, Key
+from drivers.api import Clock, Key, KeyPress
 
 log = logging.getLogger("kingfisher")
 
@@ -102,7 +102,20 @@ class Service:
         self._inbox += [on.ConditionRaised(fault) for fault in raised if fault is not None]
         self._inbox += [on.Told(fault) for fault in beginning.news]
         uncalibrated = any(fault.code is FaultCode.UNCALIBRATED for fault in beginning.conditions)
-        self._inbox.append(on.PartTested(Part.CALIBRATION, not uncalibrated, Text.NOT_MEASURED if uncalibrated else ""))
+        self._inbox.append(PartTested(Part.CALIBRATION, not uncalibrated, Text.NOT_MEASURED if uncalibrated else ""))
+        scans, calibrating = parts.scans, parts.calibrating
+        self._wishes: Mapping[do.Wish, Callable[[], None]] = {
+            do.Wish.DARK: self._live.end,
+            do.Wish.ABORT_CAPTURE: self._recorder.let_go,
+            do.Wish.RECONSTRUCT: scans.worker.finish,
+            do.Wish.CANCEL_RECONSTRUCTION: scans.worker.drop,
+            do.Wish.SOLVE_CALIBRATION: calibrating.solve,
+            do.Wish.USE_SOLVED: calibrating.use_solved,
+            do.Wish.RESTORE_KEPT: calibrating.restore,
+            do.Wish.BEGIN_SESSION: calibrating.begin,
+            do.Wish.CANCEL_CALIBRATION: calibrating.cancel,
+            do.Wish.LIST_GALLERY: parts.gallery.list_scans,
+        }
         self._drawn: State | None = None
         """The state that the diver's display shows."""
         self._boot_told = False
@@ -165,10 +178,9 @@ class Service:
         if not self._boot_told and parts.devices.all_tried:
             self._boot_told = True
             events.append(on.BootFinished())
-        reason = self._stop_reason()
-        if reason is not None and not self._stop_told:
+        if self._stop_reason() is not None and not self._stop_told:
             self._stop_told = True
-            events.append(on.StopRequested(reason))
+            events.append(on.StopRequested())
         return events
 
     def _handle(self, event: on.Event) -> None:
@@ -194,26 +206,18 @@ class Service:
 
     def _execute(self, effect: do.Effect) -> None:
         match effect:
+            case do.Wish():
+                self._wishes[effect]()
             case do.GoLive():
                 aiming = self.machine.state is State.AIM
                 self._live.begin(effect, aiming=aiming, belongs_to=self.machine.choices.object)
-            case do.StopLive():
-                self._live.end()
-            case do.LightsOff():
-                self._live.end()
             case do.Arm():
                 self._recorder.want(effect)
             case do.Capture():
                 # For the next heartbeat, not handled here: the effects behind this one are still to be executed.
                 self._inbox.append(self._recorder.play(effect.number, self._draw, self._abort))
-            case do.AbortCapture():
-                self._recorder.let_go()
             case do.StoreRaw():
                 self._parts.scans.store_raw(effect.number)
-            case do.StartReconstruction():
-                self._parts.scans.worker.finish()
-            case do.CancelReconstruction():
-                self._parts.scans.worker.drop()
             case do.Publish():
                 self._publish(effect.number)
             case do.Reject():
@@ -222,26 +226,8 @@ class Service:
                 self._parts.calibrating.examine(effect.number, effect.step)
             case do.AcceptRecording():
                 self._parts.calibrating.accept(effect.number, effect.check)
-            case do.SolveCalibration():
-                self._parts.calibrating.solve()
-            case do.UseSolved():
-                self._parts.calibrating.use_solved()
-            case do.RestoreKeptCalibration():
-                self._parts.calibrating.restore()
-            case do.BeginSession():
-                self._parts.calibrating.begin()
-            case do.CancelCalibration():
-                self._parts.calibrating.cancel()
-            case do.RememberChoices():
-                self._parts.scans.submit(partial(self._remember, effect.choices))
-            case do.SwitchTransfer():
-                self._parts.transfer.switch(effect.to_on)
-            case do.UsePeriod():
-                self._recorder.want_period(effect.period_px)
-            case do.UseWater():
-                self._parts.scans.use_water(effect.salinity_psu, effect.temperature_c)
-            case do.ListGallery():
-                self._parts.gallery.list_scans()
+            case do.UseChoices():
+                self._use(effect.before, effect.now)
             case do.ShowGalleryScan():
                 self._parts.gallery.show(effect.scan_id)
             case do.ReopenDevice():
@@ -261,9 +247,19 @@ class Service:
             return Fault(FaultCode.CAPTURE_TIMEOUT, f"stopped: {reason}")
         pressed = self._inputs.keys()
         self._inbox += pressed  # the machine hears of every key, also of those that end nothing
-        if any(isinstance(e, on.KeyPressed) and meaning(self.machine, e.key) is Key.BACK for e in pressed):
+        if any(isinstance(e, KeyPress) and meaning(self.machine, e.key) is Key.BACK for e in pressed):
             return Fault(FaultCode.CAPTURE_TIMEOUT, "stopped by the diver")
         return None
+
+    def _use(self, before: Choices, now: Choices) -> None:
+        """Let choices take effect, and remember them."""
+        if now.period_px != before.period_px:
+            self._recorder.want_period(now.period_px)
+        if (now.salinity_psu, now.water_c) != (before.salinity_psu, before.water_c):
+            self._parts.scans.use_water(now.salinity_psu, now.water_c)
+        if now.transfer is not before.transfer:
+            self._parts.transfer.switch(now.transfer)
+        self._parts.scans.submit(partial(self._remember, now))
 
     def _remember(self, choices: Choices) -> None:
         try:

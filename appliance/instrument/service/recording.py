@@ -3,7 +3,7 @@ armed, played.
 
     WAITING   until the scan before is on the disk and the wished patterns are drawn; the machine gives up when that takes too long
     ARMING    lasers off and proven off, cameras waiting for the first pulse; one step per heartbeat, nothing blocks
-    ARMED     the machine was told; it answers with Capture or AbortCapture
+    ARMED     the machine was told; it answers with Capture or ABORT_CAPTURE
 
 ``play`` ends all of it: what is recorded is recorded within one heartbeat, so that nothing else can run meanwhile.
 """

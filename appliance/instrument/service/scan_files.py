@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Part
+from appliance.instrument.machine.states import Part, PartTested
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.room import ScanRoom
 from appliance.measure import SIDES, Cloud, Exposure, Fault, FaultCode, Verdict
@@ -161,13 +161,12 @@ class ScanFiles:
             return [*events, on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
 
     def reject(self, scan: ScanInMemory, reason: str) -> list[on.Event]:
-        """Answer Rejected or SaveFailed."""
+        """Answer that what was NOT_SAVED is cleared, or SaveFailed."""
         try:
-            pending = self._pending(scan)
-            pending.reject(reason, None if scan.record is None else scan.whole)
+            self._pending(scan).reject(reason, None if scan.record is None else scan.whole)
         except (StorageError, ValueError) as error:
             return self._not_saved(scan, error)
-        return [on.Rejected(scan.number, pending.scan_id), *self.count()]
+        return [on.ConditionCleared(FaultCode.NOT_SAVED), *self.count()]
 
     def keep_incomplete(
         self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin, fault: Fault
@@ -200,7 +199,7 @@ class ScanFiles:
             counted = self._room.counted()
         except (StorageError, OSError) as error:
             return _test_failed(str(error))
-        return [*counted, on.PartTested(Part.STORAGE, True, self._room.summary)]
+        return [*counted, PartTested(Part.STORAGE, True, self._room.summary)]
 
     def count_objects(self) -> list[on.Event]:
         """Answer ObjectsCounted; where manifests cannot be listed, what the diver's choices remember counts alone."""
@@ -240,7 +239,7 @@ class ScanFiles:
 
 def _test_failed(why: str) -> list[on.Event]:
     log.warning("self-test of the storage: %s", why)
-    return [on.PartTested(Part.STORAGE, False, Text.REFUSES_FILES)]
+    return [PartTested(Part.STORAGE, False, Text.REFUSES_FILES)]
 
 
 def _numbers(cloud: Cloud | None) -> dict[str, float | None]:

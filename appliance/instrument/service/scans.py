@@ -290,7 +290,7 @@ class ScanController:
             self._disk.ask(partial(self._files.publish, scan, preview))
 
     def reject(self, number: int, reason: str) -> None:
-        """Set the scan aside; answer Rejected or SaveFailed."""
+        """Set the scan aside; answer that what was NOT_SAVED is cleared, or SaveFailed."""
         scan = self._current(number)
         if scan is not None:
             self._disk.ask(partial(self._files.reject, scan, reason))

@@ -63,7 +63,7 @@ class TransferSwitch:
             log.warning("the transfer cannot be switched: %s: %s", self._note, error.strerror or error)
 
     def poll(self, now_ns: int, *, wanted: bool) -> list[on.Event]:
-        """Answer TransferTold where something new is known; looks once a second, and only while it is ``wanted``."""
+        """Return it where something new is known; looks once a second, and only while it is ``wanted``."""
         if not wanted:
             self._told = self._next_ns = None
             return []
@@ -74,7 +74,7 @@ class TransferSwitch:
         if told == self._told:
             return []
         self._told = told
-        return [on.TransferTold(told)]
+        return [told]
 
 
 def read_status(path: Path) -> Transfer:

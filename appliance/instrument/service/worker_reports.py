@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import assert_never
 
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Part
+from appliance.instrument.machine.states import Part, PartTested
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.health import CalibrationWatch
 from appliance.instrument.service.scan_files import ScanInMemory
@@ -82,7 +82,7 @@ class WorkerReports:
         match report:
             case Ready():
                 self.settled = True
-                return [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True)]
+                return [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartTested(Part.WORKER, True)]
             case LiveGuidance():
                 return [report]
             case WorkerFailure(text):
@@ -110,7 +110,7 @@ class WorkerReports:
             return []
         self.settled = True
         fault = Fault(FaultCode.RECONSTRUCTION_FAILED, why)
-        return [on.ConditionRaised(fault), on.PartTested(Part.WORKER, False, Text.GIVEN_UP)]
+        return [on.ConditionRaised(fault), PartTested(Part.WORKER, False, Text.GIVEN_UP)]
 
     def _entered(self, fact: SequenceFact, scan: ScanInMemory) -> list[on.Event] | None:
         """Enter a fact into its scan; return the conditions that follow, ``None``: the machine is not told of it."""

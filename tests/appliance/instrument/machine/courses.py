@@ -13,16 +13,16 @@ from appliance.instrument.machine.leading import alerts, in_full
 from appliance.instrument.machine.states import Machine
 from appliance.instrument.machine.step import step
 from appliance.measure.fault import Fault, FaultCode
-from drivers.api import Key
+from drivers.api import Key, KeyLongPress, KeyPress, Telemetry
 from tests.appliance.instrument.machine.walks import SECOND_NS, heartbeat, labels
 
 Then = on.Event | Callable[[Machine], on.Event]
 """An event, or what makes one of the moment at which it comes."""
-SCAN, BACK, UP, DOWN = (on.KeyPressed(key) for key in (Key.SCAN, Key.BACK, Key.UP, Key.DOWN))
-HOLD_DOWN = (DOWN, on.KeyHeld(Key.DOWN))
+SCAN, BACK, UP, DOWN = (KeyPress(key, 0) for key in (Key.SCAN, Key.BACK, Key.UP, Key.DOWN))
+HOLD_DOWN = (DOWN, KeyLongPress(Key.DOWN, 0))
 LEAK = (heartbeat(leak=True), heartbeat(leak=True))
 EIO = Fault(FaultCode.NOT_SAVED, "EIO")
-STOP = on.StopRequested("SIGTERM")
+STOP = on.StopRequested()
 
 
 def wait(seconds: float) -> Callable[[Machine], on.Event]:
@@ -33,7 +33,7 @@ def raised(code: FaultCode, detail: str = "", device: str | None = None, **numbe
     return on.ConditionRaised(Fault(code, detail, numbers, device))
 
 
-def warm(case_c: float, projector_c: float | None = 20.0) -> on.TelemetryArrived:
+def warm(case_c: float, projector_c: float | None = 20.0) -> Telemetry:
     return heartbeat(temperature_case_c=case_c, temperature_projector_c=projector_c)
 
 
@@ -93,7 +93,9 @@ def seen(start: Callable[[], Machine], events: tuple[Then, ...], facts: dict[str
                 there = all(one in every for one in (wanted if isinstance(wanted, tuple) else (wanted,)))
                 found[name] = wanted if there else every
             case "never":
-                found[name] = every if any(isinstance(effect, wanted) for effect in every) else wanted
+                unwanted = wanted if isinstance(wanted, tuple) else (wanted,)
+                came = (one if isinstance(one, do.Wish) else type(one) for one in every)
+                found[name] = every if any(one in unwanted for one in came) else wanted
             case _:
                 found[name] = LOOKS[name](machine) if name in LOOKS else getattr(machine, name)
     return found

@@ -14,12 +14,23 @@ from appliance.instrument.machine import safety
 from appliance.instrument.machine.conditions import cleared, device_down, device_up, has, judge
 from appliance.instrument.machine.leading import alerts
 from appliance.instrument.machine.saving import RETRIES
-from appliance.instrument.machine.states import Answer, Device, Ending, Machine, Part, Settings, State, Thermal, boot
+from appliance.instrument.machine.states import (
+    Answer,
+    Device,
+    Ending,
+    Machine,
+    Part,
+    PartTested,
+    Settings,
+    State,
+    Thermal,
+    boot,
+)
 from appliance.instrument.machine.step import step
 from appliance.instrument.machine.thermal import RATION_S, may_aim_lit, passed, remaining_s, slope_c_per_s, spend
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import NOMINAL
-from drivers.api import Key
+from drivers.api import Key, KeyFreed, KeyLongPress, KeyStuck
 from tests.appliance.instrument.machine import walks as at
 from tests.appliance.instrument.machine.courses import (
     BACK,
@@ -67,7 +78,7 @@ def without_a_worker() -> Machine:
 
 
 def without_a_calibration() -> Machine:
-    return run(boot(0), *UPS, on.BootFinished(), *(on.PartTested(part, part is not Part.CALIBRATION) for part in Part))
+    return run(boot(0), *UPS, on.BootFinished(), *(PartTested(part, part is not Part.CALIBRATION) for part in Part))
 
 
 def without_keys() -> Machine:
@@ -121,7 +132,7 @@ def kept_off() -> Machine:
         course("below its limit it is told and refuses", supplied, heartbeat(supply_v=9.5), SCAN, state=S.AIM,
                shown=[("SUPPLY LOW 9.5V", "SCAN REFUSED")]),
         course("it is borne", aim, LOW, wait(29.0), effects=[]),
-        course("for half a minute", aim, LOW, wait(30.0), effects=[do.StopLive(), OFF]),
+        course("for half a minute", aim, LOW, wait(30.0), effects=[do.Wish.DARK, OFF]),
         course("recovered it is forgotten", aim, LOW, on.ConditionCleared(C.SUPPLY_LOW), wait(300.0), state=S.AIM),
         course("and borne as long anew", aim, LOW, wait(20.0), on.ConditionCleared(C.SUPPLY_LOW), LOW, wait(29.9), state=S.AIM),
         course("what is in hand is saved before", at.reviewing, LOW, wait(30.0), state=S.SAVING, effects=[do.Publish(1)]),
@@ -130,7 +141,7 @@ def kept_off() -> Machine:
         course("too much heat is not borne although a low supply is", aim, LOW, warm(68.0), state=S.SHUTDOWN, among=OFF),
         # Warmth.
         course("warm is told", aim, warm(51.0), shown=[("WARM 51 °C", "LET IT COOL SOON")]),
-        course("hot is dark", aim, warm(60.0), state=S.COOLING, effects=[do.LightsOff(), do.StopLive()]),
+        course("hot is dark", aim, warm(60.0), state=S.COOLING, effects=[do.Wish.DARK]),
         course("for SCAN as well", hot, SCAN, state=S.COOLING),
         course("a silent sensor changes nothing", hot, heartbeat(), state=S.COOLING),
         course("until three degrees below the limit", hot, warm(57.5), state=S.COOLING),
@@ -141,7 +152,7 @@ def kept_off() -> Machine:
         course("a scan in hand is decided on before", at.reviewing, warm(61.0), state=S.REVIEW),
         course("it cools after it", at.reviewing, warm(61.0), SCAN, SAVED, state=S.COOLING),
         course("too hot switches off", aim, warm(68.0), state=S.SHUTDOWN, among=OFF),
-        course("and keeps what nobody was asked about", at.reviewing, warm(68.0), effects=[do.LightsOff(), do.Publish(1)]),
+        course("and keeps what nobody was asked about", at.reviewing, warm(68.0), effects=[do.Wish.DARK, do.Publish(1)]),
         course("before it does", at.reviewing, warm(68.0), SAVED, effects=[OFF]),
         *(course(f"a projector of {c} degrees", aim, warm(20.0, c), codes=found) for c, found in (
             (64.9, []), (65.0, [C.WARM]), (74.9, [C.WARM]), (75.0, [C.HOT, C.WARM]),
@@ -160,16 +171,16 @@ def kept_off() -> Machine:
         course("the key that wakes it means what it says", aim, wait(181.0), UP, state=S.MENU),
         course("and it is lit again", aim, wait(181.0), UP, BACK, effects=[LIT]),
         # A stuck key.
-        course("a stuck key is told as long as it lasts", aim, on.KeyJammed(Key.SCAN), codes=[C.KEY_STUCK]),
-        course("until it is freed", aim, on.KeyJammed(Key.SCAN), on.KeyFreed(Key.SCAN), UP, state=S.MENU, codes=[]),
-        course("another key stands in", aim, on.KeyJammed(Key.SCAN), UP, state=S.ARMED),
-        course("of SCAN alone", aim, on.KeyJammed(Key.BACK), UP, state=S.MENU),
-        course("pressed again it is loose", aim, on.KeyJammed(Key.SCAN), SCAN, stuck=frozenset()),
+        course("a stuck key is told as long as it lasts", aim, KeyStuck(Key.SCAN), codes=[C.KEY_STUCK]),
+        course("until it is freed", aim, KeyStuck(Key.SCAN), KeyFreed(Key.SCAN), UP, state=S.MENU, codes=[]),
+        course("another key stands in", aim, KeyStuck(Key.SCAN), UP, state=S.ARMED),
+        course("of SCAN alone", aim, KeyStuck(Key.BACK), UP, state=S.MENU),
+        course("pressed again it is loose", aim, KeyStuck(Key.SCAN), SCAN, stuck=frozenset()),
         # Switching off is asked.
         course("a second hold that was meant for another screen", at.capturing, *HOLD_BACK, *HOLD_BACK, *HOLD_BACK, state=S.AIM),
         course("the press that leaves the question does not ask again", lambda: asked(aim()), *HOLD_BACK, asked=False),
         course("the next one does", lambda: asked(aim()), *HOLD_BACK, *HOLD_BACK, asked=True),
-        course("it is asked over a message", at.capturing, on.CaptureFailed(1, at.MISSING), *HOLD_BACK, DOWN, SCAN, effects=[do.StopLive(), OFF]),
+        course("it is asked over a message", at.capturing, on.CaptureFailed(1, at.MISSING), *HOLD_BACK, DOWN, SCAN, effects=[do.Wish.DARK, OFF]),
         course("without an answer for 20 s", lambda: at.about_to_switch_off(aim()), wait(19.9), asked=True),
         course("it stays on", lambda: at.about_to_switch_off(aim()), wait(20.0), state=S.AIM, asked=False),
         course("the start goes on meanwhile", lambda: asked(at.self_testing()), wait(1.0), state=S.AIM, asked=True),
@@ -181,9 +192,9 @@ def kept_off() -> Machine:
         course("the menu asks the same", lambda: at.in_menu(*(Key.DOWN,) * 9, Key.SCAN), labels=labels(asked(aim()))),
         course("and goes on there", lambda: at.in_menu(*(Key.DOWN,) * 9, Key.SCAN), SCAN, state=S.MENU, menu=at.in_menu(*(Key.DOWN,) * 9).menu),
         course("also by BACK held", lambda: at.in_menu(*(Key.DOWN,) * 9, Key.SCAN), *HOLD_BACK, state=S.MENU),
-        course("the stand-in of BACK asks", aim, on.KeyJammed(Key.BACK), DOWN, DOWN, on.KeyHeld(Key.DOWN),
+        course("the stand-in of BACK asks", aim, KeyStuck(Key.BACK), DOWN, DOWN, KeyLongPress(Key.DOWN, 0),
                labels={Key.SCAN: "OK", Key.DOWN: "BACK", Key.UP: "▼"}),
-        course("and the other key selects", aim, on.KeyJammed(Key.BACK), DOWN, DOWN, on.KeyHeld(Key.DOWN), UP, SCAN, state=S.SHUTDOWN),
+        course("and the other key selects", aim, KeyStuck(Key.BACK), DOWN, DOWN, KeyLongPress(Key.DOWN, 0), UP, SCAN, state=S.SHUTDOWN),
         course("a disk that refuses at the end is tried again", kept_off, *(on.SaveFailed(1, EIO), wait(6.0)) * RETRIES, effects=[do.Publish(1)]),
         course("and does not keep it on", kept_off, *(on.SaveFailed(1, EIO), wait(6.0)) * RETRIES, on.SaveFailed(1, EIO), among=STOPPED),
     ],
@@ -252,7 +263,7 @@ def test_a_new_machine_is_dark_and_has_a_whole_ration_of_light_and_after_the_end
 def test_a_low_supply_is_over_only_well_above_the_limit(volts: tuple[float | None, ...], low: bool) -> None:
     machine = supplied()
     for supply_v in volts:
-        machine = judge(machine, heartbeat(supply_v=supply_v).telemetry)
+        machine = judge(machine, heartbeat(supply_v=supply_v))
     assert has(machine, C.SUPPLY_LOW) == low
 
 
@@ -268,7 +279,7 @@ def test_water_is_believed_when_two_heartbeats_in_a_row_report_it_and_then_for_e
 ) -> None:
     machine = aim()
     for leak in heartbeats:
-        machine = judge(machine, heartbeat(leak=leak).telemetry)
+        machine = judge(machine, heartbeat(leak=leak))
     assert has(machine, C.LEAK) == has(cleared(machine, C.LEAK), C.LEAK) == believed
 
 
@@ -279,11 +290,11 @@ def test_water_is_believed_when_two_heartbeats_in_a_row_report_it_and_then_for_e
 def test_a_laser_that_conducts_is_reported_a_second_after_it_was_switched_off(
     left: bool, right: bool, said: str
 ) -> None:
-    machine, beat = aim(), heartbeat(left_on=left, right_on=right).telemetry
+    machine, beat = aim(), heartbeat(left_on=left, right_on=right)
     for since_s, told in ((0.99, False), (1.0, True)):
         found = judge(replace(machine, lasers_off_since_ns=machine.now_ns - int(since_s * SECOND_NS)), beat)
         assert [said in fault.detail for fault in found.conditions if fault.code is C.LASER_ON] == [True] * told
-        assert not has(judge(found, heartbeat().telemetry), C.LASER_ON)
+        assert not has(judge(found, heartbeat()), C.LASER_ON)
     assert not has(judge(replace(machine, lasers_off_since_ns=None), beat), C.LASER_ON)
 
 
@@ -415,11 +426,7 @@ def test_without_a_sensor_light_is_rationed_whatever_the_diver_does(seconds: int
             events += HOLD_BACK
         machine, effects = after(machine, *events)
         for effect in effects:
-            lit = (
-                effect.light
-                if isinstance(effect, do.GoLive)
-                else lit and not isinstance(effect, do.StopLive | do.LightsOff)
-            )
+            lit = effect.light if isinstance(effect, do.GoLive) else lit and effect is not do.Wish.DARK
             if isinstance(effect, do.Capture):
                 light_s, scans = light_s + 24 / 60, scans + 1
         light_s += 0.1 if lit else 0.0

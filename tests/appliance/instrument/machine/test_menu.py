@@ -17,7 +17,7 @@ from appliance.instrument.machine.transfer import NOT_TOLD, Serving, Transfer
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.view import Facts, menu_view, value_of
 from appliance.measure.light.exposure import Exposure
-from drivers.api import Key
+from drivers.api import Key, KeyLongPress, KeyPress
 from tests.appliance.instrument.machine.courses import BACK, DOWN, SCAN, UP, Then, course, seen
 from tests.appliance.instrument.machine.walks import (
     PARTS,
@@ -82,29 +82,29 @@ ALL = listed("000003", "000002", "000001")
         course("a value is not taken by looking", at(Row.EXPOSURE), SCAN, UP, exposure=Exposure(12_000)),
         course("never, if the diver goes back", at(Row.EXPOSURE), SCAN, UP, BACK, exposure=Exposure(12_000)),
         course("but by OK", at(Row.EXPOSURE), SCAN, UP, SCAN, exposure=Exposure(16_000), state=S.MENU,
-               effects=[do.RememberChoices(taken(exposure=Exposure(16_000)))]),
-        course("a period is drawn anew", at(Row.PERIOD), SCAN, UP, SCAN, among=do.UsePeriod(32)),
+               effects=[do.UseChoices(BALTIC, taken(exposure=Exposure(16_000)))]),
+        course("a period is drawn anew", at(Row.PERIOD), SCAN, UP, SCAN, among=do.UseChoices(BALTIC, taken(period_px=32))),
         course("the next scan has it", at(Row.PERIOD), SCAN, UP, SCAN, BACK, SCAN, among=do.Arm(1, 32, Exposure(12_000))),
         course("and its time", at(Row.PERIOD), SCAN, UP, SCAN, BACK, SCAN, on.Armed(1), deadline_ns=SECOND_NS + round((22 / 60 + 5) * SECOND_NS)),
         course("values stop at their ends", at(Row.PERIOD), SCAN, DOWN, DOWN, on_down=None),
-        course("fresh water", at(Row.WATER), SCAN, SCAN, UP, SCAN, among=do.UseWater(0.0, 11.6)),
+        course("fresh water", at(Row.WATER), SCAN, SCAN, UP, SCAN, among=do.UseChoices(BALTIC, taken(salinity_psu=0.0))),
         course("and the rig file's brackish again", at(Row.WATER), SCAN, SCAN, UP, SCAN, SCAN, UP, SCAN, choices=BALTIC),
-        course("whole degrees", at(Row.WATER), SCAN, DOWN, SCAN, DOWN, DOWN, SCAN, among=do.UseWater(7.0, 10.0)),
+        course("whole degrees", at(Row.WATER), SCAN, DOWN, SCAN, DOWN, DOWN, SCAN, among=do.UseChoices(BALTIC, taken(water_c=10.0))),
         course("the first answer does no harm", at(Row.POWER_OFF), SCAN, SCAN, menu=at(Row.POWER_OFF)().menu, state=S.MENU),
         course("the second one switches off", at(Row.POWER_OFF), SCAN, DOWN, SCAN, state=S.SHUTDOWN, among=do.Quit(power_off=True)),
         course("BACK leads to where it came from", at(Row.ABOUT), SCAN, BACK, menu=at(Row.ABOUT)().menu),
-        course("and out, held on it does not switch off", at(Row.ABOUT), SCAN, BACK, BACK, on.KeyHeld(Key.BACK), state=S.AIM, asked=False),
-        *(course(f"nothing shines in the {name}", aim, key, among=do.StopLive()) for name, key in (("menu", UP), ("gallery", DOWN))),
+        course("and out, held on it does not switch off", at(Row.ABOUT), SCAN, BACK, BACK, KeyLongPress(Key.BACK, 0), state=S.AIM, asked=False),
+        *(course(f"nothing shines in the {name}", aim, key, among=do.Wish.DARK) for name, key in (("menu", UP), ("gallery", DOWN))),
         *(course(f"and it does after the {name}", aim, key, BACK, state=S.AIM, effects=[do.GoLive(True, True, Exposure(12_000))])
           for name, key in (("menu", UP), ("gallery", DOWN))),
         # The gallery.
-        course("the gallery asks the disk", aim, DOWN, among=do.ListGallery(), looked_at=None, labels={Key.BACK: "BACK"}),
+        course("the gallery asks the disk", aim, DOWN, among=do.Wish.LIST_GALLERY, looked_at=None, labels={Key.BACK: "BACK"}),
         course("and goes nowhere before it has told", aim, DOWN, UP, DOWN, state=S.GALLERY, effects=[], looked_at=None),
         course("it begins with the newest", aim, DOWN, ALL, effects=[do.ShowGalleryScan("000003")], labels={Key.BACK: "BACK", Key.DOWN: "OLDER"}),
         course("older", in_gallery, DOWN, effects=[do.ShowGalleryScan("000002")]),
         course("newer", in_gallery, DOWN, UP, effects=[do.ShowGalleryScan("000003")]),
         course("and stops at the oldest", in_gallery, *(DOWN,) * 5, looked_at="000001", effects=[], labels={Key.BACK: "BACK", Key.UP: "NEWER"}),
-        course("nothing is deleted", in_gallery, SCAN, on.KeyHeld(Key.SCAN), looked_at="000003", effects=[]),
+        course("nothing is deleted", in_gallery, SCAN, KeyLongPress(Key.SCAN, 0), looked_at="000003", effects=[]),
         course("the only scan has no neighbours", aim, DOWN, listed("000001"), labels={Key.BACK: "BACK"}),
         course("a scan stays when others come", in_gallery, DOWN, listed("000004", "000003", "000002"), effects=[do.ShowGalleryScan("000002")]),
         course("until it goes itself", in_gallery, DOWN, listed("000004", "000003"), effects=[do.ShowGalleryScan("000004")]),
@@ -119,9 +119,9 @@ ALL = listed("000003", "000002", "000001")
         course("no number before the disk has told", at(Row.OBJECT), SCAN, on_up=None),
         # Scans for a desk.
         course("looked at it is not switched on", at(Row.TRANSFER), SCAN, SCAN, UP, BACK, choices=BALTIC),
-        course("but when it is taken", at(Row.TRANSFER), SCAN, SCAN, UP, SCAN, among=do.SwitchTransfer(to_on=True)),
-        course("and off again", transferring, SCAN, DOWN, SCAN, among=do.SwitchTransfer(to_on=False)),
-        course("what was told is gone then", transferring, on.TransferTold(SERVED), SCAN, DOWN, SCAN, on.TransferTold(SERVED), transfer=NOT_TOLD),
+        course("but when it is taken", at(Row.TRANSFER), SCAN, SCAN, UP, SCAN, among=do.UseChoices(BALTIC, taken(transfer=True))),
+        course("and off again", transferring, SCAN, DOWN, SCAN, among=do.UseChoices(taken(transfer=True), BALTIC)),
+        course("what was told is gone then", transferring, SERVED, SCAN, DOWN, SCAN, SERVED, transfer=NOT_TOLD),
         course("address and keys are read", transferring, DOWN, labels={Key.BACK: "BACK", Key.UP: "▲", Key.DOWN: "▼"}),
         course("and not opened", transferring, DOWN, SCAN, menu=run(transferring(), DOWN).menu),
     ],
@@ -170,7 +170,7 @@ def test_a_page_says_what_is_chosen_and_what_would_be() -> None:
     ],
 )
 def test_the_diver_reads_where_it_is_served_and_for_how_many_keys(told: Transfer, said: tuple[object, ...]) -> None:
-    machine = run(transferring(), on.TransferTold(told))
+    machine = run(transferring(), told)
     assert tuple(value_of(row, machine, None) for row in (Row.TRANSFER_SWITCH, Row.ADDRESS, Row.KEYS)) == said
 
 
@@ -252,7 +252,7 @@ def test_periods_languages_and_whole_degrees_stay_at_their_ends() -> None:
 def test_a_state_without_what_belongs_to_it_leads_to_aim_with_any_key(broken: Callable[[], Machine]) -> None:
     for key in Key:
         labels(broken())
-        assert run(broken(), on.KeyPressed(key)).state is S.AIM
+        assert run(broken(), KeyPress(key, 0)).state is S.AIM
 
 
 def test_where_nothing_is_asked_there_is_nothing_to_answer() -> None:

@@ -27,7 +27,7 @@ from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import LOST, NO_OVERLAP, UNKNOWN, Guidance, Overlap
 from appliance.measure.news import LiveGuidance
 from appliance.measure.verdict import SPOILS_SCAN
-from drivers.api import Key
+from drivers.api import Key, KeyLongPress, KeyPress, KeyStuck, Telemetry
 from tests.appliance.instrument.machine import walks as at
 from tests.appliance.instrument.machine.courses import (
     BACK,
@@ -70,7 +70,7 @@ NUMBERS = {
 DEVICES = (None, "camera.left", "camera.right", "cameras")
 
 
-def case_warm(celsius: float) -> on.TelemetryArrived:
+def case_warm(celsius: float) -> Telemetry:
     return heartbeat(temperature_case_c=celsius)
 
 
@@ -359,7 +359,7 @@ def does(machine: Machine, *events: on.Event) -> bool:
 @pytest.mark.parametrize("start", [way() for way in STARTS], ids=lambda m: m.state.value)
 def test_a_key_has_a_label_where_it_does_something_and_nowhere_else(start: Machine) -> None:
     for key in Key:
-        pressed, held = (on.KeyPressed(key),), (on.KeyPressed(key), on.KeyHeld(key))
+        pressed, held = (KeyPress(key, 0),), (KeyPress(key, 0), KeyLongPress(key, 0))
         label = labels(start).get(key)
         if label is None:
             assert not does(start, *held), f"{key} does something and says nothing"
@@ -373,12 +373,12 @@ def test_a_key_has_a_label_where_it_does_something_and_nowhere_else(start: Machi
 
 @pytest.mark.parametrize(("jammed", "stand_in"), [(Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)])
 def test_another_key_takes_over_a_stuck_one_with_its_label(jammed: Key, stand_in: Key) -> None:
-    machine = run(at.reviewing(), on.KeyJammed(jammed))
-    machine = run(machine, on.KeyPressed(Key.DOWN if jammed is Key.BACK else Key.BACK))  # seen
+    machine = run(at.reviewing(), KeyStuck(jammed))
+    machine = run(machine, KeyPress(Key.DOWN if jammed is Key.BACK else Key.BACK, 0))  # seen
     assert labels(machine)[stand_in] == labels(at.reviewing())[jammed]
     assert jammed not in labels(machine)
-    assert run(machine, on.KeyPressed(stand_in)).state is run(at.reviewing(), on.KeyPressed(jammed)).state
-    assert run(machine, on.KeyPressed(jammed), on.KeyPressed(stand_in)).stuck == frozenset()
+    assert run(machine, KeyPress(stand_in, 0)).state is run(at.reviewing(), KeyPress(jammed, 0)).state
+    assert run(machine, KeyPress(jammed, 0), KeyPress(stand_in, 0)).stuck == frozenset()
 
 
 def test_up_turns_the_cloud_and_down_never_does() -> None:
@@ -416,7 +416,7 @@ def test_the_overlap_is_said_in_words_and_a_lack_of_it_only_of_an_object(
 
 
 NONE_TOLD, KEEP = news.overlap(1, NO_OVERLAP), (SCAN, on.RawStored(1), on.Saved(1, "000001"))
-ANOTHER_OBJECT = tuple(on.KeyPressed(key) for key in (Key.UP, *(Key.DOWN,) * 4, Key.SCAN, Key.UP, Key.SCAN))
+ANOTHER_OBJECT = tuple(KeyPress(key, 0) for key in (Key.UP, *(Key.DOWN,) * 4, Key.SCAN, Key.UP, Key.SCAN))
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from appliance.instrument.machine.states import NEEDED_FOR_A_SCAN, Answer, Machi
 from appliance.instrument.machine.step import step
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.news import News, PatternIdentity, ReconstructionFailure
-from drivers.api import Key
+from drivers.api import Key, KeyLongPress, KeyPress, KeyStuck
 from tests.appliance.instrument.machine.walks import (
     EVERY_EVENT,
     KINDS,
@@ -39,7 +39,7 @@ from tests.appliance.instrument.machine.walks import (
 
 Effects = Sequence[do.Effect]
 DARK = (State.ARMED, State.CAPTURE)
-KEY_EVENTS = (on.KeyPressed, on.KeyHeld, on.KeyJammed)
+KEY_EVENTS = (KeyPress, KeyLongPress, KeyStuck)
 
 
 def test_every_event_is_in_the_list_and_every_state_is_reached_by_events() -> None:
@@ -49,7 +49,7 @@ def test_every_event_is_in_the_list_and_every_state_is_reached_by_events() -> No
 
 def called(before: Machine, event: on.Event) -> str:
     match event:
-        case on.KeyPressed(key) | on.KeyHeld(key):
+        case KeyPress(key) | KeyLongPress(key):
             return f"key {labels(before).get(key, key.value)}"
         case on.ConditionRaised(fault):
             return fault.code.value
@@ -104,7 +104,7 @@ def no_light_without_permission(before: Machine, event: on.Event, machine: Machi
             assert interruption(machine) is None
     assert may_light(machine) or machine.state not in DARK
     if may_light(before) and not may_light(machine) and before.state is not State.SHUTDOWN:
-        assert do.LightsOff() in effects
+        assert do.Wish.DARK in effects
 
 
 def has_live_views(machine: Machine) -> bool:
@@ -117,10 +117,10 @@ def live_where_the_diver_aims(before: Machine, event: on.Event, machine: Machine
     went_live = any(isinstance(effect, do.GoLive) for effect in effects)
     assert not went_live or now
     assert was or not now or went_live
-    assert not was or now or do.StopLive() in effects
+    assert not was or now or do.Wish.DARK in effects
     arms = [i for i, effect in enumerate(effects) if isinstance(effect, do.Arm)]
     if arms and was:
-        assert effects.index(do.StopLive()) < arms[0]
+        assert effects.index(do.Wish.DARK) < arms[0]
 
 
 def no_recording_of_a_step_is_forgotten(before: Machine, event: on.Event, machine: Machine, effects: Effects) -> None:
@@ -133,8 +133,8 @@ def no_recording_of_a_step_is_forgotten(before: Machine, event: on.Event, machin
         refused = isinstance(event, on.SaveFailed) and event.number == at.number
         assert settled or refused or machine.state is State.SHUTDOWN
     if at.task not in (None, *looked_at):
-        work = do.Arm | do.SolveCalibration | do.UseSolved | do.RestoreKeptCalibration | do.BeginSession
-        assert not any(isinstance(e, work) for e in effects), "one task at a time"
+        work = {do.Wish.SOLVE_CALIBRATION, do.Wish.USE_SOLVED, do.Wish.RESTORE_KEPT, do.Wish.BEGIN_SESSION}
+        assert not any(isinstance(e, do.Arm) or e in work for e in effects), "one task at a time"
 
 
 def no_points(event: on.Event) -> bool:
@@ -158,7 +158,7 @@ def no_scan_is_forgotten(before: Machine, event: on.Event, machine: Machine, eff
     if any(isinstance(effect, do.Quit) for effect in effects):
         assert kept.failures >= 1 or no_points(event), "the disk refused it again and again"
         return
-    asked = isinstance(event, on.KeyPressed | on.KeyHeld) and before.state is State.REVIEW
+    asked = isinstance(event, KeyPress | KeyLongPress) and before.state is State.REVIEW
     spoilt = no_points(event) and not kept.publishing
     assert asked or spoilt, "only the diver gives it up, after the disk refused it, or it was worthless"
 
@@ -171,13 +171,10 @@ def no_number_is_used_twice(before: Machine, event: on.Event, machine: Machine, 
 
 def choices_take_effect(before: Machine, event: on.Event, machine: Machine, effects: Effects) -> None:
     was, now = before.choices, machine.choices
-    assert (do.RememberChoices(now) in effects) == (was != now)
-    assert (do.UsePeriod(now.period_px) in effects) == (was.period_px != now.period_px)
-    other_water = (was.salinity_psu, was.water_c) != (now.salinity_psu, now.water_c)
-    assert (do.UseWater(now.salinity_psu, now.water_c) in effects) == other_water
+    assert (do.UseChoices(was, now) in effects) == (was != now)
     assert was == now or before.state in (State.MENU, State.REVIEW)
     if was.exposure != now.exposure:
-        label = labels(before)[event.key] if isinstance(event, on.KeyPressed) else ""
+        label = labels(before)[event.key] if isinstance(event, KeyPress) else ""
         assert label == "OK" if before.state is State.MENU else label.startswith(("EXPOSE ", "GAIN "))
 
 
@@ -195,7 +192,7 @@ def keys_switch_off_by_an_answered_question_only(
     question = before.off_question
     assert question is not None
     assert question.answer is Answer.SWITCH_OFF
-    assert isinstance(event, on.KeyPressed)
+    assert isinstance(event, KeyPress)
     # A stuck key that is seen to go down again has come loose: it means what it says once more.
     assert labels(replace(before, stuck=before.stuck - {event.key})).get(event.key) == "OK"
 
@@ -203,7 +200,7 @@ def keys_switch_off_by_an_answered_question_only(
 def nothing_becomes_known_but_by_its_key(before: Machine, event: on.Event, machine: Machine, effects: Effects) -> None:
     gained = set(machine.seen) - set(before.seen)
     if gained:
-        assert isinstance(event, on.KeyPressed)
+        assert isinstance(event, KeyPress)
         assert labels(replace(before, stuck=before.stuck - {event.key}))[event.key] == "SEEN"
         assert gained == {pending_fault(before)} or before.stuck
     there = {(fault.code, fault.device) for fault in lasting(machine)}
@@ -215,14 +212,14 @@ def water_leads_to_safe(before: Machine) -> None:
     if before.state is State.SHUTDOWN or not may_light(before):
         return
     wet, told = step(before, on.ConditionRaised(Fault(FaultCode.LEAK)))
-    assert (wet.state, told[0], alerts(wet)[0].code) == (State.SAFE, do.LightsOff(), FaultCode.LEAK)
-    assert before.state not in DARK or do.AbortCapture(before.captures) in told
+    assert (wet.state, told[0], alerts(wet)[0].code) == (State.SAFE, do.Wish.DARK, FaultCode.LEAK)
+    assert before.state not in DARK or do.Wish.ABORT_CAPTURE in told
 
 
 def a_press_of_scan_begins_something_or_says_why(before: Machine) -> None:
     if before.state is not State.AIM or Key.SCAN in before.stuck or before.off_question is not None:
         return
-    pressed, told = step(before, on.KeyPressed(Key.SCAN))
+    pressed, told = step(before, KeyPress(Key.SCAN, 0))
     if not any(isinstance(effect, do.Arm) for effect in told):
         said = alerts(pressed)
         led = pressed.state is State.COOLING or pressed.insists_until_ns is not None
@@ -262,9 +259,9 @@ def test_every_step_of_any_walk_keeps_every_promise(start: Machine, events: list
 def test_back_repeated_reaches_aim_unless_what_keeps_it_dark_lasts(start: Machine, events: list[on.Event]) -> None:
     machine = run(start, *events)
     for _ in range(200):
-        machine = run(machine, on.KeyPressed(Key.BACK))
+        machine = run(machine, KeyPress(Key.BACK, 0))
         if labels(machine).get(Key.BACK) == "HOLD: REDO":
-            machine = run(machine, on.KeyHeld(Key.BACK))
+            machine = run(machine, KeyLongPress(Key.BACK, 0))
         machine = run(machine, on.Tick(machine.now_ns + SECOND_NS))
         if machine.state is State.AIM:
             return

@@ -18,7 +18,7 @@ from appliance.instrument.machine.step import step
 from appliance.instrument.ranging.reach import Range
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import NOMINAL, Exposure
-from drivers.api import Key
+from drivers.api import BoardBooted, Key, KeyLongPress, KeyPress, KeyStuck
 from tests.appliance.instrument.machine import walks as at
 from tests.appliance.instrument.machine.courses import (
     BACK,
@@ -95,10 +95,10 @@ def wet() -> Machine:
 @pytest.mark.parametrize(
     ("start", "events", "facts"),
     [
-        course("armed in the dark", aim, SCAN, state=S.ARMED, effects=[do.StopLive(), do.Arm(1, 16, NOMINAL)]),
+        course("armed in the dark", aim, SCAN, state=S.ARMED, effects=[do.Wish.DARK, do.Arm(1, 16, NOMINAL)]),
         course("captured", at.armed, on.Armed(1), state=S.CAPTURE, effects=[do.Capture(1)]),
         course("stored and looked at", at.capturing, on.CaptureFinished(1), state=S.CHECK,
-               effects=[do.StoreRaw(1), do.StartReconstruction(1)]),
+               effects=[do.StoreRaw(1), do.Wish.RECONSTRUCT]),
         course("patterns are right", at.checking, news.right(1), state=S.RECONSTRUCT),
         course("patterns are told right after the cloud", at.checking, news.coarse(1, SUMMARY), news.right(1), state=S.REVIEW),
         course("kept", at.reviewing, SCAN, state=S.SAVING, effects=[do.Publish(1)], just_saved=None),
@@ -110,7 +110,7 @@ def wet() -> Machine:
         # What ends a capture.
         course("a missing frame", at.capturing, on.CaptureFailed(1, MISSING), state=S.AIM, shown=[("INCOMPLETE 23/24", "REPEAT")], on_scan="REPEAT"),
         course("is repeated by OK", at.capturing, on.CaptureFailed(1, MISSING), SCAN, among=do.Arm(2, 16, NOMINAL), shown=[]),
-        course("a camera unplugged", at.capturing, LEFT_GONE, state=S.AIM, effects=[do.AbortCapture(1), LIT],
+        course("a camera unplugged", at.capturing, LEFT_GONE, state=S.AIM, effects=[do.Wish.ABORT_CAPTURE, LIT],
                shown=[("SCAN FAILED", "LEFT CAM LOST: REPEAT"), ("LEFT CAM LOST", "OFF AND ON, OR END DIVE")]),
         course("heat", at.capturing, heartbeat(temperature_case_c=60.0), first=("SCAN FAILED", "HOT 60 °C: REPEAT")),
         course("a late flip is repeated once in silence", at.capturing, on.CaptureFailed(1, LATE), state=S.ARMED, shown=[],
@@ -121,10 +121,10 @@ def wet() -> Machine:
                on.Armed(3), on.CaptureFailed(3, LATE), state=S.ARMED),
         course("a laser found on is given time", at.capturing, heartbeat(right_on=True), state=S.CAPTURE),
         course("and then believed", at.capturing, heartbeat(right_on=True), on.Tick(2 * at.SECOND_NS), heartbeat(right_on=True),
-               among=do.AbortCapture(1), effects=[do.AbortCapture(1), do.GoLive(light=True, lasers=False, exposure=NOMINAL)]),
-        course("a board reset", at.capturing, on.BoardReset("BROWNOUT"), effects=[do.AbortCapture(1), LIT]),
-        course("can be repeated at once", at.capturing, on.BoardReset("BROWNOUT"), SCAN, state=S.ARMED),
-        course("a board reset while aiming", aim, on.BoardReset("BROWNOUT"), effects=[LIT], codes=[C.BOARD_RESET]),
+               among=do.Wish.ABORT_CAPTURE, effects=[do.Wish.ABORT_CAPTURE, do.GoLive(light=True, lasers=False, exposure=NOMINAL)]),
+        course("a board reset", at.capturing, BoardBooted("1.0", "B1", "BROWNOUT"), effects=[do.Wish.ABORT_CAPTURE, LIT]),
+        course("can be repeated at once", at.capturing, BoardBooted("1.0", "B1", "BROWNOUT"), SCAN, state=S.ARMED),
+        course("a board reset while aiming", aim, BoardBooted("1.0", "B1", "BROWNOUT"), effects=[LIT], codes=[C.BOARD_RESET]),
         course("a full disk ends none", at.capturing, FULL_DISK, state=S.CAPTURE),
         # What refuses one.
         course("a camera lost is told", aim, on.DeviceDown(Device.CAMERA_RIGHT, "gone"), effects=[LIT],
@@ -159,8 +159,8 @@ def wet() -> Machine:
                shown=[("PROCESS LATER", "KEEP RAW FRAMES OR REPEAT")]),
         course("to be kept", at.reconstructing, news.failed(1, DIED), SCAN, effects=[do.Publish(1)]),
         course("a late cloud is welcome", at.reconstructing, news.failed(1, DIED), news.full(1, SUMMARY), cloud=SUMMARY, shown=[]),
-        course("a hanging worker is given up", at.reconstructing, wait(61.0), state=S.REVIEW, effects=[do.CancelReconstruction(1)]),
-        course("also while the save waits", at.kept_before_the_cloud, wait(61.0), effects=[do.CancelReconstruction(1), do.Publish(1)]),
+        course("a hanging worker is given up", at.reconstructing, wait(61.0), state=S.REVIEW, effects=[do.Wish.CANCEL_RECONSTRUCTION]),
+        course("also while the save waits", at.kept_before_the_cloud, wait(61.0), effects=[do.Wish.CANCEL_RECONSTRUCTION, do.Publish(1)]),
         course("a wrong pattern is no cloud", at.reconstructing, news.wrong(1, Fault(C.PROJECTOR_TIMING, "one frame late")),
                state=S.AIM, among=do.Reject(1, "one frame late"), codes=[C.PROJECTOR_TIMING]),
         course("without a sentence it is rejected by its name", at.reconstructing, news.wrong(1, SPOILT),
@@ -172,13 +172,13 @@ def wet() -> Machine:
         course("of this scan", coarse, news.judged(2, (MOVED,)), shown=[]),
         *(course(f"a glove on BACK costs nothing in {way.__name__}", way, BACK, state=way().state, scan=way().scan, effects=[],
                  on_back="HOLD: REDO") for way in (at.checking, at.reconstructing, at.reviewing)),
-        course("held since before there was a scan", aim, BACK, SCAN, on.Armed(1), on.CaptureFinished(1), on.KeyHeld(Key.BACK), effects=[],
+        course("held since before there was a scan", aim, BACK, SCAN, on.Armed(1), on.CaptureFinished(1), KeyLongPress(Key.BACK, 0), effects=[],
                state=S.CHECK),
         course("held without a cloud", at.checking, *HOLD_BACK, state=S.AIM,
-               effects=[do.CancelReconstruction(1), do.Reject(1, "rejected before the cloud was ready"), LIT]),
-        course("held with a part of it", coarse, *HOLD_BACK, effects=[do.CancelReconstruction(1), do.Reject(1, "rejected by the diver"), LIT]),
+               effects=[do.Wish.CANCEL_RECONSTRUCTION, do.Reject(1, "rejected before the cloud was ready"), LIT]),
+        course("held with a part of it", coarse, *HOLD_BACK, effects=[do.Wish.CANCEL_RECONSTRUCTION, do.Reject(1, "rejected by the diver"), LIT]),
         course("held with all of it", at.reviewing, *HOLD_BACK, state=S.AIM, effects=[do.Reject(1, "rejected by the diver"), LIT]),
-        course("the same press does not switch off", at.reviewing, *HOLD_BACK, on.KeyHeld(Key.BACK), state=S.AIM, asked=False),
+        course("the same press does not switch off", at.reviewing, *HOLD_BACK, KeyLongPress(Key.BACK, 0), state=S.AIM, asked=False),
         # The exposure.
         course("proposed", proposed, on_down="EXPOSE 8 ms"),
         course("taken, and shown live before the scan", proposed, DOWN, *HOLD_BACK, among=do.GoLive(light=True, lasers=True, exposure=SHORTER)),
@@ -188,15 +188,15 @@ def wet() -> Machine:
         course("the scan is kept all the same", proposed, DOWN, SCAN, state=S.SAVING),
         course("nothing is proposed where light was right", taken, on_down=None),
         course("it stays", taken, DOWN, *HOLD_BACK, exposure=SHORTER),
-        course("also for a calibration", taken, *HOLD_BACK, *(on.KeyPressed(k) for k in (Key.UP, *at.TO_CALIBRATION)), SCAN,
+        course("also for a calibration", taken, *HOLD_BACK, *(KeyPress(k, 0) for k in (Key.UP, *at.TO_CALIBRATION)), SCAN,
                among=do.Arm(3, 16, SHORTER)),
         course("no proposal, no change", at.reviewing, DOWN, exposure=NOMINAL),
-        course("BACK is stuck", proposed, on.KeyJammed(Key.BACK), DOWN, exposure=NOMINAL),
+        course("BACK is stuck", proposed, KeyStuck(Key.BACK), DOWN, exposure=NOMINAL),
         course("more gain is named as such", proposed, news.judged(1, (), Exposure(12_000, 4.0)), on_down="GAIN 4 dB"),
         # A second exposure.
         course("offered", offered, on_down="HOLD: ADD 3.2 ms"),
-        course("recorded", offered, *HOLD_DOWN, among=do.Arm(2, 16, SECOND, second=True), never=do.Reject | do.StoreRaw),
-        course("worked out", adding, on.CaptureFinished(2), among=do.StartReconstruction(2), never=do.Reject | do.StoreRaw),
+        course("recorded", offered, *HOLD_DOWN, among=do.Arm(2, 16, SECOND, second=True), never=(do.Reject, do.StoreRaw)),
+        course("worked out", adding, on.CaptureFinished(2), among=do.Wish.RECONSTRUCT, never=(do.Reject, do.StoreRaw)),
         course("merged, and its frames made durable, too", added, news.merged(1, replace(SUMMARY, points=1500)), state=S.REVIEW,
                effects=[do.StoreRaw(1)], cloud=replace(SUMMARY, points=1500), on_down=None, exposure=NOMINAL),
         course("what is held against either is held against both, but for the light", added, news.judged(1, (MOVED, Fault(C.TOO_BRIGHT)), None, SECOND),
@@ -207,13 +207,13 @@ def wet() -> Machine:
         course("a part of a cloud is not added to", coarse, news.judged(1, (), None, SECOND), on_down=None),
         course("a glove that brushes DOWN", offered, DOWN, state=S.REVIEW, exposure=NOMINAL, scan=offered().scan),
         course("one that lay on it before the offer", at.reviewing, DOWN, news.full(1, SUMMARY), news.judged(1, (), None, SECOND),
-               on.KeyHeld(Key.DOWN), state=S.REVIEW, on_down="HOLD: ADD 3.2 ms"),
+               KeyLongPress(Key.DOWN, 0), state=S.REVIEW, on_down="HOLD: ADD 3.2 ms"),
         course("refused, and the review goes on", offered, BOARD_GONE, *HOLD_DOWN, state=S.REVIEW, effects=[], scan=offered().scan,
                first=("BOARD LOST", "SCAN REFUSED")),
         *(course(f"the press that stops {way.__name__} held on", way, *HOLD_BACK, state=S.REVIEW, never=do.Reject) for way in (adding, added)),
         course("and the next one rejects", added, *HOLD_BACK, *HOLD_BACK, state=S.AIM, among=do.Reject(1, "rejected by the diver")),
         course("whatever lasts, BACK gives it up first", added, raised(C.UNCALIBRATED), BACK, state=S.REVIEW, seen=()),
-        course("while it is worked out the first is not rejected", added, on.KeyHeld(Key.BACK), never=do.Reject),
+        course("while it is worked out the first is not rejected", added, KeyLongPress(Key.BACK, 0), never=do.Reject),
         *(course(f"a leak while {way.__name__} saves the first", way, *LEAK, state=S.SAFE, among=do.Publish(1)) for way in (adding, added)),
         # The disk.
         course("a refused scan comes back", at.saving, REFUSED, state=S.REVIEW, codes=[C.NOT_SAVED]),
@@ -243,17 +243,17 @@ def wet() -> Machine:
         course("a worthless one keeps nobody", at.kept_before_the_cloud, STOP, news.wrong(1, SPOILT), state=S.SHUTDOWN,
                among=(do.Reject(1, "PATTERN_WRONG"), do.Quit(power_off=False))),
         *(course(f"stopped in {way().state.value}", way, STOP, state=S.SHUTDOWN, effects=[*ends, do.Quit(power_off=False)]) for way, ends in (
-            (aim, [do.StopLive()]), (at.armed, [do.AbortCapture(1)]), (at.capturing, [do.AbortCapture(1)]),
-            (at.checking, [do.CancelReconstruction(1)]), (at.reconstructing, [do.CancelReconstruction(1)]), (at.reviewing, []),
+            (aim, [do.Wish.DARK]), (at.armed, [do.Wish.ABORT_CAPTURE]), (at.capturing, [do.Wish.ABORT_CAPTURE]),
+            (at.checking, [do.Wish.CANCEL_RECONSTRUCTION]), (at.reconstructing, [do.Wish.CANCEL_RECONSTRUCTION]), (at.reviewing, []),
         )),
-        course("a leak ends a capture", at.capturing, *LEAK, state=S.SAFE, effects=[do.LightsOff(), do.AbortCapture(1)]),
-        course("a leak publishes what nobody will be asked about", at.reviewing, *LEAK, effects=[do.LightsOff(), do.Publish(1)]),
+        course("a leak ends a capture", at.capturing, *LEAK, state=S.SAFE, effects=[do.Wish.DARK, do.Wish.ABORT_CAPTURE]),
+        course("a leak publishes what nobody will be asked about", at.reviewing, *LEAK, effects=[do.Wish.DARK, do.Publish(1)]),
         course("a leak waits for the cloud", at.reconstructing, *LEAK, SCAN, state=S.SAFE, effects=[], on_scan=None),
         course("which is saved", at.safe_with_a_scan, news.coarse(1, SUMMARY), news.full(1, SUMMARY), SCAN, state=S.SAFE,
                among=do.Publish(1), effects=[], on_scan=None),
         course("and kept", at.safe_with_a_scan, news.full(1, SUMMARY), SAVED, state=S.SAFE, scan=None, last_scan="000001"),
         course("refused it is tried by SCAN", at.safe_with_a_scan, news.full(1, SUMMARY), REFUSED, SCAN, effects=[do.Publish(1)]),
-        course("but not for ever", at.safe_with_a_scan, wait(60.0), effects=[do.CancelReconstruction(1), do.Publish(1)]),
+        course("but not for ever", at.safe_with_a_scan, wait(60.0), effects=[do.Wish.CANCEL_RECONSTRUCTION, do.Publish(1)]),
         course("worthless it is put away in the dark", at.safe_with_a_scan, news.wrong(1, SPOILT), state=S.SAFE, scan=None,
                deadline_ns=None, among=do.Reject(1, "PATTERN_WRONG")),
         course("a save under way keeps its time", wet, wait(39.9), state=S.SAFE, publishing=True),
@@ -310,13 +310,13 @@ def test_what_is_told_of_a_scan_that_is_being_published_comes_too_late() -> None
 @pytest.mark.parametrize(
     "lost",
     [
-        (BACK,), (on.Armed(2), BACK), (on.CaptureFailed(2, MISSING),), (on.Armed(2), BOARD_GONE), (on.Armed(2), on.BoardReset("WATCHDOG")),
+        (BACK,), (on.Armed(2), BACK), (on.CaptureFailed(2, MISSING),), (on.Armed(2), BOARD_GONE), (on.Armed(2), BoardBooted("1.0", "B1", "WATCHDOG")),
         (on.Armed(2), wait(10_000)), (on.Armed(2), on.CaptureFinished(2), BACK), (on.Armed(2), on.CaptureFinished(2), wait(10_000)),
         (on.Armed(2), on.CaptureFinished(2), news.not_merged(1, Fault(C.MOVED))), (on.Armed(2), on.CaptureFinished(2), news.failed(1, DIED)),
     ],
 )  # fmt: skip
 def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(lost: tuple[Then, ...]) -> None:
-    kinds = do.Reject | do.CancelReconstruction
+    kinds = do.Reject, do.Wish.CANCEL_RECONSTRUCTION
     facts = {"state": S.REVIEW, "scan": offered().scan, "never": kinds}
     assert seen(offered, (*HOLD_DOWN, *lost), facts) == facts
     kept = {"among": do.Publish(1)}

@@ -32,7 +32,7 @@ from appliance.instrument.service.view import Facts, menu_view
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import Exposure, Span, ladder
 from appliance.measure.verdict import Grade
-from drivers.api import Key
+from drivers.api import Key, KeyPress
 from tests.appliance.instrument.machine.walks import STARTS, armed, in_gallery, reviewing, run
 from tests.appliance.instrument.screens.golden.scenes import AIM, ALERTS, GALLERY, REVIEW, SCENES, Scene, alert, keys
 from tests.support import news
@@ -316,7 +316,7 @@ def moments() -> Iterator[tuple[str, dict[Key, Label]]]:
     """The labels of every moment, by its state or the question whether to switch off."""
     other = Exposure(8_000)
     more = (
-        run(in_gallery(), on.KeyPressed(Key.DOWN)),
+        run(in_gallery(), KeyPress(Key.DOWN, 0)),
         run(reviewing(), news.judged(1, (Fault(FaultCode.TOO_BRIGHT),), other)),
         run(reviewing(), news.judged(1, (), None, other)),
         run(armed(), on.CaptureFailed(1, Fault(FaultCode.FRAME_MISSING))),

@@ -10,7 +10,9 @@ import pytest
 
 from appliance.base import Progress
 from appliance.calibrate.recordings import NotConverged
-from appliance.instrument.service.calibrating import Background, Done, Failed, Progressed
+from appliance.instrument.machine.events import CalibrationProgressed
+from appliance.instrument.machine.failure import Failure, FailureKind
+from appliance.instrument.service.calibrating import Background
 from drivers.native import MonotonicClock
 
 
@@ -47,7 +49,7 @@ def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
         said = background.poll()
         if said is not None:
             found.append(said)
-            if not isinstance(said, Progressed):
+            if not isinstance(said, CalibrationProgressed):
                 return found
         clock.sleep_s(0.01)
     raise AssertionError(f"no end of the job; so far {found}")
@@ -56,10 +58,10 @@ def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
 def test_a_job_says_how_far_it_is_and_answers_or_fails_in_its_words(background: Background) -> None:
     background.ask(double, 21)
     assert [background.busy] == [True]
-    assert answers(background) == [Progressed(0.5), Done(42)]
+    assert answers(background) == [CalibrationProgressed(0.5), 42]
     assert [background.busy] == [False]
     background.ask(refuse)
-    assert answers(background) == [Failed("no calibration fits M3", "NotConverged", "M3")]
+    assert answers(background) == [Failure(FailureKind.NO_SOLUTION, "no calibration fits M3", "M3")]
 
 
 def test_a_process_that_dies_is_told_once_and_one_that_is_no_longer_wanted_is_gone_at_once(
@@ -67,12 +69,12 @@ def test_a_process_that_dies_is_told_once_and_one_that_is_no_longer_wanted_is_go
 ) -> None:
     background.ask(die)
     (failed,) = answers(background)
-    assert isinstance(failed, Failed)
-    assert "ended with code" in failed.reason
+    assert isinstance(failed, Failure)
+    assert "ended with code" in failed.detail
     assert background.poll() is None
     background.ask(hang)
     assert background.poll() is None, "nobody waits for a job"
     background.stop()
     assert not background.busy
     background.ask(double, 5)
-    assert answers(background) == [Progressed(0.5), Done(10)], "another process, and nothing of the last job"
+    assert answers(background) == [CalibrationProgressed(0.5), 10], "another process, and nothing of the last job"

@@ -17,8 +17,7 @@ from appliance.calibrate.calibrator import Examined, Solution, basis_of, examine
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibrate.recordings import RecordingError
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.failure import FailureKind
-from appliance.instrument.service.calibrating import Done, Failed, Progressed
+from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.measure.calibration.file import Calibration, CalibrationError, encode_calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrection, node_count
@@ -129,7 +128,7 @@ def heard(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Heard]:
                 events += [*desk.parts.calibrating.poll(), *desk.parts.scans.poll()]
             return events
 
-        assert after() == [on.SessionChanged(Session())]
+        assert after() == [Session()]
         yield desk, machine, after
 
 
@@ -138,7 +137,7 @@ def test_a_recording_is_examined_and_entered_into_the_session(heard: Heard, step
     desk, machine, after = heard
     calibrating, scans = desk.parts.calibrating, desk.parts.scans
     calibrating.examine(4, step)
-    assert [event.failure.kind for event in after()] == [FailureKind.RECORDING]
+    assert [event.kind for event in after()] == [FailureKind.RECORDING]
     scans.begin(4, Exposure(8_000))
     assert scans.scan is not None
     scans.scan.record = scenes.record(sequence=SequenceInfo.of(SEQUENCE))
@@ -147,11 +146,11 @@ def test_a_recording_is_examined_and_entered_into_the_session(heard: Heard, step
     calibrating.examine(4, step)
     assert machine.started[-1].pipe.recv()[1:] == (examine_recording, (desk.rig, step, scans.folder(4)))
     check, verified, right = RecordingCheck(step, None, 0.03), Verified(0.0001, None, 0.00004), step is Step.VERIFY
-    assert after(Done(Examined(check, verified))) == [on.TrialExamined(4, check)]
+    assert after(Examined(check, verified)) == [on.TrialExamined(4, check)]
     scans.watch.trend = scans.watch.trend.alarmed("the ray gaps have grown")
     calibrating.accept(4, check)
     events = after()
-    (session,) = [event.session for event in events if isinstance(event, on.SessionChanged)]
+    (session,) = [event for event in events if isinstance(event, Session)]
     assert ([one.scan_id for one in session.trials], session.verified) == (["000001"], verified if right else None)
     # A bar that was measured right is the answer to the alarm.
     assert (on.ConditionCleared(FaultCode.VERIFY_CALIBRATION) in events, scans.watch.fault is None) == (right, right)
@@ -161,19 +160,22 @@ def test_what_is_solved_is_used_and_what_comes_to_nothing_is_told(heard: Heard) 
     desk, machine, after = heard
     calibrating, made = desk.parts.calibrating, replace(Instrument(desk.rig).design(), method="bundle, ports")
     calibrating.warm()
-    for said, kind in ((Failed("no fit", "NotConverged"), FailureKind.NO_SOLUTION), (Done(7), FailureKind.BROKEN_OFF)):
+    for said, kind in (
+        (Failure(FailureKind.NO_SOLUTION, "no fit"), FailureKind.NO_SOLUTION),
+        (7, FailureKind.BROKEN_OFF),
+    ):
         calibrating.solve()
-        assert [event.failure.kind for event in after(said)] == [kind]
+        assert [event.kind for event in after(said)] == [kind]
     calibrating.cancel()
     assert (len(machine.started), machine.started[0].waits_s) == (1, [0.0, 2.0]), "it computes no more"
     calibrating.solve()
     assert machine.started[-1].pipe.recv()[1] is solve_calibration
-    assert after(Progressed(0.5)) == [on.CalibrationProgressed(0.5)]
+    assert after(on.CalibrationProgressed(0.5)) == [on.CalibrationProgressed(0.5)]
     summary = AdjustmentSummary(made.method, 0.03, (), made.hash)
-    (solved,) = after(Done(Solution(made, summary, None, {})))
+    (solved,) = after(Solution(made, summary, None, {}))
     calibrating.use_solved()
     used, *cleared = after()
-    assert (solved.session.solved, used.session.in_use, desk.parts.scans.calibration.hash) == (summary, True, made.hash)
+    assert (solved.solved, used.in_use, desk.parts.scans.calibration.hash) == (summary, True, made.hash)
     assert cleared[:2] == [on.ConditionCleared(FaultCode[code]) for code in ("UNCALIBRATED", "VERIFY_CALIBRATION")]
     calibrating.restore()
-    assert [event.failure.kind for event in after()] == [FailureKind.FILES], "none was in use before"
+    assert [event.kind for event in after()] == [FailureKind.FILES], "none was in use before"

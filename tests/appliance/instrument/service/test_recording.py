@@ -31,6 +31,7 @@ from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.store.library import Library
 from drivers import api
+from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck
 from drivers.output.gl import open_gl
 from tests.appliance.instrument.capture.test_course_of_a_scan import BEAT, SEQUENCE, N
 from tests.appliance.instrument.machine.walks import PARTS, SUMMARY, UPS, run
@@ -182,9 +183,9 @@ WARM = api.Telemetry(0, 0, 0, api.LaserState(False, False), 41.0, 36.5, 30.0)
 
 def test_each_report_of_the_board_means_what_it_says(inputs: Inputs, caplog: pytest.LogCaptureFixture) -> None:
     assert [inputs.telemetry] == [None]
-    assert inputs.board_event(WARM) == [on.TelemetryArrived(WARM)]
+    assert inputs.board_event(WARM) == [WARM]
     assert inputs.telemetry is WARM
-    assert inputs.board_event(api.BoardBooted("1.0", "B1", "BROWNOUT")) == [on.BoardReset("BROWNOUT")]
+    assert inputs.board_event(api.BoardBooted("1.0", "B1", "BROWNOUT")) == [BoardBooted("1.0", "B1", "BROWNOUT")]
     assert inputs.board_event(api.Pulse(1, 2, 3)) == inputs.board_event(api.PulsesDone(4)) == []
     assert caplog.text == ""
     assert inputs.board_event(api.VsyncLost()) == []
@@ -214,9 +215,9 @@ def test_keys_come_before_the_board_and_a_flood_is_read_bit_by_bit(desk: Desk, i
     time.sleep(0.05)
     board._events += [BEAT] * 250  # type: ignore[union-attr]  # the script's
     events = inputs.poll()
-    assert events[0] == on.KeyPressed(api.Key.SCAN)
-    assert events[1:] == [on.TelemetryArrived(BEAT)] * 200
-    assert inputs.poll() == [on.TelemetryArrived(BEAT)] * 50
+    assert events[0] == KeyPress(api.Key.SCAN, 0)
+    assert events[1:] == [BEAT] * 200
+    assert inputs.poll() == [BEAT] * 50
 
 
 def test_every_key_event_is_heard_and_a_pad_that_is_gone_is_told_once(desk: Desk, inputs: Inputs) -> None:
@@ -230,7 +231,7 @@ def test_every_key_event_is_heard_and_a_pad_that_is_gone_is_told_once(desk: Desk
     told: list[on.Event] = []
     desk.until(lambda: told.extend(inputs.keys()) or len(told) >= 5)  # type: ignore[func-returns-value]
     assert told == [
-        on.KeyPressed(api.Key.UP), on.KeyHeld(api.Key.UP), on.KeyJammed(api.Key.UP), on.KeyFreed(api.Key.UP),
+        KeyPress(api.Key.UP, 0), KeyLongPress(api.Key.UP, 0), KeyStuck(api.Key.UP), KeyFreed(api.Key.UP),
         on.DeviceDown(Device.KEYS, "unplugged"),
     ]  # fmt: skip
     assert inputs.keys() == [], "nobody is there to ask"

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Device, Gallery, Part, State, boot
+from appliance.instrument.machine.states import Device, Gallery, Part, PartTested, State, boot
 from appliance.instrument.ranging.marks import Marks, Track
 from appliance.instrument.ranging.reach import Range, Reach
 from appliance.instrument.screens.texts import to_the_minute
@@ -87,7 +87,7 @@ def test_the_gallery_shows_the_scan_that_is_looked_at_and_of_another_that_was_lo
 
 @pytest.mark.parametrize("failed", [None, *Part])
 def test_all_is_called_ready_only_when_no_line_of_the_self_test_says_otherwise(failed: Part | None) -> None:
-    parts = [on.PartTested(part, part is not failed) for part in Part]
+    parts = [PartTested(part, part is not failed) for part in Part]
     view = view_of(run(boot(0), *UPS, on.BootFinished(), *parts), NOTHING)
     assert isinstance(view, SelfTestView)
     assert view.finished

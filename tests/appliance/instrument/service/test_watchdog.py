@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from appliance.instrument.machine import events as on
 from appliance.instrument.machine import states
 from appliance.instrument.machine.states import Device, Machine, Part, State, boot
 from appliance.instrument.machine.transfer import NOT_TOLD, Serving, Transfer
@@ -41,7 +40,7 @@ def machine(now_s: float, state: State = State.AIM) -> Machine:
 
 
 def answered(at: Machine, *lost: Device, **parts: bool) -> Machine:
-    results = {part: states.Tested(parts.get(part.name.lower(), True)) for part in Part}
+    results = {part: states.PartTested(part, parts.get(part.name.lower(), True)) for part in Part}
     up = frozenset(set(Device) - set(lost))
     gone = {device: Fault(FaultCode.CAMERA_LOST, "unplugged") for device in lost}
     return replace(at, up=up, lost=gone, parts=results)
@@ -174,10 +173,10 @@ def test_the_note_is_what_the_unit_waits_for(status: Path) -> None:
 def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Path) -> None:
     one = switch(status)
     assert one.poll(0, wanted=False) == []
-    assert one.poll(0, wanted=True) == [on.TransferTold(NOT_TOLD)]
+    assert one.poll(0, wanted=True) == [NOT_TOLD]
     status.write_text(json.dumps(TOLD))
     assert one.poll(LOOK_NS - 1, wanted=True) == []
-    assert one.poll(LOOK_NS, wanted=True) == [on.TransferTold(Transfer(Serving.ON, "192.168.1.7", 2))]
+    assert one.poll(LOOK_NS, wanted=True) == [Transfer(Serving.ON, "192.168.1.7", 2)]
     assert one.poll(2 * LOOK_NS, wanted=True) == [], "nothing new"
     assert one.poll(3 * LOOK_NS, wanted=False) == []
     assert one.poll(3 * LOOK_NS, wanted=True) != [], "switched on again, it is told anew"
@@ -193,14 +192,14 @@ def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Pat
 )  # fmt: skip
 def test_what_cannot_be_understood_is_not_shown(status: Path, wrong: bytes) -> None:
     status.write_bytes(wrong)
-    assert switch(status).poll(0, wanted=True) == [on.TransferTold(NOT_TOLD)]
+    assert switch(status).poll(0, wanted=True) == [NOT_TOLD]
 
 
 def test_an_address_that_the_screen_would_cut_is_not_shown(status: Path) -> None:
     widest, wider = "2001:db8:1111:2222:3333::1", "2001:db8:1111:2222:3333::12"
     for addresses, shown in (([wider], None), ([wider, widest], widest)):
         status.write_text(json.dumps(TOLD | {"addresses": addresses}))
-        assert switch(status).poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.ON, shown, 2))]
+        assert switch(status).poll(0, wanted=True) == [Transfer(Serving.ON, shown, 2)]
 
 
 def test_at_a_desk_there_is_nothing_to_switch_and_a_note_that_cannot_be_written_ends_nothing(status: Path) -> None:
@@ -209,4 +208,4 @@ def test_at_a_desk_there_is_nothing_to_switch_and_a_note_that_cannot_be_written_
     for one in (at_a_desk, switch(status)):
         one.switch(to_on=True)
         assert not one.wanted
-    assert at_a_desk.poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.FAILED))]
+    assert at_a_desk.poll(0, wanted=True) == [Transfer(Serving.FAILED)]
