@@ -12,7 +12,7 @@ import time
 from drivers.camera_families import USUAL
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
-from tests.hw_sim.devices.host import BoardHost
+from tests.hw_sim.devices.host import framed
 from tests.libraries.client import Client
 
 SIZE = (1600, 1200)
@@ -26,7 +26,7 @@ def measure(frames: int, kind: str = USUAL) -> dict[str, float]:
     )
     with World(options) as world, Testbed(world) as bed:
         with world.time.condition:
-            world.board.receive(BoardHost.line("C,1,LIVE,1,500,1000"))
+            world.board.receive(framed("C,1,LIVE,1,500,1000"))
         cameras = ("--kind", kind, width, height)
         with Client(bed, "cameras", *cameras, WARM_UP, "KF-CAM-L", "KF-CAM-R") as client:
             client.expect("cpu_s", timeout_s=120)  # makes the images, one for each camera

@@ -14,7 +14,7 @@ import pytest
 from hw_sim.timing.world_time import BLANK_NS
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World
-from tests.hw_sim.devices.host import BoardHost
+from tests.hw_sim.devices.host import framed
 from tests.libraries.client import Client
 from tests.libraries.clients.output import pattern
 from tests.libraries.instrument import rig_file
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.foreign
 def triggered(world: World) -> None:
     """The board fires both cameras at every sixth blank, as it does while the diver aims."""
     with world.time.condition:
-        world.board.receive(BoardHost.line("C,1,LIVE,6,500,1000"))
+        world.board.receive(framed("C,1,LIVE,6,500,1000"))
 
 
 LARGE = (1280, 960)

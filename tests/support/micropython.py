@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import select
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import pytest
 
@@ -85,3 +88,22 @@ class MicroPython:
         if line.startswith("ERROR "):
             raise FailedInside(line)
         return line
+
+
+class _Inside:
+    """An object in the machine, whose methods take and return literals."""
+
+    def __init__(self, machine: MicroPython, name: str) -> None:
+        self._machine, self._name = machine, name
+
+    def __getattr__(self, method: str) -> Any:
+        return lambda *given: ast.literal_eval(self._machine.run(f"print({self._name}.{method}{given!r})"))
+
+
+@contextmanager
+def desk_inside(files: list[Path], module: str, kind: str) -> Iterator[Any]:
+    """Yield a desk of a firmware, made in a machine that has its ``files``; skips or fails as ``require`` does."""
+    require()
+    with MicroPython(files) as machine:
+        machine.run(f"from {module} import {kind}; desk = {kind}()")
+        yield _Inside(machine, "desk")

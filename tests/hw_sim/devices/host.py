@@ -112,16 +112,16 @@ class U3vHost:
         return GotFrame(leader, buffer[:got].tobytes(), trailer)
 
 
+def framed(body: str) -> bytes:
+    return f"${body}*{binascii.crc_hqx(body.encode(), 0xFFFF):04X}\r\n".encode()
+
+
 class BoardHost:
     def __init__(self, url: str = "kfsim://main/board") -> None:
         self.port = serial.serial_for_url(url, timeout=1.0)
         self.number = 100
         self.reports: list[list[str]] = []
         self.received = b""
-
-    @staticmethod
-    def line(body: str) -> bytes:
-        return f"${body}*{binascii.crc_hqx(body.encode(), 0xFFFF):04X}\r\n".encode()
 
     def next_line(self) -> list[str] | None:
         """The words of the next good line, ``None`` after the timeout."""
@@ -132,12 +132,12 @@ class BoardHost:
             self.received += more
         raw, _, self.received = self.received.partition(b"\n")
         body = raw[raw.rfind(b"$") + 1 :].rpartition(b"*")[0].decode(errors="replace")
-        return body.split(",") if raw.endswith(self.line(body)[:-1]) else ["garbage"]
+        return body.split(",") if raw.endswith(framed(body)[:-1]) else ["garbage"]
 
     def ask(self, *words: object) -> list[str]:
         """Send a command, return the words behind its verb; a refusal is ['N', code, text]."""
         self.number += 1
-        self.port.write(self.line(",".join(["C", str(self.number), *map(str, words)])))
+        self.port.write(framed(",".join(["C", str(self.number), *map(str, words)])))
         while (got := self.next_line()) is not None:
             if got[0] in "AN" and got[1] == str(self.number):
                 return got[3:] if got[0] == "A" else ["N", *got[3:]]

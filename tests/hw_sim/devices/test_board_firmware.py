@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import binascii
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,10 +11,7 @@ from hw_sim.clocks import Clocks
 from hw_sim.devices.board import Board, Shot
 from hw_sim.timing.world_time import BLANK_NS, START_NS
 from tests.hw_sim.devices.bench import Bench, bench
-
-
-def framed(body: str) -> bytes:
-    return f"${body}*{binascii.crc_hqx(body.encode(), 0xFFFF):04X}\r\n".encode()
+from tests.hw_sim.devices.host import framed
 
 
 class Desk:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from hw_sim.optics.aberrations import ORDERS, Aberrations, LensFlaws, flawed
-from hw_sim.optics.table import fit_table, look_up_all
 from hw_sim.optics.trace import flaw_field, pixel_ray
-from hw_sim.truth import TrueEye, draw_truth, project, ray
+from hw_sim.truth import TrueEye, draw_truth
 from hw_sim.water.medium import Water
 
 N_WATER = Water().index
@@ -63,17 +62,3 @@ def test_a_window_under_pressure_is_the_weak_lens_that_a_meniscus_is() -> None:
     outer_mm = inner_mm + port.th_mm * angle / port.n_g
     change = -bend * ((port.n_g - 1.0) * inner_mm + (N_WATER - port.n_g) * outer_mm) / N_WATER
     assert angles[1] - angles[0] == pytest.approx(change, rel=2e-3)
-
-
-@pytest.mark.parametrize("name", ["left", "projector"])
-def test_the_projection_table_follows_the_flaws(name: str) -> None:
-    truth = draw_truth("outside", 11, 1600, 1200, N_WATER)
-    eye = truth.eye(name)
-    uv = np.random.default_rng(1).uniform(0, [eye.width_px - 1, eye.height_px - 1], (1500, 2))
-    origin, direction = ray(truth, name, uv)
-    points = origin + direction * np.random.default_rng(2).uniform(380.0, 650.0, (len(uv), 1))
-    found = np.empty_like(uv)
-    packed = eye.packed(N_WATER)
-    look_up_all(packed, fit_table(packed), points, found)
-    assert np.abs(found - uv).max() < 1e-3
-    np.testing.assert_allclose(project(truth, name, points[:100]), uv[:100], atol=1e-9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import binascii
 import socket
 import struct
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ import pytest
 from hw_sim.wires.usbip.exporter import Exporter
 from hw_sim.wires.usbip.messages import ProtocolError, Submit, parse_command
 from hw_sim.world import World, WorldOptions
+from tests.hw_sim.devices.host import framed
 
 EPIPE, ECONNRESET = 32, 104
 CAMERA, BOARD = "1-1", "1-4"
@@ -170,10 +170,6 @@ def test_a_kernel_can_enumerate_each_device_and_one_host_has_it(port: int) -> No
         free(port, bus_id).__exit__()
 
 
-def framed(body: bytes) -> bytes:
-    return b"$%s*%04X\r\n" % (body, binascii.crc_hqx(body, 0xFFFF))
-
-
 @pytest.mark.parametrize(
     ("command", "direction", "endpoint", "length", "packets", "named"),
     [
@@ -202,9 +198,9 @@ def test_the_board_answers_a_terminal_that_is_ready_and_leaves_the_bus_without_p
         world.time.sleep_s(0.7)  # a heartbeat at least, but nobody listens
         assert board.finish(board.unlink(waiting)) == Ended(-ECONNRESET, b"", unlink=True)
         assert board.control(0x21, 0x22, 0x03).status == 0
-        assert board.bulk(2, data=framed(b"C,7,STOP")).status == 0
+        assert board.bulk(2, data=framed("C,7,STOP")).status == 0
         heard = b""
-        while framed(b"A,7,STOP") not in heard:
+        while framed("A,7,STOP") not in heard:
             heard += board.bulk(2, 512).data
         world.fault("board off")
         with pytest.raises(ConnectionError):

@@ -24,7 +24,7 @@ from hw_sim.wires.umockdev.hidraw_node import HidFile, PluggedPad
 from hw_sim.wires.umockdev.readiness import Readiness
 from hw_sim.world import World, WorldOptions
 from tests.hw_sim.conftest import SMALL, Bench
-from tests.hw_sim.devices.test_board_firmware import framed
+from tests.hw_sim.devices.host import framed
 
 RIGS = Path(wires.__file__).parents[1] / "rigs"
 PING = framed("C,1,PING")

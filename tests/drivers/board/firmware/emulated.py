@@ -115,7 +115,7 @@ VSYNC_CTRL = IO_BANK0 + 8 * VSYNC + 4
 POWER_ON, WATCHDOG = 1, 3
 
 
-def _sht40(temperature: int, humidity: int) -> bytes:
+def sht40(temperature: int, humidity: int) -> bytes:
     words = [temperature.to_bytes(2, "big"), humidity.to_bytes(2, "big")]
     return b"".join(word + bytes([crc8(word)]) for word in words)
 
@@ -135,7 +135,7 @@ class Emulated:
         self.fed = 0
         self.adc = {gpio("SUPPLY_SENSE"): 43_500}
         self.levels: dict[int, int] = {}
-        self.sensors: dict[int, bytes] = {0x48: b"\x0f\xa0", 0x49: b"\x0c\x80", 0x44: _sht40(0x6666, 0x7333)}
+        self.sensors: dict[int, bytes] = {0x48: b"\x0f\xa0", 0x49: b"\x0c\x80", 0x44: sht40(0x6666, 0x7333)}
         self.heard = b""
         self.said = b""
         self.listening = True

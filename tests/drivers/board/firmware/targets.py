@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
 
 from hw_sim.devices.board import Board
 from tests.drivers.board.firmware.desk import Desk
 from tests.hw_sim.devices.bench import Bench, bench
-from tests.support.micropython import ROOT, MicroPython
+from tests.support.micropython import ROOT, desk_inside
 
 FILES = [
     *(ROOT / "drivers" / "board" / "firmware" / name for name in ("hardware.py", "line.py", "core.py")),
@@ -63,31 +62,12 @@ def simulated() -> Iterator[Target]:
         yield _Simulated(made, board)
 
 
-@contextmanager
-def cpython() -> Iterator[Target]:
-    yield Desk()
+def cpython() -> AbstractContextManager[Target]:
+    return nullcontext(Desk())
 
 
-class _Inside:
-    """The firmware within MicroPython's virtual machine."""
-
-    def __init__(self, machine: MicroPython) -> None:
-        self._machine = machine
-        machine.run("from tests.drivers.board.firmware.desk import Desk; desk = Desk()")
-
-    def exchange(self, data: bytes, time_us: int) -> bytes:
-        said = ast.literal_eval(self._machine.run(f"print(desk.exchange({data!r}, {time_us}))"))
-        assert isinstance(said, bytes)
-        return said
-
-    def sync(self, there: bool) -> None:
-        self._machine.run(f"desk.sync({there})")
-
-
-@contextmanager
-def micropython() -> Iterator[Target]:
-    with MicroPython(FILES) as machine:
-        yield _Inside(machine)
+def micropython() -> AbstractContextManager[Target]:
+    return desk_inside(FILES, "tests.drivers.board.firmware.desk", "Desk")
 
 
 TARGETS: dict[str, Callable[[], AbstractContextManager[Target]]] = {

@@ -10,7 +10,8 @@ import pytest
 from drivers.board.firmware import instrument, pins, pio
 from drivers.board.firmware.core import BoardCore
 from tests.drivers.board.firmware.emulated import CLOCK_HZ, PERIOD_US, US, WATCHDOG, Emulated, install
-from tests.drivers.board.firmware.test_conformance import Host, framed
+from tests.drivers.board.firmware.test_conformance import Host
+from tests.hw_sim.devices.host import framed
 
 pytestmark = pytest.mark.devices
 

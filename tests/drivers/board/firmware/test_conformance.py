@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.drivers.board.firmware.targets import TARGETS, Target
-from tests.support.micropython import require
+from tests.hw_sim.devices.host import framed
 
 pytestmark = pytest.mark.devices
 
@@ -24,10 +24,6 @@ PERIOD_US = 1e6 / 60.0
 SENSORS = ["TPROJ", "TCASE", "TBOARD", "LEAK", "HUM", "SUPPLY"]
 DRIFT = 100e-6
 """50 ppm of the board, and as much for the host."""
-
-
-def framed(body: str) -> bytes:
-    return f"${body}*{binascii.crc_hqx(body.encode(), 0xFFFF):04X}\r\n".encode()
 
 
 @dataclass
@@ -74,10 +70,7 @@ class Host:
 
 @pytest.fixture(params=TARGETS)
 def host(request: pytest.FixtureRequest) -> Iterator[Host]:
-    name = str(request.param)
-    if "MicroPython" in name:
-        require()
-    with TARGETS[name]() as target:
+    with TARGETS[str(request.param)]() as target:
         yield Host(target)
 
 

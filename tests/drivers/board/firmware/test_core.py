@@ -9,7 +9,8 @@ import pytest
 
 from drivers.board.firmware.line import LONGEST, CommandFinder
 from tests.drivers.board.firmware.desk import PERIOD_US, Desk, DeskHardware
-from tests.drivers.board.firmware.test_conformance import Host, framed
+from tests.drivers.board.firmware.test_conformance import Host
+from tests.hw_sim.devices.host import framed
 from tests.support.micropython import ROOT
 
 

@@ -18,7 +18,6 @@ from drivers.board.reports import Refusal
 from drivers.native import MonotonicClock
 from tests.drivers.board.firmware.targets import Target, cpython, micropython
 from tests.drivers.board.terminal import Terminal
-from tests.support.micropython import require
 
 pytestmark = pytest.mark.devices
 
@@ -54,8 +53,6 @@ class Noisy:
 
 @contextmanager
 def talking(machine: str, noise: float) -> Iterator[TriggerBoard]:
-    if machine == "MicroPython":
-        require()
     with cpython() if machine == "CPython" else micropython() as target:
         terminal = Terminal(Noisy(target, noise).exchange)
         try:

@@ -13,7 +13,7 @@ import pytest
 from drivers.board.firmware.outbox import Outbox
 from tests.drivers.board.firmware.desk import Desk
 from tests.drivers.board.firmware.targets import FILES
-from tests.drivers.board.firmware.test_conformance import framed
+from tests.hw_sim.devices.host import framed
 from tests.support.micropython import ROOT, MicroPython, require
 
 pytestmark = pytest.mark.devices
@@ -66,7 +66,7 @@ class Counted:
         sys.settrace(None)
 
     def _trace(self, frame: FrameType, event: str, _: Any) -> Any:
-        if "/firmware/" not in frame.f_code.co_filename or "/tests/" in frame.f_code.co_filename:
+        if not frame.f_code.co_filename.startswith(tuple(map(str, FIRMWARES))):
             return None
         frame.f_trace_opcodes = True
         if event == "opcode":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.board.firmware import sensors
+from tests.drivers.board.firmware.emulated import sht40
 
 
 @pytest.mark.parametrize(
@@ -21,16 +22,11 @@ def test_a_tmp117_counts_in_steps_of_a_128th_and_no_value_is_a_dash(
     assert sensors.written(celsius, 2) == written
 
 
-def reading(temperature: int, humidity: int) -> bytes:
-    words = [temperature.to_bytes(2, "big"), humidity.to_bytes(2, "big")]
-    return b"".join(word + bytes([sensors.crc8(word)]) for word in words)
-
-
 def test_an_sht40_gives_temperature_and_humidity_or_with_a_wrong_bit_nothing() -> None:
     assert sensors.crc8(b"\xbe\xef") == 0x92, "the checksum of its datasheet"
-    assert sensors.sht40(reading(0, 0)) == (-45.0, 0.0), "-6 % is dry"
-    assert sensors.sht40(reading(65535, 65535)) == (130.0, 100.0), "119 % is wet"
-    raw = reading(0x6666, 0x7333)
+    assert sensors.sht40(sht40(0, 0)) == (-45.0, 0.0), "-6 % is dry"
+    assert sensors.sht40(sht40(65535, 65535)) == (130.0, 100.0), "119 % is wet"
+    raw = sht40(0x6666, 0x7333)
     assert sensors.sht40(raw) == pytest.approx((25.0, 50.25), abs=0.01)
     assert sensors.sht40(raw[:5]) is None
     for spoilt in (0, 2, 3, 5):

@@ -5,10 +5,9 @@ The suite has its own reading of a report and shares no number with what it judg
 
 from __future__ import annotations
 
-import ast
 import itertools
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
 
 import pytest
@@ -20,7 +19,7 @@ from drivers.keys.report import parse_report
 from hw_sim.devices.keypad import REPORT_DESCRIPTOR, Keypad
 from tests.drivers.keys.firmware.desk import PadDesk
 from tests.hw_sim.devices.bench import Bench, bench
-from tests.support.micropython import ROOT, MicroPython, require
+from tests.support.micropython import ROOT, desk_inside
 
 pytestmark = pytest.mark.devices
 
@@ -67,36 +66,10 @@ def simulated() -> Iterator[Target]:
         yield _Simulated(made)
 
 
-@contextmanager
-def cpython() -> Iterator[Target]:
-    yield PadDesk()
-
-
-class _Inside:
-    def __init__(self, machine: MicroPython) -> None:
-        self._machine = machine
-        machine.run("from tests.drivers.keys.firmware.desk import PadDesk; desk = PadDesk()")
-
-    def run(self, time_ms: int) -> Reports:
-        said = ast.literal_eval(self._machine.run(f"print(desk.run({time_ms}))"))
-        assert isinstance(said, list)
-        return said
-
-    def finger(self, key: int, down: bool) -> None:
-        self._machine.run(f"desk.finger({key}, {down})")
-
-
-@contextmanager
-def micropython() -> Iterator[Target]:
-    require()
-    with MicroPython(FILES) as machine:
-        yield _Inside(machine)
-
-
 TARGETS: dict[str, Callable[[], AbstractContextManager[Target]]] = {
     "simulator": simulated,
-    "firmware in CPython": cpython,
-    "firmware in MicroPython": micropython,
+    "firmware in CPython": lambda: nullcontext(PadDesk()),
+    "firmware in MicroPython": lambda: desk_inside(FILES, "tests.drivers.keys.firmware.desk", "PadDesk"),
 }
 
 
