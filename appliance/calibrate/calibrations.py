@@ -32,10 +32,6 @@ from appliance.store import (
     StorageError,
     is_kept_calibration,
     load_calibration,
-    make_folders,
-    move_folder,
-    remedy_for,
-    replace_file,
 )
 
 SOLVED, SESSION = "solved.json", "session.json"
@@ -117,20 +113,20 @@ class Calibrations:
 
     def write(self, session: Session) -> Session:
         """Make the session durable; answers it as it lies on the disk now."""
-        make_folders(self._fs, self.folder / "session")
+        self._fs.make_folders(self.folder / "session")
         kept = replace(session, in_use=False)  # never written down
-        replace_file(self._fs, self.folder / "session" / SESSION, SESSIONS.encode(kept, self._of))
+        self._fs.replace_file(self.folder / "session" / SESSION, SESSIONS.encode(kept, self._of))
         return self.session()
 
     def write_solved(
         self, calibration: Calibration, session: Session, report: Mapping[str, bytes] = MappingProxyType({})
     ) -> Session:
         """Make a solved calibration durable with its ``report``'s files (by name), then the session that speaks of it."""
-        make_folders(self._fs, self.folder / "session")
+        self._fs.make_folders(self.folder / "session")
         for name, data in report.items():
-            replace_file(self._fs, self.folder / "session" / name, data)
+            self._fs.replace_file(self.folder / "session" / name, data)
         # The session comes last: until it speaks of them, these files mean nothing, whenever the power goes.
-        replace_file(self._fs, self.solved, encode_calibration(calibration))
+        self._fs.replace_file(self.solved, encode_calibration(calibration))
         return self.write(session)
 
     def use_solved(self, date: str) -> Session:
@@ -148,8 +144,8 @@ class Calibrations:
         if before is not None:
             # Kept, and named, before it is replaced: after a loss of power at any point there is a way back (ADR 0020).
             session = self.write(replace(session, kept=self._keep(before, date)))
-        make_folders(self._fs, self.folder)
-        replace_file(self._fs, self.current, data)
+        self._fs.make_folders(self.folder)
+        self._fs.replace_file(self.current, data)
         return self.session()
 
     def restore(self) -> Session:
@@ -162,15 +158,15 @@ class Calibrations:
         data = _bytes(path)
         if data is None:
             raise SessionError(f"{path} cannot be read; copy the instrument's calibration to {self.current}")
-        replace_file(self._fs, self.current, data)
+        self._fs.replace_file(self.current, data)
         return self.session()
 
     def install(self, calibration: Calibration, date: str) -> Path | None:
         """Put a calibration in use that no session made; answers where the file of before is kept, if there was one."""
         before = _bytes(self.current)
         kept = None if before is None else self._keep(before, date)
-        make_folders(self._fs, self.folder)
-        replace_file(self._fs, self.current, encode_calibration(calibration))
+        self._fs.make_folders(self.folder)
+        self._fs.replace_file(self.current, encode_calibration(calibration))
         return None if kept is None else self.folder / "kept" / kept
 
     def bring_back(self, name: str | None, date: str) -> Path:
@@ -192,26 +188,26 @@ class Calibrations:
         # What is in use now may be kept nowhere yet, as where somebody copied it in.
         if now is not None:
             self._keep(now, date)
-        replace_file(self._fs, self.current, data)
+        self._fs.replace_file(self.current, data)
         return path
 
     def begin(self) -> Session:
         """Put the session away and begin a new one."""
         folder = self.folder / "session"
         if folder.is_dir():
-            make_folders(self._fs, self.folder / "sessions")
-            move_folder(self._fs, folder, self.folder / "sessions" / f"{_next(self.folder / 'sessions'):04d}")
+            self._fs.make_folders(self.folder / "sessions")
+            self._fs.move_folder(folder, self.folder / "sessions" / f"{_next(self.folder / 'sessions'):04d}")
         return self.session()
 
     def _keep(self, data: bytes, date: str) -> str:
         """Name of the kept file with these bytes, which is written where there is none."""
         folder = self.folder / "kept"
-        make_folders(self._fs, folder)
+        self._fs.make_folders(folder)
         for path in sorted(folder.glob("*.json")):
             if _bytes(path) == data:
                 return path.name
         path = folder / f"{_next(folder):04d}-{date}.json"
-        replace_file(self._fs, path, data)
+        self._fs.replace_file(path, data)
         return path.name
 
 
@@ -220,7 +216,7 @@ def _next(folder: Path) -> int:
     try:
         found = [_leading(path.name) for path in folder.iterdir()]
     except OSError as error:
-        raise StorageError("cannot list", folder, error.strerror or str(error), remedy_for(error)) from error
+        raise StorageError.of("cannot list", folder, error) from error
     return max(found, default=0) + 1
 
 

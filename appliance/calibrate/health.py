@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 
 from appliance.base import ContentError, SealedFile
 from appliance.measure import DOUBTS, MODES, PATCH_COUNT, PATCHES, PatchGaps
-from appliance.store import FileSystem, LocalFileSystem, StorageError, make_folders, refused, remedy_for, replace_file
+from appliance.store import FileSystem, LocalFileSystem, StorageError
 
 Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
@@ -536,9 +536,9 @@ class HealthFile:
 
     def write(self, trend: HealthTrend) -> None:
         """Write it all down; it is durable on return. Raises StorageError."""
-        make_folders(self._fs, self.path.parent)
+        self._fs.make_folders(self.path.parent)
         self._set_aside()
-        replace_file(self._fs, self.path, HEALTH.encode(_StoredHealth(trend), self._of))
+        self._fs.replace_file(self.path, HEALTH.encode(_StoredHealth(trend), self._of))
 
     def _set_aside(self) -> None:
         """Move a file that cannot be read aside, so that it is not overwritten."""
@@ -547,7 +547,7 @@ class HealthFile:
         try:
             HEALTH.decode(self.path.read_bytes(), str(self.path), self._of)
         except OSError as error:
-            raise StorageError("cannot read", self.path, error.strerror or str(error), remedy_for(error)) from error
+            raise StorageError.of("cannot read", self.path, error) from error
         except ContentError:
-            with refused("cannot rename", self.path):
+            with StorageError.naming("cannot rename", self.path):
                 self._fs.rename(self.path, self.path.with_suffix(".damaged"))

@@ -47,7 +47,7 @@ from appliance.measure import (
     Water,
     encode_calibration,
 )
-from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration, make_folders, refused, replace_file
+from appliance.store import Instrument, LocalFileSystem, Rig, StorageError, load_calibration
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -199,7 +199,7 @@ def calibrate_pictures(
         air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
     )
     written = _written(out, air, looked, design, start)
-    replace_file(LocalFileSystem(), out.with_suffix(".yml"), opencv_file(air.rig))
+    LocalFileSystem().replace_file(out.with_suffix(".yml"), opencv_file(air.rig))
     return {
         **written,
         "opencv_file": str(out.with_suffix(".yml")),
@@ -219,7 +219,7 @@ def _written(out: Path, air: AirCalibration, looked: Looked, design: BoardDesign
         out.with_name(f"{out.stem}-residuals.png"): residual_picture(air.views, *size_px),
     }
     for path, data in (*drawn.items(), (out, encode_calibration(start))):
-        replace_file(LocalFileSystem(), path, data)
+        LocalFileSystem().replace_file(path, data)
     return {
         "file": str(out),
         "hash": start.hash,
@@ -262,14 +262,14 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
         )
     target = Instrument(rig).air_file
     before = None
-    make_folders(LocalFileSystem(), target.parent)
+    LocalFileSystem().make_folders(target.parent)
     if target.is_file():
-        with refused("cannot read", target):
+        with StorageError.naming("cannot read", target):
             data = target.read_bytes()
         # Named by its content: the same file is kept once, however often it is installed.
         before = target.with_name(f"air-{hashlib.sha256(data).hexdigest()[:8]}.json")
-        replace_file(LocalFileSystem(), before, data)
-    replace_file(LocalFileSystem(), target, encode_calibration(start))
+        LocalFileSystem().replace_file(before, data)
+    LocalFileSystem().replace_file(target, encode_calibration(start))
     return target, before
 
 

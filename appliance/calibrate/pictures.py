@@ -33,18 +33,7 @@ from numpy.typing import NDArray
 from appliance.base import ContentError, SealedFile, read_bounded
 from appliance.calibrate.air.board import BoardDesign
 from appliance.measure import FULL_DN, SIDES, build_sequence
-from appliance.store import (
-    KNOWN,
-    MANIFEST_FILE,
-    LocalFileSystem,
-    load_scan,
-    make_folders,
-    move_folder,
-    refused,
-    replace_file,
-    size_px,
-    write_new,
-)
+from appliance.store import KNOWN, MANIFEST_FILE, LocalFileSystem, StorageError, load_scan, size_px
 
 Image = NDArray[np.uint8]
 
@@ -76,11 +65,11 @@ class ViewFolder:
         """
         self.folder = folder
         self._fs = LocalFileSystem()
-        make_folders(self._fs, folder)
+        self._fs.make_folders(folder)
         begun = self.session(folder)
         if begun is None:
             self.design = design or BoardDesign()
-            replace_file(self._fs, folder / SESSION, BEGUN.encode(_Begun(rig_serial, str(self.design))))
+            self._fs.replace_file(folder / SESSION, BEGUN.encode(_Begun(rig_serial, str(self.design))))
         else:
             serial, self.design = begun
             if serial != rig_serial:
@@ -114,20 +103,20 @@ class ViewFolder:
         """Write a view; durable on return. Raises StorageError, and nothing of it is then there under ``name``."""
         # Both pictures in a hidden folder first: a folder with a number has them both.
         draft = self.folder / f".{name}"
-        with refused("cannot make", draft):
+        with StorageError.naming("cannot make", draft):
             self._fs.make_folder(draft)
         for file, image in ((LEFT, left), (RIGHT, right)):
             done, data = cv2.imencode(".png", image)
             if not done:
                 raise ValueError(f"a picture of {image.shape} could not be encoded as PNG")
-            write_new(self._fs, draft / file, [bytes(data)])
-        move_folder(self._fs, draft, self.folder / name)
+            self._fs.write_new(draft / file, [bytes(data)])
+        self._fs.move_folder(draft, self.folder / name)
 
     def _tidy(self) -> None:
         """Take away what a loss of power left of a view that was never there."""
         for path in self.folder.iterdir():
             if re.fullmatch(r"\.\d{2,6}", path.name) and path.is_dir():
-                with refused("cannot remove the unfinished", path):
+                with StorageError.naming("cannot remove the unfinished", path):
                     shutil.rmtree(path)
 
 
@@ -244,7 +233,7 @@ def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictu
     """
     if not folder.is_dir():
         raise PicturesError(f"FOLDER {folder}: no such folder; give the one that holds the pictures of the board")
-    with refused("cannot read", folder):
+    with StorageError.naming("cannot read", folder):
         found = sorted(
             p for p in (*folder.glob("*"), *folder.glob("*/*")) if p.suffix.lower() in ANY_KINDS and p.is_file()
         )

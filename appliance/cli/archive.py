@@ -22,7 +22,6 @@ from appliance.store import (
     copy_beside,
     finish_removals,
     hold_lock,
-    make_folders,
     make_shelves,
     pack_scan,
     remove_source,
@@ -49,7 +48,7 @@ class PackArchive(Verb):
         source, archive = storage_root("SOURCE", self.source), target_folder(self.out, self.source)
         shelves = shelves_of(every=self.all)
         fs = LocalFileSystem()
-        make_folders(fs, archive)
+        fs.make_folders(archive)
         with ExitStack() as held:
             held.enter_context(hold_lock(archive))
             make_shelves(fs, archive, shelves)
@@ -85,7 +84,7 @@ class UnpackArchive(Verb):
         archive, out = storage_root("ARCHIVE", self.archive), target_folder(self.out, self.archive)
         shelves, fs = shelves_of(every=True), LocalFileSystem()
         folders = [Library(archive).entry(scan).folder for scan in self.scans] or scan_folders(archive, shelves)
-        make_folders(fs, out)
+        fs.make_folders(out)
         with hold_lock(out):
             make_shelves(fs, out, shelves)
             different = copy_beside(fs, archive, out)

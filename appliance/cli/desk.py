@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from appliance.cli.arguments import number, option
 from appliance.cli.output import ProgressLine, UsageError, complain
 from appliance.cli.places import WithCalibration, root_of_rig, scan_folder
-from appliance.store import Library, LocalFileSystem, StorageError, Wish, remedy_for, replace_file
+from appliance.store import Library, LocalFileSystem, StorageError, Wish
 
 if TYPE_CHECKING:  # brings NumPy
     from appliance.desk import StoredObject
@@ -159,15 +159,13 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except (StorageError, OSError) as error:
         # StorageError has its own remedy; a bare OSError (a vanished folder, say) gets one by its number.
-        if isinstance(error, StorageError):
-            reason, remedy = error.reason, error.remedy
-        else:
-            reason, remedy = error.strerror or str(error), remedy_for(error)
-        raise StorageError("cannot write", path, reason, f"{remedy}; --out FILE writes elsewhere") from error
+        refusal = error if isinstance(error, StorageError) else StorageError.of("cannot write", path, error)
+        remedy = f"{refusal.remedy}; --out FILE writes elsewhere"
+        raise StorageError("cannot write", path, refusal.reason, remedy) from error
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:
     """Write ``files`` in their order, each whole or not at all. Raises StorageError."""
     for path, content in files.items():
         with writing(path):
-            replace_file(LocalFileSystem(), path, content)
+            LocalFileSystem().replace_file(path, content)

@@ -112,7 +112,7 @@ class CompileKernels(Verb):
     def run(self) -> Exit:
         from appliance.base import COMMON_KERNELS, build_kernels, shipped_kernels
         from appliance.cli.desk import new_folder
-        from appliance.store import remedy_for
+        from appliance.store import StorageError
 
         target = self.out or shipped_kernels()
         new_folder(target)
@@ -122,8 +122,7 @@ class CompileKernels(Verb):
             try:
                 folder = build_kernels(target, PIECES, progress, COMMON_KERNELS if self.common else None)
             except OSError as error:
-                raise UsageError(
-                    f"{target}: {error.strerror or error}; {remedy_for(error)}; --out DIR writes elsewhere"
-                ) from error
+                refusal = StorageError.of("cannot write", target, error)
+                raise UsageError(f"{target}: {refusal.reason}; {refusal.remedy}; --out DIR writes elsewhere") from error
         self.tell({"folder": str(folder)}, [f"kernels are in {folder}"])
         return Exit.OK

@@ -12,7 +12,7 @@ from appliance.cli.arguments import operand, operands, path_option, switch
 from appliance.cli.desk import opened_scans, writable, writing
 from appliance.cli.output import Exit, ProgressLine, UsageError, table
 from appliance.cli.places import WithRoot
-from appliance.store import LocalFileSystem, ScanError, make_folders, replace_file
+from appliance.store import LocalFileSystem, ScanError
 
 if TYPE_CHECKING:
     from appliance.store import SourceScan, Wish
@@ -183,8 +183,8 @@ class MeasureInstrument(WithRoot):
 def _write(path: Path | None, content: bytes) -> None:
     if path is not None:
         with writing(path):
-            make_folders(LocalFileSystem(), path.parent)
-            replace_file(LocalFileSystem(), path, content)
+            LocalFileSystem().make_folders(path.parent)
+            LocalFileSystem().replace_file(path, content)
 
 
 def _shown(value: object) -> str:

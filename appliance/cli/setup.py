@@ -17,7 +17,7 @@ from appliance.cli.arguments import number, operand, operands, option, path_opti
 from appliance.cli.desk import new_folder, writing
 from appliance.cli.output import Exit, ProgressLine, UsageError, complain, say, table
 from appliance.cli.places import WithRig
-from appliance.store import LocalFileSystem, make_folders, move_folder, replace_file
+from appliance.store import LocalFileSystem
 
 if TYPE_CHECKING:  # these bring OpenCV, which `--help` can do without
     from appliance.store import Rig
@@ -298,14 +298,14 @@ def _write(folder: Path, files: dict[str, bytes]) -> None:
     fs, draft = LocalFileSystem(), folder.with_name(f".{folder.name}.draft")
     shutil.rmtree(draft, ignore_errors=True)
     for name, content in files.items():
-        make_folders(fs, (draft / name).parent)
-        replace_file(fs, draft / name, content)
+        fs.make_folders((draft / name).parent)
+        fs.replace_file(draft / name, content)
     # Whole or not at all: half a firmware would be copied like a whole one.
     if folder.exists():
         old = folder.with_name(f".{folder.name}.old")
         shutil.rmtree(old, ignore_errors=True)
-        move_folder(fs, folder, old)
-        move_folder(fs, draft, folder)
+        fs.move_folder(folder, old)
+        fs.move_folder(draft, folder)
         shutil.rmtree(old)
     else:
-        move_folder(fs, draft, folder)
+        fs.move_folder(draft, folder)

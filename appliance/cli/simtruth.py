@@ -26,7 +26,7 @@ from appliance.measure import (
     Water,
     encode_calibration,
 )
-from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration, make_folders, replace_file
+from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration
 
 METHOD = "truth"
 KNOWN_SET = "nominal"
@@ -47,8 +47,8 @@ def bring_calibration(rig: Rig) -> None:
     nominal = options.get("truth") == KNOWN_SET and options.get("medium", "water") == "water"
     if nominal and not _calibrated_before(Instrument(rig)):
         # Written like any calibration, before the service starts: nothing in the product knows that it is the truth.
-        make_folders(LocalFileSystem(), path.parent)
-        replace_file(LocalFileSystem(), path, encode_calibration(true_calibration(rig)))
+        LocalFileSystem().make_folders(path.parent)
+        LocalFileSystem().replace_file(path, encode_calibration(true_calibration(rig)))
         log.info("calibration: that of the simulated instrument as drawn, in %s", path)
     elif not nominal and path.is_file():
         _refuse_nominal(rig)

@@ -13,7 +13,7 @@ from appliance.desk.foreign.problem import ForeignError
 from appliance.desk.foreign.sheet import contact_sheet
 from appliance.desk.foreign.writing import description_text, joined
 from appliance.desk.foreign_import import import_cloud
-from appliance.store import LocalFileSystem, replace_file
+from appliance.store import LocalFileSystem
 
 
 def beside_cloud(out: Path) -> tuple[Path, Path, Path]:
@@ -31,7 +31,7 @@ def import_folder(folder: Path, out: Path, progress: Progress, reasons: Path | N
     described, roles, picture = beside_cloud(out)
     files = LocalFileSystem()
     best = candidates[0]
-    replace_file(files, roles, contact_sheet(list(best.images), best.words, best.by_image))
+    files.replace_file(roles, contact_sheet(list(best.images), best.words, best.by_image))
     if len(candidates) > 1:
         raise ForeignError(_question(folder, out, candidates))
     _write(best, described)
@@ -63,7 +63,7 @@ def guessed_text(candidate: TriedSequence, beside: Path) -> str:
 
 
 def _write(candidate: TriedSequence, path: Path) -> None:
-    replace_file(LocalFileSystem(), path, guessed_text(candidate, path.parent).encode())
+    LocalFileSystem().replace_file(path, guessed_text(candidate, path.parent).encode())
 
 
 def _question(folder: Path, out: Path, candidates: Sequence[TriedSequence]) -> str:

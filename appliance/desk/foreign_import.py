@@ -7,8 +7,6 @@ one, what the camera saw.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,26 +38,17 @@ from appliance.measure import (
     PatternSequence,
     QualityLimits,
     Water,
-    encode_calibration,
     of_side,
 )
 from appliance.store import (
-    Decision,
+    Instrument,
     LocalFileSystem,
     Rig,
-    ScanOrigin,
     ScanRecord,
     SequenceInfo,
-    StorageError,
     default_rig_path,
-    discard_raw,
-    draft_of,
-    finish_scan,
+    keep_scan,
     load_rig,
-    move_folder,
-    replace_file,
-    rig_text,
-    write_raw,
 )
 
 METHOD = "foreign"
@@ -134,7 +123,7 @@ def import_cloud(
         there = np.flatnonzero(found.cloud.mask)
         there = there[:: 1 + len(there) // MOST_DRAWN]
         drawn = picture_of_scan(found.cloud.points_mm.reshape(-1, 3)[there], found.cloud.grey.ravel()[there])
-        replace_file(LocalFileSystem(), picture, drawn)
+        LocalFileSystem().replace_file(picture, drawn)
     unit = about.unit or ("m" if suffix in (".e57", ".las") else "mm")
     return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **report}
 
@@ -177,24 +166,8 @@ def import_scan(
             "index": water.index,
         },
     )  # fmt: skip
-    _publish(out, frames, record, ScanOrigin(encode_calibration(calibration), rig_text(rig).encode()))
+    keep_scan(out, frames, record, Instrument(rig).origin(calibration))
     return {"folder": str(out), "frames": len(sequence), "period_px": sequence.period_px, **_report(scan, found)}
-
-
-def _publish(out: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin) -> None:
-    """Make the scan folder ``out``, whole or not at all: beside it, under a name that nobody takes for a scan, then by
-    one rename."""
-    files, draft = LocalFileSystem(), draft_of(out)
-    if draft.exists():
-        discard_raw(files, draft)  # of an attempt that was interrupted
-    try:
-        manifest = write_raw(files, draft, out.name, frames, record, origin)
-        finish_scan(files, draft, manifest, Decision.KEPT, record)
-        move_folder(files, draft, out)
-    except BaseException:
-        with suppress(StorageError):
-            discard_raw(files, draft)
-        raise
 
 
 def _own_sequence(path: Path, out: Path, description: Description, images: ImageSet) -> PatternSequence:
@@ -343,4 +316,4 @@ def draw_reasons(cloud: ForeignCloud, path: Path) -> None:
         cv2.putText(legend, text, (LINE_PX + 4, top + 17), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
     # OpenCV counts colours from blue.
     made = cv2.imencode(".png", np.vstack([picture, legend])[..., ::-1])[1]
-    replace_file(LocalFileSystem(), path, made.tobytes())
+    LocalFileSystem().replace_file(path, made.tobytes())

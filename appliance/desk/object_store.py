@@ -20,17 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from appliance.base import ContentError, SealedFile
-from appliance.store import (
-    OBJECTS,
-    LocalFileSystem,
-    NameShapeError,
-    StorageError,
-    component,
-    hold_lock,
-    is_object,
-    make_folders,
-    replace_file,
-)
+from appliance.store import OBJECTS, LocalFileSystem, NameShapeError, StorageError, component, hold_lock, is_object
 
 if TYPE_CHECKING:  # a list of objects needs no NumPy
     import numpy as np
@@ -273,10 +263,10 @@ def update_object(root: Path, name: str, change: Callable[[StoredObject | None],
     Raises what ``change`` raises, StorageError, ObjectError.
     """
     fs, folder = LocalFileSystem(), folder_of(root, name)
-    make_folders(fs, folder)
+    fs.make_folders(folder)
     with hold_lock(folder, _LOCK_S):
         changed = change(read_object(root, name) if object_exists(root, name) else None)
-        replace_file(fs, folder / FILE, OBJECT.encode(changed))
+        fs.replace_file(folder / FILE, OBJECT.encode(changed))
     return changed
 
 
@@ -377,4 +367,4 @@ def keep_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, 
     with suppress(OSError, StorageError), hold_lock(folder.parent, _LOCK_S):
         if not folder.is_dir():
             fs.make_folder(folder)
-        replace_file(fs, path, buffer.getbuffer())
+        fs.replace_file(path, buffer.getbuffer())

@@ -67,7 +67,6 @@ from appliance.store import (
     lost,
     manifest_of,
     refuse_empty,
-    replace_file,
     reprocess_bracket,
     reprocess_scan,
     second_frames_file,
@@ -209,7 +208,7 @@ def reconstruct_scan(
     progress("writing")
     header, body = encode_ply(cloud, "; ".join(notes) or None)
     before = _stored_cloud(scan, header, body)  # compared before it may be written over
-    replace_file(LocalFileSystem(), target, header, body)
+    LocalFileSystem().replace_file(target, header, body)
     s = cloud.summary
     return {
         "scan": scan.manifest.scan_id,

@@ -15,7 +15,6 @@ from appliance.store import (
     ScanError,
     SourceScan,
     encode_ply,
-    replace_file,
     sequence_of_scan,
     water_of_scan,
 )
@@ -56,7 +55,7 @@ def rescue_recording(
     progress("writing")
     # The word itself begins the header's line.
     note = f"{UNCHECKED.removeprefix('unchecked: ')}; {scan.manifest.reason}"
-    replace_file(LocalFileSystem(), target, *encode_ply(cloud, unchecked=note))
+    LocalFileSystem().replace_file(target, *encode_ply(cloud, unchecked=note))
     s = cloud.summary
     return {
         "recording": scan.manifest.scan_id,

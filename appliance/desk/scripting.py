@@ -48,7 +48,6 @@ from appliance.store import (
     open_source,
     refuse_damaged_frames,
     refuse_misfit,
-    replace_file,
     standing_root,
     where_none_was_found,
 )
@@ -251,7 +250,7 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     target = Path(path)
     if target.exists():
         raise CalibrationError(f"{target}: is there already, and a calibration is never replaced; give a new name")
-    replace_file(LocalFileSystem(), target, encode_calibration(calibration))
+    LocalFileSystem().replace_file(target, encode_calibration(calibration))
 
 
 def export(

@@ -21,16 +21,10 @@ if TYPE_CHECKING:
         unpack_scan,  # Unpack the scan in source as target: the folder that was packed, byte for byte
     )
     from .atomic import (
+        Bytes,  # Content of a file in memory
+        FileSystem,  # The operations that storage needs of a file system. Every call raises OSError on failure
+        LocalFileSystem,  # The disk of this machine (POSIX)
         StorageError,  # The disk refused. path and the reason are in the text, and what to do
-        draft_of,  # Return the path at which the new content of path is written before it replaces the old
-        make_folders,  # Make a folder and those above it that are missing
-        move_folder,  # Rename a folder, whose files are durable, so that the new name is durable
-        refused,  # Turns OSError into StorageError that names what was tried on path
-        remedy_for,  # Return what to do about a disk's refusal, by its number (errno.h)
-        replace_by,  # Replace (or make) a file by what write leaves at the name that it is given
-        replace_file,  # Replace (or make) a file: afterwards, and at any instant before
-        replace_parts,  # Replace (or make) a file as replace_file does
-        write_new,  # Write a file that does not exist yet
     )
     from .config import (
         ConfigError,  # The rig file cannot be used. headline fits a safe screen
@@ -38,7 +32,6 @@ if TYPE_CHECKING:
         default_rig_path,  # Return the rig file that is packaged with the product
         load_rig,  # Read and check a rig file. Raises ConfigError, never anything else, for whatever the file holds
         parse_rig,  # Read a rig from text like load_rig; source names it in messages
-        rig_text,  # Return the text of a rig file that loads as rig, with the same rig_hash
     )
     from .config.rig import (
         CameraRig,  # [camera.left] and [camera.right]
@@ -49,11 +42,6 @@ if TYPE_CHECKING:
         damaged_frames,  # Compare every byte of the frames with its checksum; empty where all are whole
         frames_as_they_are,  # Return the frames of a damaged file, (n, h, w) uint8
         refuse_damaged_frames,  # Compare every byte of a scan's frames with its checksum; ScanError if any differs
-    )
-    from .filesystem import (
-        Bytes,  # Content of a file in memory
-        FileSystem,  # The operations that storage needs of a file system. Every call raises OSError on failure
-        LocalFileSystem,  # The disk of this machine (POSIX)
     )
     from .incomplete import (
         IncompleteRecording,  # An incomplete recording as it lies on disk
@@ -87,7 +75,6 @@ if TYPE_CHECKING:
     from .manifest import (
         INCOMPLETE_MANIFEST_FILE,  # The file that stands in its place where a scan broke off (incomplete)
         MANIFEST_FILE,  # Name of that file
-        Decision,  # Decisions of the diver about a scan
         Manifest,  # The whole manifest
         ScanRecord,  # Everything known about a scan but its files
         SecondSequence,  # A second sequence of the same scene with another exposure
@@ -146,8 +133,6 @@ if TYPE_CHECKING:
     )
     from .room import (
         Room,  # A file system whose new files are made of what is allocated
-        is_full,  # Tell whether the disk refused for want of space, or of a quota
-        is_read_only,  # Tell whether the disk takes no changes at all, as after a mount for reading only
         plan_room,  # Return lengths in bytes of what one scan needs
     )
     from .root import (
@@ -165,16 +150,14 @@ if TYPE_CHECKING:
         ScanOrigin,  # The means a scan was taken with, as the bytes of the files that describe them
         StoredScan,  # A scan as it lies on disk. frames by side: (n, h, w) uint8, mapped
         cloud_bytes,  # Return the length that the file with the points has at most: one for every left pixel
-        discard_raw,  # Take back a write_raw that failed, whose frames are still in memory. Raises StorageError
-        finish_scan,  # Add what there is to add and write the final manifest
         frames_bytes,  # Return the length of the file with one camera's frames
         frames_file,  # Name of the file with one camera's frames
+        keep_scan,  # Make the scan folder outside of a library, whole or not at all
         load_scan,  # Open a scan; its files' lengths are checked
         manifest_of,  # Return the manifest of a scan's folder. Raises ScanError
         read_frame,  # Return frame k of one camera, (h, w) uint8, compared with its checksum
         second_frames_file,  # Name of the file with one camera's frames of the second exposure, where a scan has one
         size_bytes,  # Return the room one scan with one exposure needs at most
-        write_raw,  # Make folder with the frames
     )
     from .scan_list import (
         ListedScan,  # One scan of the list, and what it shows

@@ -22,19 +22,7 @@ from pathlib import Path
 from appliance.store import manifest as form
 from appliance.store import packed
 from appliance.store import scan as stored
-from appliance.store.atomic import (
-    Stamp,
-    StorageError,
-    add_beside,
-    checked_stamp,
-    discard,
-    make_folders,
-    move_folder,
-    refused,
-    replace_file,
-    write_new,
-)
-from appliance.store.filesystem import Bytes, FileSystem
+from appliance.store.atomic import Bytes, FileSystem, Stamp, StorageError, checked_stamp
 from appliance.store.library import LibraryFolder
 from appliance.store.names import CALIBRATIONS, OBJECTS, by_number, scan_number
 from appliance.store.packed import PackedError, packed_path
@@ -66,7 +54,7 @@ def scan_folders(root: Path, shelves: Iterable[LibraryFolder]) -> list[Path]:
     """Return the folders of all scans on those shelves of ``root``, in order. Raises StorageError."""
     found: list[Path] = []
     for shelf in shelves:
-        with refused("cannot list", root / shelf.value), suppress(FileNotFoundError):
+        with StorageError.naming("cannot list", root / shelf.value), suppress(FileNotFoundError):
             children = sorted((root / shelf.value).iterdir(), key=lambda one: by_number(one.name))
             found += [one for one in children if scan_number(one.name) is not None and one.is_dir()]
     return found
@@ -79,9 +67,9 @@ def make_shelves(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -
     Under the lock of ``root`` alone: what another call has half written is no leftover.
     """
     for folder in (root, *(root / shelf.value for shelf in shelves)):
-        make_folders(fs, folder)
+        fs.make_folders(folder)
         for draft in _hidden(folder, _DRAFT):
-            remove_folder(fs, draft)
+            fs.remove_folder(draft)
 
 
 def copy_beside(fs: FileSystem, source: Path, target: Path) -> list[BesideFile]:
@@ -94,10 +82,10 @@ def copy_beside(fs: FileSystem, source: Path, target: Path) -> list[BesideFile]:
     different = []
     for name in _BESIDE:
         for path in sorted((source / name).rglob("*.json")):
-            with refused("cannot copy", path):
+            with StorageError.naming("cannot copy", path):
                 content = path.read_bytes()
             plain = target / path.relative_to(source)
-            copy, _ = add_beside(fs, plain, content)
+            copy, _ = fs.add_beside(plain, content)
             if copy != plain:
                 different.append(BesideFile(path.relative_to(source).as_posix(), copy))
     return different
@@ -177,13 +165,13 @@ def remove_source(fs: FileSystem, source: Path, copy: Path) -> None:
     leaving = source.with_name(f".{source.name}.{_LEAVING}")
     # Under its new name it is in no list, so that half of it is never taken for a scan; what is left is removed by the
     # next call.
-    move_folder(fs, source, leaving)
-    with refused("cannot list", leaving):
+    fs.move_folder(source, leaving)
+    with StorageError.naming("cannot list", leaving):
         now = sorted(path.name for path in leaving.iterdir())
     if now != [path.name for path in compared]:
-        move_folder(fs, leaving, source)
+        fs.move_folder(leaving, source)
         raise ScanError(f"{source}: was changed while it was compared; nothing was removed: call again")
-    remove_folder(fs, leaving)
+    fs.remove_folder(leaving)
 
 
 def finish_removals(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> dict[str, str]:
@@ -199,17 +187,8 @@ def finish_removals(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]
             except ScanError as error:
                 left[folder.name] = f"{error}. The scan itself was packed and compared before"
             else:
-                remove_folder(fs, folder)
+                fs.remove_folder(folder)
     return left
-
-
-def remove_folder(fs: FileSystem, folder: Path) -> None:
-    """Remove a folder of files. Raises StorageError."""
-    with refused("cannot remove", folder):
-        for path in sorted(folder.iterdir()):
-            fs.remove(path)
-        fs.remove(folder)
-        fs.sync_folder(folder.parent)
 
 
 def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
@@ -218,7 +197,7 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
     Raises ScanError, also where such a file is another one at both ends, and StorageError.
     """
     ours, theirs = (folder / form.MANIFEST_FILE for folder in (source, target))
-    with refused("cannot compare", target):
+    with StorageError.naming("cannot compare", target):
         same = theirs.is_file() and ours.read_bytes() == theirs.read_bytes()
     if not same:
         raise ScanError(f"{target}: is there and is another scan than {source}; give another folder with --out")
@@ -234,11 +213,11 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
             and not path.name.endswith(packed.SUFFIX)
             and path.name != form.MANIFEST_FILE
         ):
-            with refused("cannot copy", path):
+            with StorageError.naming("cannot copy", path):
                 content, copy = path.read_bytes(), target / path.name
                 there = copy.read_bytes() if copy.exists() else None
             if there is None:
-                replace_file(fs, copy, content)
+                fs.replace_file(copy, content)
             elif there != content:
                 other.append(path.name)
     if other:
@@ -254,9 +233,9 @@ def _published(fs: FileSystem, source: Path, draft: Path, target: Path) -> Copie
     try:
         _refuse_difference(source, draft)
     except ScanError:
-        remove_folder(fs, draft)
+        fs.remove_folder(draft)
         raise
-    move_folder(fs, draft, target)
+    fs.move_folder(draft, target)
     return Copied.WRITTEN
 
 
@@ -283,17 +262,17 @@ def _stamp(path: Path, *, frames: bool) -> Stamp:
 
 
 def _write(fs: FileSystem, draft: Path, parts: dict[str, Iterable[Bytes]]) -> None:
-    with refused("cannot make", draft):
+    with StorageError.naming("cannot make", draft):
         fs.make_folder(draft)
     try:
         # The manifest last, as in every folder of a scan: without it, nobody takes the folder for one.
         for name in sorted(parts, key=lambda one: (one == form.MANIFEST_FILE, one)):
-            write_new(fs, draft / name, parts[name])
+            fs.write_new(draft / name, parts[name])
     except BaseException:
         with suppress(StorageError):  # half a copy on a full disk helps nobody; what stays is removed by the next call
             for name in parts:
-                discard(fs, draft / name)
-            discard(fs, draft)
+                fs.discard(draft / name)
+            fs.discard(draft)
         raise
 
 
@@ -318,7 +297,7 @@ def _draft(target: Path) -> Path:
 
 def _files(folder: Path) -> list[Path]:
     """Return all that is in a scan's folder. Raises ScanError where anything is no file: it would not be packed."""
-    with refused("cannot list", folder):
+    with StorageError.naming("cannot list", folder):
         found = sorted(folder.iterdir())
         other = [path.name for path in found if not path.is_file()]
     if other:

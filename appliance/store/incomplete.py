@@ -20,17 +20,7 @@ from typing import TYPE_CHECKING
 from appliance.base import ContentError, SealedFile
 from appliance.measure import SIDES
 from appliance.store import manifest as form
-from appliance.store.atomic import (
-    Stamp,
-    StorageError,
-    checked_stamp,
-    discard,
-    move_folder,
-    refused,
-    replace_file,
-    write_new,
-)
-from appliance.store.filesystem import FileSystem
+from appliance.store.atomic import FileSystem, Stamp, StorageError, checked_stamp
 from appliance.store.manifest import Decision, Manifest, ScanRecord, Stage
 from appliance.store.names import scan_number
 from appliance.store.scan import (
@@ -107,7 +97,7 @@ def keep_incomplete(
         raise ValueError(f"{shelf} has {MOST} recordings already; look at them, and move them elsewhere")
     needed = 2 * count * height_px * width_px + _OTHER_BYTES
     # A scan that may come is worth more than one that broke.
-    with refused("cannot ask for the room on", root):
+    with StorageError.naming("cannot ask for the room on", root):
         left = fs.free_bytes(root) - needed - size_bytes(len(patterns), width_px, height_px) - reserve_bytes
     if left < 0:
         raise StorageError("cannot keep", shelf, "there would be no room for the next scan")
@@ -115,7 +105,7 @@ def keep_incomplete(
     draft = shelf / f".{number}"
     try:
         _write(fs, draft, number, frames, record, origin, reason)
-        move_folder(fs, draft, shelf / number)
+        fs.move_folder(draft, shelf / number)
     except (StorageError, ValueError):
         with suppress(StorageError):
             _remove(fs, draft)
@@ -132,29 +122,29 @@ def _write(
     origin: ScanOrigin,
     reason: str,
 ) -> None:
-    with refused("cannot make", draft):
+    with StorageError.naming("cannot make", draft):
         fs.make_folder(draft)
-    files = {frames_file(side): write_new(fs, draft / frames_file(side), npy_parts(frames[side])) for side in SIDES}
+    files = {frames_file(side): fs.write_new(draft / frames_file(side), npy_parts(frames[side])) for side in SIDES}
     for name, content in ((CALIBRATION, origin.calibration), (RIG_FILE, origin.rig)):
-        files[name] = write_new(fs, draft / name, (content,))
+        files[name] = fs.write_new(draft / name, (content,))
     checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
     missing = record.sequence.patterns[len(frames[SIDES[0]]) :]
     manifest = BrokenManifest(
         number, Stage.RAW, Decision.UNDECIDED, record, files, reason, frame_crc32=checks, missing=missing
     )
     # Last, and the folder's name after it: a folder without a dot is whole.
-    replace_file(
-        fs, draft / form.INCOMPLETE_MANIFEST_FILE, INCOMPLETE.encode(form.with_known_times(manifest), INCOMPLETE_OF)
+    fs.replace_file(
+        draft / form.INCOMPLETE_MANIFEST_FILE, INCOMPLETE.encode(form.with_known_times(manifest), INCOMPLETE_OF)
     )
 
 
 def _sweep(fs: FileSystem, shelf: Path) -> list[int]:
     """Make the shelf where it is missing, take away what was not finished, and return the numbers that are taken."""
     if not shelf.is_dir():
-        with refused("cannot make", shelf):
+        with StorageError.naming("cannot make", shelf):
             fs.make_folder(shelf)
             fs.sync_folder(shelf.parent)
-    with refused("cannot list", shelf):
+    with StorageError.naming("cannot list", shelf):
         named = [(path, found) for path in shelf.iterdir() if (found := _NAME.fullmatch(path.name)) and path.is_dir()]
     for path, _ in named:
         if path.name.startswith("."):
@@ -166,8 +156,8 @@ def _remove(fs: FileSystem, draft: Path) -> None:
     """Remove what is half written."""
     if draft.is_dir():
         for path in draft.iterdir():
-            discard(fs, path)
-        discard(fs, draft)
+            fs.discard(path)
+        fs.discard(draft)
 
 
 def find_incomplete(root: Path, recording: str) -> Path:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.base import ContentError, SealedFile
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import FileSystem
+from appliance.store.atomic import FileSystem
 
 LABEL_FILE = "label.json"
 _CONTROL = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
@@ -63,4 +62,4 @@ def read_label(folder: Path) -> Label:
 
 def write(fs: FileSystem, folder: Path, label: Label) -> None:
     """Write the label; it is durable and whole on return. Raises StorageError."""
-    replace_file(fs, folder / LABEL_FILE, LABEL.encode(label))
+    fs.replace_file(folder / LABEL_FILE, LABEL.encode(label))

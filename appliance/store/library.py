@@ -25,8 +25,7 @@ from appliance.base import ContentError
 from appliance.store import label as labels
 from appliance.store import manifest as form
 from appliance.store import names, scan
-from appliance.store.atomic import StorageError, move_folder, refused, replace_file
-from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
 from appliance.store.label import NO_LABEL, Label
 from appliance.store.manifest import Decision, Manifest, ScanRecord
 from appliance.store.names import by_number, scan_number
@@ -99,7 +98,7 @@ class Library:
             return
         # From the top down: a folder is durable only once its entry in its parent is.
         for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
-            with refused("cannot make", one):
+            with StorageError.naming("cannot make", one):
                 self._fs.make_folder(one)
                 self._fs.sync_folder(one.parent)
 
@@ -117,7 +116,7 @@ class Library:
         folder = self._shelf(LibraryFolder.SCANS) / f".{scan_id}"
         try:
             manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)
-            with refused("cannot make durable", folder):
+            with StorageError.naming("cannot make durable", folder):
                 # The hidden name becomes durable here; what lies inside is durable already (``write_raw``).
                 self._fs.sync_folder(folder.parent)
         except (StorageError, ValueError):
@@ -147,22 +146,24 @@ class Library:
     def _recover(self, folder: Path, scan_id: str) -> str:
         manifest = self._salvaged(folder)
         if manifest is None:
-            move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
+            self._fs.move_folder(folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
         for path in sorted(folder.iterdir()):
             if path.name not in manifest.files and path.name != form.MANIFEST_FILE:
-                with refused("cannot rename", path):  # half of a cloud, or of a manifest: kept, but not trusted
+                with StorageError.naming(
+                    "cannot rename", path
+                ):  # half of a cloud, or of a manifest: kept, but not trusted
                     self._fs.rename(path, path.with_name(f"{path.name.removeprefix('.')}.partial"))
         # The manifest says "recovered" before the folder is published, not after: a second loss of power in between
         # finds the same state again.
-        replace_file(self._fs, folder / form.MANIFEST_FILE, form.encode(manifest))
+        self._fs.replace_file(folder / form.MANIFEST_FILE, form.encode(manifest))
         rejected = manifest.decision is Decision.REJECTED
         target = self._shelf(LibraryFolder.REJECTED if rejected else LibraryFolder.SCANS) / scan_id
         # Only a copy made by hand can have the number; neither of both is overwritten.
         if target.exists():
-            move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
+            self._fs.move_folder(folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
-        move_folder(self._fs, folder, target)
+        self._fs.move_folder(folder, target)
         return "rejected" if rejected else "recovered"
 
     def _salvaged(self, folder: Path) -> Manifest | None:
@@ -230,7 +231,7 @@ class Library:
         self._make(target.parent)
         if target.exists():
             raise scan.ScanError(f"scan {folder.name}: {target} is there already; move one of them elsewhere")
-        move_folder(self._fs, folder, target)
+        self._fs.move_folder(folder, target)
         return target
 
     def set_label(self, scan_id: str, label: Label) -> None:
@@ -290,7 +291,7 @@ class Library:
         return self.root / shelf.value
 
     def _folders(self, shelf: LibraryFolder, *, hidden: bool = False) -> Iterator[Path]:
-        with refused("cannot list", self._shelf(shelf)):
+        with StorageError.naming("cannot list", self._shelf(shelf)):
             try:
                 children = list(self._shelf(shelf).iterdir())
             except FileNotFoundError:
@@ -446,12 +447,12 @@ class PendingScan:
         target = self._root / shelf.value / self.scan_id
         if self._folder != target:
             try:
-                move_folder(self._fs, self._folder, target)
+                self._fs.move_folder(self._folder, target)
             finally:
                 if target.exists() and not self._folder.exists():
                     self._folder = target  # also when the disk failed after the rename
         else:
-            with refused("cannot publish", target):
+            with StorageError.naming("cannot publish", target):
                 self._fs.sync_folder(target.parent)
         self._manifest = final
         self._done = True

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from appliance.store.atomic import StorageError, refused, remedy_for
+from appliance.store.atomic import StorageError
 
 FILE_NAME = "lock"
 _LOOK_S = 0.02
@@ -28,7 +28,7 @@ def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise StorageError("cannot open", path, error.strerror or str(error), remedy_for(error)) from error
+        raise StorageError.of("cannot open", path, error) from error
     try:
         try:
             _take(descriptor, time.monotonic() + wait_s)
@@ -37,7 +37,7 @@ def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
             raise StorageError(
                 "cannot use", root, f"another instance (process {owner}) is using it", "stop that one first"
             ) from error
-        with refused("cannot write", path):
+        with StorageError.naming("cannot write", path):
             # The number is for messages only; the lock does not depend on it.
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)

@@ -18,8 +18,7 @@ import zlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from appliance.store.atomic import StorageError, replace_file
-from appliance.store.filesystem import FileSystem
+from appliance.store.atomic import FileSystem, StorageError
 
 NUMBER_FILE = "next-id"
 LARGEST_NUMBER = 999_999_999_999
@@ -41,7 +40,7 @@ def take_number(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
         raise StorageError(
             "cannot count on in", root, f"{LARGEST_NUMBER} is the last number", "start a new storage folder"
         )
-    replace_file(fs, root / NUMBER_FILE, _line(number + 1))
+    fs.replace_file(root / NUMBER_FILE, _line(number + 1))
     return number
 
 

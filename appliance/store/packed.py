@@ -28,8 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from appliance.base import needed
-from appliance.store.atomic import Stamp, checked_stamp
-from appliance.store.filesystem import Bytes
+from appliance.store.atomic import Bytes, Stamp, checked_stamp
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels are: a list of scans touches none
     import numpy as np

@@ -15,8 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import Bytes, LocalFileSystem
+from appliance.store.atomic import Bytes, LocalFileSystem
 
 POINT = np.dtype(
     [
@@ -137,7 +136,7 @@ def write_ply(path: Path, cloud: PointCloud) -> None:
 
     Raises StorageError, ValueError.
     """
-    replace_file(LocalFileSystem(), path, *encode_ply(cloud))
+    LocalFileSystem().replace_file(path, *encode_ply(cloud))
 
 
 def read_ply(path: Path) -> StoredCloud:

@@ -20,8 +20,7 @@ from types import MappingProxyType
 from typing import TypeVar
 
 from appliance.measure import SIDES
-from appliance.store.atomic import StorageError, draft_of, refused
-from appliance.store.filesystem import AllocatingFileSystem, WritableFile
+from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError, WritableFile, draft_of
 from appliance.store.manifest import MANIFEST_FILE as MANIFEST
 from appliance.store.names import NUMBER_FILE as NUMBER
 from appliance.store.scan import CALIBRATION, CLOUD_FILE, PREVIEW_FILE, RIG_FILE, frames_file, second_frames_file
@@ -70,10 +69,10 @@ def plan_room(frames_bytes: int, cloud_bytes: int) -> dict[str, int]:
     return {**{f"frames-{side}": frames_bytes for side in SIDES}, "cloud": cloud_bytes, **SMALL}
 
 
-class Room:
+class Room(FileSystem):
     """A file system whose new files are made of what is allocated, as far as that goes. One thread at a time."""
 
-    def __init__(self, root: Path, fs: AllocatingFileSystem) -> None:
+    def __init__(self, root: Path, fs: LocalFileSystem) -> None:
         """Remember where the room is; nothing is allocated before ``hold``."""
         self._folder = root / FOLDER
         self._fs = fs
@@ -86,7 +85,7 @@ class Room:
 
         Raises StorageError, with the cause; what was allocated until then is kept.
         """
-        with refused("cannot allocate space in", self._folder):
+        with StorageError.naming("cannot allocate space in", self._folder):
             if not self._folder.is_dir():
                 self._fs.make_folder(self._folder)
             if not (self._folder / _SPARE).is_dir():
@@ -171,20 +170,6 @@ class Room:
             # this block.
             self._fs.remove(slack)
             return call()
-
-
-def is_full(error: StorageError) -> bool:
-    """Tell whether the disk refused for want of space, or of a quota."""
-    return _number(error) in (errno.ENOSPC, errno.EDQUOT)
-
-
-def is_read_only(error: StorageError) -> bool:
-    """Tell whether the disk takes no changes at all, as after a mount for reading only."""
-    return _number(error) == errno.EROFS
-
-
-def _number(error: StorageError) -> int | None:
-    return error.__cause__.errno if isinstance(error.__cause__, OSError) else None
 
 
 def _unused(piece: Path) -> bool:

@@ -15,7 +15,7 @@ import io
 import re
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 from appliance.base import ContentError
 from appliance.measure import SIDES
 from appliance.store import manifest as form
-from appliance.store.atomic import Stamp, checked_stamp, discard, draft_of, refused, replace_file, write_new
-from appliance.store.filesystem import Bytes, FileSystem
+from appliance.store.atomic import Bytes, FileSystem, LocalFileSystem, Stamp, StorageError, checked_stamp, draft_of
 from appliance.store.manifest import Decision, Manifest, ScanRecord, Stage
 from appliance.store.packed import Packed, PackedError, packed_path, read_index
 
@@ -114,18 +113,18 @@ def write_raw(
     ``frames``: by side, (n, h, w) uint8. Raises StorageError, ValueError.
     """
     _check(frames, record)
-    with refused("cannot make", folder):
+    with StorageError.naming("cannot make", folder):
         fs.make_folder(folder)
-    files = {frames_file(side): write_new(fs, folder / frames_file(side), npy_parts(frames[side])) for side in SIDES}
+    files = {frames_file(side): fs.write_new(folder / frames_file(side), npy_parts(frames[side])) for side in SIDES}
     for name, content in ((CALIBRATION, origin.calibration), (RIG_FILE, origin.rig)):
-        files[name] = write_new(fs, folder / name, (content,))
-    with refused("cannot make durable", folder):
+        files[name] = fs.write_new(folder / name, (content,))
+    with StorageError.naming("cannot make durable", folder):
         fs.sync_folder(folder)
     # The manifest comes last, after everything that it lists is durable: a folder with a manifest is a scan, one
     # without is not.
     checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
     manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files, frame_crc32=checks)
-    replace_file(fs, folder / form.MANIFEST_FILE, form.encode(manifest))
+    fs.replace_file(folder / form.MANIFEST_FILE, form.encode(manifest))
     return manifest
 
 
@@ -149,14 +148,14 @@ def add_second(
     checks = dict(manifest.frame_crc32)
     for side in SIDES:
         name = second_frames_file(side)
-        discard(fs, folder / name)
-        files[name] = write_new(fs, folder / name, npy_parts(frames[side]))
+        fs.discard(folder / name)
+        files[name] = fs.write_new(folder / name, npy_parts(frames[side]))
         checks[name] = frame_checks(frames[side])
-    with refused("cannot make durable", folder):
+    with StorageError.naming("cannot make durable", folder):
         fs.sync_folder(folder)
     added = replace(manifest, record=record, files=files, frame_crc32=checks)
     # From here on there are two exposures; before, the folder is the scan with one.
-    replace_file(fs, folder / form.MANIFEST_FILE, form.encode(added))
+    fs.replace_file(folder / form.MANIFEST_FILE, form.encode(added))
     return added
 
 
@@ -197,21 +196,40 @@ def finish_scan(
     if preview_png is not None:
         added[PREVIEW_FILE] = (preview_png,)
     for name, parts in added.items():
-        discard(fs, folder / name)
-        files[name] = write_new(fs, folder / name, parts)
-    with refused("cannot make durable", folder):
+        fs.discard(folder / name)
+        files[name] = fs.write_new(folder / name, parts)
+    with StorageError.naming("cannot make durable", folder):
         fs.sync_folder(folder)
     final = replace(manifest, stage=Stage.COMPLETE, decision=decision, record=record, files=files, reason=reason)
-    replace_file(fs, folder / form.MANIFEST_FILE, form.encode(final))
+    fs.replace_file(folder / form.MANIFEST_FILE, form.encode(final))
     return final
+
+
+def keep_scan(folder: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin) -> None:
+    """Make the scan ``folder`` outside of a library, whole or not at all: beside it, under a name that nobody takes for
+    a scan, then by one rename.
+
+    Raises StorageError, ValueError.
+    """
+    fs, draft = LocalFileSystem(), draft_of(folder)
+    if draft.exists():
+        discard_raw(fs, draft)  # of an attempt that was interrupted
+    try:
+        manifest = write_raw(fs, draft, folder.name, frames, record, origin)
+        finish_scan(fs, draft, manifest, Decision.KEPT, record)
+        fs.move_folder(draft, folder)
+    except BaseException:
+        with suppress(StorageError):
+            discard_raw(fs, draft)
+        raise
 
 
 def discard_raw(fs: FileSystem, folder: Path) -> None:
     """Take back a ``write_raw`` that failed, whose frames are still in memory. Raises StorageError."""
     for name in (form.MANIFEST_FILE, *RAW_FILES, *ORIGIN_FILES):  # the manifest first: it must never list what is gone
-        discard(fs, folder / name)
-        discard(fs, draft_of(folder / name))
-    discard(fs, folder)
+        fs.discard(folder / name)
+        fs.discard(draft_of(folder / name))
+    fs.discard(folder)
 
 
 def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[str, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance.base import ContentError, SealedFile
-from appliance.store import LocalFileSystem, make_folders, refused, replace_file
+from appliance.store import LocalFileSystem, StorageError
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.step import StepOutcome
 
@@ -77,7 +77,7 @@ class GuideFolder:
 
     def prepare(self) -> None:
         """Make the folder if it is not there. Raises StorageError."""
-        make_folders(self._fs, self.folder)
+        self._fs.make_folders(self.folder)
 
     def read(self) -> GuideState:
         """Return the state; an empty one where there is none. Raises BringupError for one that cannot be read."""
@@ -89,7 +89,7 @@ class GuideFolder:
     def write(self, files: Mapping[str, bytes]) -> Sequence[Path]:
         """Write files in their order, by name, and return them. Raises StorageError."""
         for name, data in files.items():
-            replace_file(self._fs, self.folder / name, data)
+            self._fs.replace_file(self.folder / name, data)
         return [self.folder / name for name in files]
 
     def pictures(self, state: GuideState) -> dict[str, bytes]:
@@ -100,6 +100,6 @@ class GuideFolder:
             for name in (one for one in record.pictures if Path(one).name == one):
                 path = self.folder / name
                 if path.is_file():
-                    with refused("cannot read", path):
+                    with StorageError.naming("cannot read", path):
                         found[name] = path.read_bytes()
         return found

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from appliance.store import ConfigError, LocalFileSystem, parse_rig, replace_file
+from appliance.store import ConfigError, LocalFileSystem, parse_rig
 from appliance.workshop.finding import BringupError
 
 _HEADER = re.compile(r"^\s*\[(?P<name>[^\[\]]+)\]\s*(#.*)?$")
@@ -57,8 +57,8 @@ def replace_rig(path: Path, old: str, new: str) -> Path:
     while (kept := path.with_name(f"{path.name}.before-{number}")).exists():
         number += 1
     # The copy first: at any instant one of the two files has the old text.
-    replace_file(LocalFileSystem(), kept, old.encode())
-    replace_file(LocalFileSystem(), path, new.encode())
+    LocalFileSystem().replace_file(kept, old.encode())
+    LocalFileSystem().replace_file(path, new.encode())
     return kept
 
 

@@ -12,7 +12,7 @@ from statistics import median
 from appliance.measure.light.sides import SIDES
 from appliance.store import scan as stored
 from appliance.store.archive import Copied, pack_scan
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem
 from bench.archive.scenes import Drawn
 from bench.result import Measured
 

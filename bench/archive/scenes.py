@@ -13,8 +13,8 @@ from pathlib import Path
 
 from appliance.measure.calibration import file as calibration_file
 from appliance.measure.light.exposure import Exposure
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.config import default_rig_path, parse_rig
-from appliance.store.filesystem import LocalFileSystem
 from appliance.store.manifest import ScanRecord, SequenceInfo
 from appliance.store.scan import ScanOrigin, write_raw
 from bench.outside.draws import scene_world

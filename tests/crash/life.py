@@ -13,7 +13,7 @@ from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, S
 from appliance.calibrate.health import HealthFile, HealthTrend, TrendPoint
 from appliance.measure.calibration.design import Design, design_calibration
 from appliance.measure.light.water import Water
-from appliance.store.filesystem import Bytes, WritableFile
+from appliance.store.atomic import Bytes, WritableFile
 from appliance.store.library import Library
 from appliance.store.room import Room
 from tests.appliance.store.scenes import ORIGIN, PLAN, PREVIEW, CountedDisk, cloud, frames, record

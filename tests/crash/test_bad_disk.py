@@ -18,8 +18,7 @@ from appliance.instrument.machine.choices import Choices
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.measure.light.exposure import Exposure
 from appliance.store import names
-from appliance.store.atomic import StorageError
-from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
 from appliance.store.instrument import load_calibration
 from appliance.store.library import Library, LibraryFolder, PendingScan
 from appliance.store.room import Room

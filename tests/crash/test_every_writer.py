@@ -23,12 +23,10 @@ from appliance.cli.setup import _write as write_firmware
 from appliance.desk.anew.results import Results
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
-from appliance.desk.foreign_import import _publish as publish_import
 from appliance.store import archive, incomplete
 from appliance.store import label as labels
 from appliance.store import scan as stored
-from appliance.store.atomic import add_beside, make_folders, replace_by, replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Decision
 from appliance.store.pull.source import FolderSource
@@ -65,12 +63,12 @@ def files(root: Path) -> Writing:
         path.write_bytes(b"by a library")
 
     yield
-    replace_file(FS, root / "old", b"new")
-    make_folders(FS, root / "a" / "b")
-    replace_file(FS, root / "a" / "b" / "new", b"one", b"two")
-    add_beside(FS, root / "old", b"other")
-    add_beside(FS, root / "c" / "old", b"other")
-    replace_by(FS, root / "old", library)
+    FS.replace_file(root / "old", b"new")
+    FS.make_folders(root / "a" / "b")
+    FS.replace_file(root / "a" / "b" / "new", b"one", b"two")
+    FS.add_beside(root / "old", b"other")
+    FS.add_beside(root / "c" / "old", b"other")
+    FS.replace_by(root / "old", library)
 
 
 def results(root: Path) -> Writing:
@@ -98,7 +96,7 @@ def packed(root: Path) -> Writing:
 def pulling(root: Path) -> Writing:
     there = instrument(root / ".disk")
     yield
-    make_folders(FS, root / "desk")  # as the verb does it
+    FS.make_folders(root / "desk")  # as the verb does it
     pulled(FolderSource(there), root / "desk")
 
 
@@ -108,7 +106,7 @@ def recordings(root: Path) -> Writing:
     first, picture = {side: one[:2] for side, one in frames().items()}, np.zeros((4, 6), np.uint8)
     yield
     incomplete.keep_incomplete(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
-    publish_import(root / "foreign", frames(), record(), ORIGIN)
+    stored.keep_scan(root / "foreign", frames(), record(), ORIGIN)
     folder = ViewFolder(root / "views", "KF-1", BoardDesign())
     folder.save(folder.next_name(), picture, picture)
 
@@ -217,7 +215,7 @@ def without_sync_of_the_file(root: Path) -> None:
 
 def in_a_new_folder(root: Path) -> None:
     (root / "new").mkdir()
-    replace_file(FS, root / "new" / "file", b"new")
+    FS.replace_file(root / "new" / "file", b"new")
 
 
 @pytest.mark.parametrize("work", [in_place, without_sync_of_the_file, in_a_new_folder])
@@ -231,12 +229,10 @@ JUDGED = {
     "appliance/cli/setup.py": "firmware",
     "appliance/desk/anew/results.py": "results",
     "appliance/calibrate/pictures.py": "recordings",
-    "appliance/desk/foreign_import.py": "recordings",
     "appliance/store/pull/taking.py": "pulling",
     "appliance/store/archive.py": "packed",
     "appliance/store/atomic.py": "files",
     "appliance/calibrate/calibrations.py": "calibrations",
-    "appliance/store/filesystem.py": "files",
     "appliance/calibrate/health.py": "calibrations",
     "appliance/store/incomplete.py": "recordings",
     "appliance/store/library.py": "scans and labels",

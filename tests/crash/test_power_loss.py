@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from appliance.store import scan as content
-from appliance.store.filesystem import AllocatingFileSystem
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.room import Room
 from tests.appliance.store import scenes
@@ -23,7 +23,7 @@ Promises = dict[str, set[str]]
 """Numbers of scans that the diver was told to be saved, rejected, with a cloud or a second exposure, until the power went."""
 
 
-def dive(top: Path, disk: AllocatingFileSystem, allocated: bool, told: Promises) -> None:
+def dive(top: Path, disk: LocalFileSystem, allocated: bool, told: Promises) -> None:
     """A scan with a cloud, a rejected one, and one of two exposures that gets its cloud afterwards; with or without space allocated
     beforehand, which is the same for one that is rejected."""
     room = Room(top / ROOT, disk)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from appliance.measure.calibration import file as calibration_file
 from appliance.measure.light.exposure import Exposure
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.manifest import ScanRecord, SequenceInfo
 from appliance.store.scan import ScanOrigin, write_raw
 from hw_sim.truth import TrueRig

@@ -27,18 +27,7 @@ from typing import Any
 
 import appliance
 from appliance import __version__
-from appliance.store import (
-    MANIFEST_FILE,
-    Bytes,
-    LocalFileSystem,
-    StorageError,
-    by_number,
-    make_folders,
-    move_folder,
-    refused,
-    replace_file,
-    write_new,
-)
+from appliance.store import MANIFEST_FILE, Bytes, LocalFileSystem, StorageError, by_number
 
 ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
 KEY_DIGITS, NAME_DIGITS = 16, 12
@@ -70,9 +59,9 @@ class Results:
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         results = cls(out / hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS])
         for name in ("results", "failed", "drafts"):
-            make_folders(LocalFileSystem(), results.folder / name)
+            LocalFileSystem().make_folders(results.folder / name)
         if not (results.folder / SETTINGS).exists():
-            replace_file(LocalFileSystem(), results.folder / SETTINGS, text.encode())
+            LocalFileSystem().replace_file(results.folder / SETTINGS, text.encode())
         return results
 
     @property
@@ -88,15 +77,15 @@ class Results:
     def publish(self, name: str, row: Row, cloud: tuple[Bytes, ...] | None) -> Row:
         """Publish a result, whole, by one rename; where another process was first, what that one published is returned."""
         fs, target = LocalFileSystem(), self.folder / "results" / name
-        with refused("cannot publish", target), TemporaryDirectory(dir=self.folder / "drafts") as made:
+        with StorageError.naming("cannot publish", target), TemporaryDirectory(dir=self.folder / "drafts") as made:
             draft = Path(made) / name
             fs.make_folder(draft)
             if cloud is not None:
-                row = {**row, "cloud_sha256": write_new(fs, draft / CLOUD, cloud).sha256}
-            write_new(fs, draft / ROW, (_encoded(row),))
+                row = {**row, "cloud_sha256": fs.write_new(draft / CLOUD, cloud).sha256}
+            fs.write_new(draft / ROW, (_encoded(row),))
             # rename(2) refuses a folder that is not empty: of two who are done at once, one gets the name.
             try:
-                move_folder(fs, draft, target)
+                fs.move_folder(draft, target)
             except StorageError:
                 if not target.is_dir():
                     raise
@@ -106,7 +95,7 @@ class Results:
 
     def publish_failure(self, name: str, row: Row) -> Row:
         """Write down why there is no result."""
-        replace_file(LocalFileSystem(), self.folder / "failed" / f"{name}.json", _encoded(row))
+        LocalFileSystem().replace_file(self.folder / "failed" / f"{name}.json", _encoded(row))
         return row
 
     def sweep(self) -> int:
@@ -114,7 +103,7 @@ class Results:
 
         For whoever holds the folder's lock.
         """
-        with refused("cannot sweep", self.folder / "drafts"):
+        with StorageError.naming("cannot sweep", self.folder / "drafts"):
             old = list((self.folder / "drafts").iterdir())
             for draft in old:
                 rmtree(draft)
@@ -136,7 +125,7 @@ class Results:
         writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         writer.writerows(sorted(found.values(), key=_order))
-        replace_file(LocalFileSystem(), self.folder / TABLE, text.getvalue().encode())
+        LocalFileSystem().replace_file(self.folder / TABLE, text.getvalue().encode())
         return self.folder / TABLE
 
 

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from appliance.base import needed
 from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm
-from appliance.store import LocalFileSystem, replace_by
+from appliance.store import LocalFileSystem
 
 NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
 OWN = ("kf", "urn:kingfisher:e57:1")
@@ -54,7 +54,7 @@ def write_points(path: Path, points: ExportedPoints, about: About) -> None:
     """
     scans = [E57Scan(in_mm(points, about), about.title)]
     # The library wants a name to write to, and gets that of the draft.
-    replace_by(LocalFileSystem(), path, partial(write_e57, scans=scans, about=about))
+    LocalFileSystem().replace_by(path, partial(write_e57, scans=scans, about=about))
 
 
 def write_e57(path: Path, scans: Iterable[E57Scan], about: About) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.base import needed
 from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm
-from appliance.store import LocalFileSystem, replace_file
+from appliance.store import LocalFileSystem
 
 SCALE_M = 1e-7
 _MM = "_mm"
@@ -36,7 +36,7 @@ _DATE = slice(90, 94)
 
 def write_points(path: Path, points: ExportedPoints, about: About) -> None:
     """Write the file. Raises StorageError, MissingLibraryError where laspy is absent."""
-    replace_file(LocalFileSystem(), path, encode_las(in_mm(points, about), about))
+    LocalFileSystem().replace_file(path, encode_las(in_mm(points, about), about))
 
 
 def encode_las(points: ExportedPoints, about: About) -> bytes:

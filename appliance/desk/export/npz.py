@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.export.content import About
 from appliance.measure import OrganisedCloud
-from appliance.store import Bytes, LocalFileSystem, replace_file
+from appliance.store import Bytes, LocalFileSystem
 
 LEVEL = 1
 """Level of compression: noise has little to be found, and the usual one takes six times as long for a tenth less."""
@@ -29,7 +29,7 @@ LEVEL = 1
 
 def write_grid(path: Path, cloud: OrganisedCloud, about: About) -> None:
     """Write the archive. Raises StorageError."""
-    replace_file(LocalFileSystem(), path, encode_npz(cloud, about))
+    LocalFileSystem().replace_file(path, encode_npz(cloud, about))
 
 
 def encode_npz(cloud: OrganisedCloud, about: About) -> Bytes:

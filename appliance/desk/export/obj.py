@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.export.content import About, finite
 from appliance.desk.surface.mesh import Mesh
-from appliance.store import LocalFileSystem, replace_file
+from appliance.store import LocalFileSystem
 
 _ROWS = 20_000
 """Lines that are written at once: a list of all numbers of a large mesh would take gigabytes."""
@@ -22,7 +22,7 @@ _ROWS = 20_000
 
 def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
     """Write the file. Raises StorageError."""
-    replace_file(LocalFileSystem(), path, *encode_obj(mesh, about))
+    LocalFileSystem().replace_file(path, *encode_obj(mesh, about))
 
 
 def encode_obj(mesh: Mesh, about: About) -> list[bytes]:

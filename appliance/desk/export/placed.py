@@ -30,7 +30,7 @@ from appliance.desk.export.e57 import E57Scan, write_e57
 from appliance.desk.export.formats import checked_suffix
 from appliance.desk.export.npz import arrays_of
 from appliance.measure import OrganisedCloud
-from appliance.store import LocalFileSystem, replace_by
+from appliance.store import LocalFileSystem
 
 SUFFIXES = (".npz", ".e57")
 _LEVEL = 1
@@ -57,13 +57,13 @@ def write_placed(path: Path, grids: Iterable[PlacedGrid], about: About) -> None:
     raises.
     """
     if checked_suffix(path, SUFFIXES, "the scans of an object") == ".npz":
-        replace_by(LocalFileSystem(), path, partial(_write, grids=grids, about=about))
+        LocalFileSystem().replace_by(path, partial(_write, grids=grids, about=about))
         return
     scans = (
         E57Scan(replace(points_of_scan(grid.cloud), origin_mm=grid.translation_mm), grid.name, grid.rotation)
         for grid in grids
     )
-    replace_by(LocalFileSystem(), path, partial(write_e57, scans=scans, about=about))
+    LocalFileSystem().replace_by(path, partial(write_e57, scans=scans, about=about))
 
 
 def _write(path: Path, grids: Iterable[PlacedGrid], about: About) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.export.content import About, ExportedPoints, finite, points_of_mesh, single_precision
 from appliance.desk.surface.mesh import Mesh
-from appliance.store import LocalFileSystem, replace_file, replace_parts
+from appliance.store import LocalFileSystem
 
 _FIXED = (
     ("x", "<f4", "float"),
@@ -37,12 +37,12 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 def write_points(path: Path, points: ExportedPoints, about: About) -> None:
     """Write points alone. Raises StorageError, ExportError."""
-    replace_parts(LocalFileSystem(), path, encode_surface(points, about))
+    LocalFileSystem().replace_parts(path, encode_surface(points, about))
 
 
 def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
     """Write a mesh. Raises StorageError, ExportError."""
-    replace_file(LocalFileSystem(), path, *encode_surface(points_of_mesh(mesh), about, mesh.faces))
+    LocalFileSystem().replace_file(path, *encode_surface(points_of_mesh(mesh), about, mesh.faces))
 
 
 def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32] | None = None) -> Iterator[bytes]:

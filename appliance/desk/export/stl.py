@@ -12,7 +12,7 @@ import numpy as np
 
 from appliance.desk.export.content import About
 from appliance.desk.surface.mesh import Mesh
-from appliance.store import LocalFileSystem, replace_file
+from appliance.store import LocalFileSystem
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _STL_TEXT = 80
@@ -20,7 +20,7 @@ _STL_TEXT = 80
 
 def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
     """Write the file. Raises StorageError, ValueError for more than 2³² - 1 triangles."""
-    replace_file(LocalFileSystem(), path, *encode_stl(mesh, about))
+    LocalFileSystem().replace_file(path, *encode_stl(mesh, about))
 
 
 def encode_stl(mesh: Mesh, about: About) -> tuple[bytes, bytes]:

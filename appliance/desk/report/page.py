@@ -31,7 +31,7 @@ from appliance.desk.report.content import (
 from appliance.desk.report.shown import Colouring, ShownSurface, shown, thinned
 from appliance.desk.report.still import still, view_direction
 from appliance.measure import Grade
-from appliance.store import LocalFileSystem, replace_file
+from appliance.store import LocalFileSystem
 
 _DISTANCE = 2.0
 """Distance of the eye from the middle of the scene, in plotly's units of the scene's size."""
@@ -181,7 +181,7 @@ _SMALL_MM = 1.0
 
 def write_report(path: Path | str, report: Report) -> None:
     """Write the page, whole or not at all. Raises StorageError, MissingLibraryError where plotly is absent."""
-    replace_file(LocalFileSystem(), Path(path), page(report).encode())
+    LocalFileSystem().replace_file(Path(path), page(report).encode())
 
 
 def page(report: Report) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from appliance.base import FINITE, ContentError, SealedFile, Within, plain
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
-from appliance.store import CALIBRATIONS, FileSystem, LocalFileSystem, make_folders, replace_file
+from appliance.store import CALIBRATIONS, FileSystem, LocalFileSystem
 
 log = logging.getLogger("kingfisher")
 
@@ -89,9 +89,9 @@ class BeamsFile:
     def write(self, calibration_hash: str, beams: tuple[PointerBeam, PointerBeam]) -> None:
         """Write it all down; it is durable on return. Raises StorageError."""
         left, right = (_StoredBeam(one.z0_mm, one.line, one.covariance, one.learned, one.last_z_mm) for one in beams)
-        make_folders(self._fs, self.path.parent)
-        replace_file(
-            self._fs, self.path, BEAMS.encode(_StoredBeams((left, right)), self._learned_with(calibration_hash))
+        self._fs.make_folders(self.path.parent)
+        self._fs.replace_file(
+            self.path, BEAMS.encode(_StoredBeams((left, right)), self._learned_with(calibration_hash))
         )
 
     def _learned_with(self, calibration_hash: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from appliance.base import Among, ContentError, SealedFile, Within, shaped
 from appliance.instrument.machine.choices import COLDEST_C, LANGUAGES, WARMEST_C, Choices
 from appliance.measure import PERIODS_PX, Exposure, Fault, FaultCode
-from appliance.store import FileSystem, LocalFileSystem, replace_file
+from appliance.store import FileSystem, LocalFileSystem
 
 log = logging.getLogger("kingfisher")
 
@@ -77,7 +77,7 @@ class ChoicesFile:
         """Write it all down; it is durable on return. Raises StorageError."""
         standard, chosen = asdict(_spelled(self._standard)), asdict(_spelled(choices))
         content = {name: value for name, value in chosen.items() if value != standard[name]}
-        replace_file(self._fs, self.path, CHOICES.encode(_Differing(content)))
+        self._fs.replace_file(self.path, CHOICES.encode(_Differing(content)))
 
 
 def _spelled(choices: Choices) -> _Chosen:

@@ -25,8 +25,6 @@ from appliance.store import (
     StorageError,
     cloud_bytes,
     frames_bytes,
-    is_full,
-    is_read_only,
     plan_room,
     size_bytes,
 )
@@ -178,6 +176,6 @@ class ScanRoom:
             self._room.hold(self._plan)
         except StorageError as error:
             log.warning("no space for the next scan: %s", error)
-            code = FaultCode.DISK_READ_ONLY if is_read_only(error) else FaultCode.DISK_REFUSES
-            return Fault(FaultCode.STORAGE_FULL if is_full(error) else code, str(error))
+            code = FaultCode.DISK_READ_ONLY if error.is_read_only else FaultCode.DISK_REFUSES
+            return Fault(FaultCode.STORAGE_FULL if error.is_full else code, str(error))
         return None

@@ -31,7 +31,6 @@ from appliance.store import (
     StorageError,
     keep_incomplete,
     largest_number,
-    replace_file,
 )
 from drivers.api import Clock
 
@@ -192,7 +191,7 @@ class ScanFiles:
         """Answer PartTested: whether the disk takes a file and gives it back."""
         probe = self._library.root / PROBE
         try:
-            replace_file(self._fs, probe, PROBE_CONTENT)
+            self._fs.replace_file(probe, PROBE_CONTENT)
             # Read from memory, most likely: it shows that the disk takes files, not what the medium holds.
             if probe.read_bytes() != PROBE_CONTENT:
                 return _test_failed(f"{probe} does not hold what was written")

@@ -16,7 +16,7 @@ from pathlib import Path
 from appliance.instrument.machine.start import finished
 from appliance.instrument.machine.states import Machine, State
 from appliance.instrument.service.notify import ServiceManager
-from appliance.store import FileSystem, LocalFileSystem, StorageError, replace_file
+from appliance.store import FileSystem, LocalFileSystem, StorageError
 
 log = logging.getLogger("kingfisher")
 
@@ -90,6 +90,6 @@ class Watchdog:
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             content = json.dumps({"installation": self._installation, "failed": failed}) + "\n"
-            replace_file(self._fs, self._file, content.encode())
+            self._fs.replace_file(self._file, content.encode())
         except (OSError, StorageError) as error:
             log.warning("the self-test's result was not written: %s", error)

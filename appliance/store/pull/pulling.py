@@ -18,8 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from appliance.base import require
-from appliance.store.atomic import add_beside, make_folders
-from appliance.store.filesystem import AppendingFileSystem, LocalFileSystem
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.incomplete import INCOMPLETE_FOLDER
 from appliance.store.library import LibraryFolder
 from appliance.store.lock import hold_lock
@@ -163,7 +162,7 @@ def pull_scans(
     """
     fs, target = LocalFileSystem(), out.absolute()
     opened = _opened(host, out, identity, known_hosts, limit_s)
-    make_folders(fs, target)
+    fs.make_folders(target)
     if not os.access(target, os.W_OK | os.X_OK):
         raise PullWordError(f"--out {target}: this user may not write there; give another folder, or change its owner")
     with hold_lock(target):
@@ -204,7 +203,7 @@ def _root_below(folder: Path) -> Path:
 
 
 def pull_from(
-    opened: Open, target: Path, fs: AppendingFileSystem, *, every: bool, far: Far, wait: Callable[[float], object]
+    opened: Open, target: Path, fs: LocalFileSystem, *, every: bool, far: Far, wait: Callable[[float], object]
 ) -> Pulled:
     """Take what is finished there and not here to the storage root ``target``, which is there. ``every``: also rejected
     scans.
@@ -236,7 +235,7 @@ def pull_from(
             wait(WAITS_S[empty - 1])
 
 
-def _attempt(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled, *, every: bool, far: Far) -> None:
+def _attempt(source: Source, target: Path, fs: LocalFileSystem, done: Pulled, *, every: bool, far: Far) -> None:
     shelves = [LibraryFolder.SCANS.value, INCOMPLETE_FOLDER] + ([LibraryFolder.REJECTED.value] if every else [])
     paths = list(_recordings(source, shelves, done))
     _beside(source, target, fs, done)
@@ -301,7 +300,7 @@ def _here(target: Path, path: str) -> Path | None:
 # --------------------------------------------------------------------- calibrations, objects, rig file
 
 
-def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled) -> None:
+def _beside(source: Source, target: Path, fs: LocalFileSystem, done: Pulled) -> None:
     """Take the small files beside the scans.
 
     One that is another here goes beside it, under a name with its checksum.
@@ -325,7 +324,7 @@ def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled)
             done.add(path, why.outcome, str(why))
             continue
         done.taken_bytes += len(data)
-        copy, written = add_beside(fs, target / path, data)
+        copy, written = fs.add_beside(target / path, data)
         if copy is None:
             done.add(
                 path,

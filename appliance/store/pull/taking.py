@@ -18,16 +18,7 @@ from pathlib import Path
 
 from appliance.base import ContentError
 from appliance.store.archive import problems_of
-from appliance.store.atomic import (
-    StorageError,
-    checked_stamp,
-    discard,
-    make_folders,
-    move_folder,
-    refused,
-    replace_file,
-)
-from appliance.store.filesystem import AppendingFileSystem
+from appliance.store.atomic import LocalFileSystem, StorageError, checked_stamp
 from appliance.store.incomplete import INCOMPLETE, INCOMPLETE_OF
 from appliance.store.label import LABEL, LABEL_FILE
 from appliance.store.manifest import INCOMPLETE_MANIFEST_FILE, MANIFEST, MANIFEST_FILE, Manifest
@@ -114,13 +105,13 @@ def find(source: Source, path: str) -> FoundRecording:
     return FoundRecording(path, about, about_name, files, label_bytes, manifest)
 
 
-def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, target: Path) -> None:
+def present(found: FoundRecording, source: Source, fs: LocalFileSystem, target: Path) -> None:
     """Say what ``target``, which is there, is beside what was found: raises NotYet, always; LinkLost, StorageError.
 
     The same recording with more in it (a cloud that was made at the desk) is the same recording. A label that is not
     here is taken; nothing else is touched.
     """
-    with refused("cannot read", target):
+    with StorageError.naming("cannot read", target):
         path = target / found.about_name
         ours = path.read_bytes() if path.exists() else b""
     try:
@@ -152,20 +143,18 @@ def draft_folder(target: Path) -> Path:
 
 def already_here_bytes(found: FoundRecording, target: Path) -> int:
     """Return how much of a recording an earlier call has taken. Raises StorageError."""
-    with refused("cannot read", target):
+    with StorageError.naming("cannot read", target):
         paths = (draft_folder(target) / one.name for one in found.files)
         return sum(path.stat().st_size for path in paths if path.exists())
 
 
-def take(
-    found: FoundRecording, source: Source, fs: AppendingFileSystem, target: Path, came: Callable[[int], None]
-) -> None:
+def take(found: FoundRecording, source: Source, fs: LocalFileSystem, target: Path, came: Callable[[int], None]) -> None:
     """Take a recording that is not here; ``came`` hears of each piece's bytes. Durable and whole on return.
 
     Raises NotYet where it is not to be had whole now, LinkLost, StorageError. The draft stays for the next call.
     """
     draft = draft_folder(target)
-    make_folders(fs, draft)
+    fs.make_folders(draft)
     wrong: dict[str, str] = {}
     for _ in range(TIMES):
         _begin(found, fs, draft)
@@ -175,28 +164,28 @@ def take(
         came(_take_label(found, source, fs, draft))
         wrong = _wrong(found, draft)
         if not wrong:
-            move_folder(fs, draft, target)
+            fs.move_folder(draft, target)
             return
         for name in wrong:
-            discard(fs, draft / name)
-            discard(fs, draft / _packed_name(name))
+            fs.discard(draft / name)
+            fs.discard(draft / _packed_name(name))
         found = find(source, found.path)  # it may have been changed meanwhile
     raise NotYet(PullOutcome.FAILED, f"damaged on the instrument: {_told(wrong)} (read {TIMES} times)")
 
 
-def _begin(found: FoundRecording, fs: AppendingFileSystem, draft: Path) -> None:
+def _begin(found: FoundRecording, fs: LocalFileSystem, draft: Path) -> None:
     """Leave in a draft only what the manifest proves in the end: half a file of something else is found out there, and
     taken anew."""
-    with refused("cannot read", draft):
+    with StorageError.naming("cannot read", draft):
         names = {path.name for path in draft.iterdir()}
     for name in names.difference(found.manifest.files, map(_packed_name, found.manifest.files)):
-        discard(fs, draft / name)
+        fs.discard(draft / name)
     # Its sync of the folder makes the removals durable, too.
-    replace_file(fs, draft / found.about_name, found.about)
+    fs.replace_file(draft / found.about_name, found.about)
 
 
-def _require_room(found: FoundRecording, fs: AppendingFileSystem, target: Path) -> None:
-    with refused("cannot ask for the room on", target.parent):
+def _require_room(found: FoundRecording, fs: LocalFileSystem, target: Path) -> None:
+    with StorageError.naming("cannot ask for the room on", target.parent):
         free_bytes = fs.free_bytes(target.parent)
     missing = found.size_bytes - already_here_bytes(found, target) + ROOM_LEFT_BYTES - free_bytes
     if missing > 0:
@@ -209,9 +198,9 @@ def _require_room(found: FoundRecording, fs: AppendingFileSystem, target: Path) 
 
 
 def _take_file(
-    source: Source, there: str, size_bytes: int, fs: AppendingFileSystem, path: Path, came: Callable[[int], None]
+    source: Source, there: str, size_bytes: int, fs: LocalFileSystem, path: Path, came: Callable[[int], None]
 ) -> None:
-    with refused("cannot write", path):
+    with StorageError.naming("cannot write", path):
         begun = path.exists()
         here = path.stat().st_size if begun else 0
         file = fs.append(path) if begun else fs.create(path)
@@ -228,7 +217,7 @@ def _take_file(
             file.close()
 
 
-def _take_label(found: FoundRecording, source: Source, fs: AppendingFileSystem, folder: Path) -> int:
+def _take_label(found: FoundRecording, source: Source, fs: LocalFileSystem, folder: Path) -> int:
     """Take a name and a note that are not here, and return their bytes.
 
     Raises NotYet where both ends have one, and another.
@@ -238,10 +227,10 @@ def _take_label(found: FoundRecording, source: Source, fs: AppendingFileSystem, 
     with given():
         theirs = text_of(source, f"{found.path}/{LABEL_FILE}", LABEL.max_bytes)
     path = folder / LABEL_FILE
-    with refused("cannot read", path):
+    with StorageError.naming("cannot read", path):
         ours = path.read_bytes() if path.exists() else None
     if ours is None:
-        replace_file(fs, path, theirs)
+        fs.replace_file(path, theirs)
     elif ours != theirs:
         raise NotYet(PullOutcome.DIFFERS, f"its name or note is another one at both ends ({path}), and left alone")
     return len(theirs)
@@ -251,7 +240,7 @@ def _wrong(found: FoundRecording, draft: Path) -> dict[str, str]:
     """Return what is not as the manifest says, by name, every byte read back from the disk; packed frames are decoded."""
     if found.about_name == MANIFEST_FILE:
         return problems_of(draft)
-    with refused("cannot read", draft):
+    with StorageError.naming("cannot read", draft):
         return {
             name: "damaged (its checksum does not fit)"
             for name, stamp in found.manifest.files.items()

@@ -14,8 +14,8 @@ from appliance.desk.measuring import ExposureFound, noise_to_store
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import CameraNoise
 from appliance.measure.light.patterns import build_sequence
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.config import Rig, load_rig
-from appliance.store.filesystem import LocalFileSystem
 from appliance.store.instrument import Instrument
 from appliance.store.manifest import ScanRecord, SequenceInfo
 from appliance.store.scan import load_scan, write_raw

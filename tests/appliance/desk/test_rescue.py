@@ -12,9 +12,9 @@ from appliance.desk.rescue import rescue_recording
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store import incomplete
 from appliance.store import scan as stored
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.config import Rig
 from appliance.store.config.spell import rig_text
-from appliance.store.filesystem import LocalFileSystem
 from appliance.store.instrument import Instrument
 from appliance.store.origin import calibration_for, open_source
 from appliance.store.ply import read_ply

@@ -13,7 +13,7 @@ from appliance.desk.reconstruct import _make_up, salvage
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, build_sequence
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.manifest import SecondSequence, SequenceInfo
 from appliance.store.scan import ScanError, add_second, manifest_of, write_raw
 from tests.appliance.store.scenes import ORIGIN, record

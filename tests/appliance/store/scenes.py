@@ -13,7 +13,7 @@ from appliance.measure.light.exposure import Exposure
 from appliance.measure.verdict import Verdict
 from appliance.store import manifest as form
 from appliance.store import scan
-from appliance.store.filesystem import Bytes, LocalFileSystem, WritableFile
+from appliance.store.atomic import Bytes, LocalFileSystem, WritableFile
 from appliance.store.library import LibraryFolder
 from appliance.store.manifest import ScanRecord, SecondSequence, SequenceInfo
 from appliance.store.ply import StoredCloud

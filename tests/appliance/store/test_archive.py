@@ -15,9 +15,8 @@ from appliance.store import archive, packed
 from appliance.store import label as labels
 from appliance.store import scan as stored
 from appliance.store.archive import Copied, pack_scan, problems_of, remove_source, unpack_scan
-from appliance.store.atomic import StorageError
+from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
 from appliance.store.damage import damaged_frames, frames_as_they_are
-from appliance.store.filesystem import FileSystem, LocalFileSystem
 from appliance.store.library import Library, LibraryFolder, entry_of
 from appliance.store.manifest import Decision
 from appliance.store.scan import ScanError, read_frame
@@ -259,7 +258,7 @@ def test_packing_that_is_refused_at_any_call_leaves_no_half_scan(small: Path, ta
             moved(FS, small, target)
         assert list(small.parent.iterdir()) == []
         assert problems_of(target) == {}
-        archive.remove_folder(FS, target)
+        FS.remove_folder(target)
 
 
 def test_no_source_is_removed_whose_copy_lacks_a_byte(source: Path, there: Path) -> None:

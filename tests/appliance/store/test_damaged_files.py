@@ -41,9 +41,8 @@ from appliance.measure.light.ray_shift import RayShift
 from appliance.store import incomplete, names, packed
 from appliance.store import label as labels
 from appliance.store import manifest as form
-from appliance.store.atomic import Stamp, StorageError
+from appliance.store.atomic import LocalFileSystem, Stamp, StorageError
 from appliance.store.config import ConfigError, default_rig_path, load_rig
-from appliance.store.filesystem import LocalFileSystem
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.packed import PackedError
 from appliance.store.ply import PlyError, encode_ply, read_ply

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.damage import DamagedFrames, damaged_frames, frames_as_they_are
-from appliance.store.filesystem import LocalFileSystem
 from appliance.store.manifest import Manifest, SequenceInfo
 from appliance.store.scan import ScanError, add_second, write_raw
 from tests.appliance.store.scenes import FRAMES, ORIGIN, frames, record, second_sequence

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.store import incomplete
 from appliance.store import scan as stored
-from appliance.store.atomic import StorageError
-from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import SequenceInfo
 from tests.appliance.store.scenes import ORIGIN, BadDisk, SoFull, record

@@ -21,8 +21,7 @@ from appliance.measure.light.exposure import Exposure
 from appliance.measure.verdict import GRADE_NAME, Grade, Verdict
 from appliance.store import incomplete
 from appliance.store import manifest as form
-from appliance.store.atomic import Stamp
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem, Stamp
 from appliance.store.library import Library, UnknownScan
 from appliance.store.manifest import Decision, Manifest, ScanRecord, SecondSequence, Stage, manifest_json
 from appliance.store.names import is_component

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.store.atomic import StorageError, draft_of, replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem, StorageError, draft_of
 from appliance.store.library import Library
-from appliance.store.room import FOLDER, Room, is_full, is_read_only, plan_room
+from appliance.store.room import FOLDER, Room, plan_room
 from appliance.store.scan import cloud_bytes, frames_bytes
 from tests.appliance.store.scenes import FRAMES, ORIGIN, PREVIEW, BadDisk, cloud, record
 
@@ -110,7 +109,7 @@ def test_files_and_folders_are_made_of_their_places_and_of_none_where_those_are_
     room = Room(tmp_path, FS)
     room.hold({"manifest-1": 4096, "manifest-2": 4096, "cloud": 50_000})
     for left in (["cloud", "folder", "manifest-2"], ["cloud", "folder"], ["cloud", "folder"]):
-        replace_file(room, tmp_path / "manifest.json", b"content")
+        room.replace_file(tmp_path / "manifest.json", b"content")
         assert not draft_of(tmp_path / "manifest.json").exists()
         assert (tmp_path / "manifest.json").read_bytes() == b"content"
         assert in_room(tmp_path) == left
@@ -200,8 +199,8 @@ def test_a_scan_is_saved_while_somebody_takes_every_block_that_gets_free(tmp_pat
             else:
                 scan.reject("moved")
             assert library.verify(scan.scan_id).problems == ()
-            assert is_full(refusal(lambda: room.hold(LENGTHS))), "the next one is refused before it is recorded"
-            assert is_full(refusal(lambda: Library(root).begin(frames(), record(), ORIGIN)))
+            assert refusal(lambda: room.hold(LENGTHS)).is_full, "the next one is refused before it is recorded"
+            assert refusal(lambda: Library(root).begin(frames(), record(), ORIGIN)).is_full
             assert list((root / "scans").glob(".*")) == [], "nothing of the scan that found no room stays"
         assert (library.load(scan.scan_id).frames["left"] == frames()["left"]).all()
 
@@ -214,7 +213,7 @@ def test_a_disk_mounted_for_reading_only_is_told_from_a_full_one(tmp_path: Path)
         for work in (lambda: room.hold(LENGTHS), lambda: library.begin(frames(), record(), ORIGIN),
                      lambda: scan.publish(record(), cloud(), PREVIEW), lambda: scan.reject("moved")):  # fmt: skip
             error = refusal(work)
-            assert (is_read_only(error), is_full(error)) == (True, False)
+            assert (error.is_read_only, error.is_full) == (True, False)
         subprocess.run(["mount", "-o", "remount,rw", str(root)], check=True, timeout=20)
         with suppress(StorageError):
             room.hold(LENGTHS)

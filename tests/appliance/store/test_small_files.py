@@ -25,8 +25,7 @@ from appliance.measure.calibration.patches import PATCH_COUNT
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.store import label, names
-from appliance.store.atomic import StorageError
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem, StorageError
 from appliance.store.label import Label
 from appliance.store.lock import hold_lock, holder
 from tests.appliance.store.scenes import padded

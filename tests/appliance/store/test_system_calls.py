@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 
 from appliance.store import atomic
-from appliance.store.atomic import StorageError, discard, replace_file, write_new
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.room import is_full, is_read_only
+from appliance.store.atomic import LocalFileSystem, StorageError
 from tests.appliance.store.scenes import BadDisk
 
 FS = LocalFileSystem()
@@ -62,11 +60,11 @@ def test_a_file_that_could_not_be_written_leaves_no_draft_and_the_old_content(tm
     path.write_bytes(b"old")
     for bad in range(6):
         with pytest.raises(StorageError, match=r"choices\.json|cannot make durable"):
-            replace_file(BadDisk(bad), path, b"new content")
+            BadDisk(bad).replace_file(path, b"new content")
         assert path.read_bytes() in (b"old", b"new content")
         assert bad > 3 or [one.name for one in tmp_path.iterdir()] == ["choices.json"]
     atomic.draft_of(path).write_bytes(b"half of something that is much longer than this")
-    replace_file(FS, path, b"old")  # an earlier attempt is no obstacle
+    FS.replace_file(path, b"old")  # an earlier attempt is no obstacle
     for error in (OSError(errno.ENOSPC, "full"), ValueError("no points")):
 
         def library(draft: Path, error: Exception = error) -> None:
@@ -74,21 +72,21 @@ def test_a_file_that_could_not_be_written_leaves_no_draft_and_the_old_content(tm
             raise error
 
         with pytest.raises(StorageError if isinstance(error, OSError) else ValueError):
-            atomic.replace_by(FS, path, library)
-    replace_file(FS, path, b"o", b"ld")
+            FS.replace_by(path, library)
+    FS.replace_file(path, b"o", b"ld")
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == {"choices.json": b"old"}
-    discard(FS, tmp_path / "none")
+    FS.discard(tmp_path / "none")
     with pytest.raises(StorageError):
-        discard(BadDisk(0), path)
+        BadDisk(0).discard(path)
 
 
 def test_a_file_in_several_parts_has_the_length_and_checksum_that_are_found_on_the_disk(tmp_path: Path) -> None:
     parts = (b"head", bytes(range(256)) * 40_000, memoryview(b"tail"))  # more than two blocks of 4 MiB
-    stamp = write_new(FS, tmp_path / "file", parts)
+    stamp = FS.write_new(tmp_path / "file", parts)
     assert stamp == atomic.checked_stamp(tmp_path / "file")
     assert (tmp_path / "file").read_bytes() == b"".join(parts)
     with pytest.raises(StorageError):
-        write_new(FS, tmp_path / "file", (b"another",))
+        FS.write_new(tmp_path / "file", (b"another",))
     assert (tmp_path / "file").stat().st_size == stamp.length, "what was there is not written over"
 
 
@@ -102,10 +100,10 @@ def test_a_file_in_several_parts_has_the_length_and_checksum_that_are_found_on_t
 )  # fmt: skip
 def test_every_refusal_names_the_path_the_reason_and_its_own_remedy(number: int | None, remedy: str) -> None:
     raised = OSError("said in words") if number is None else OSError(number, os.strerror(number))
-    assert remedy in atomic.remedy_for(raised)
-    with pytest.raises(StorageError) as error, atomic.refused("cannot write", Path("/somewhere/x")):
+    assert remedy in StorageError.of("cannot write", Path("x"), raised).remedy
+    with pytest.raises(StorageError) as error, StorageError.naming("cannot write", Path("/somewhere/x")):
         raise raised
     assert (error.value.path, error.value.reason) == (Path("/somewhere/x"), raised.strerror or "said in words")
     assert str(error.value) == f"cannot write /somewhere/x: {error.value.reason}; {error.value.remedy}"
-    assert is_full(error.value) is (number in (errno.ENOSPC, errno.EDQUOT))
-    assert is_read_only(error.value) is (number == errno.EROFS)
+    assert error.value.is_full is (number in (errno.ENOSPC, errno.EDQUOT))
+    assert error.value.is_read_only is (number == errno.EROFS)

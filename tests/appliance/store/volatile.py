@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from itertools import chain, combinations
 from pathlib import Path
 
-from appliance.store.filesystem import Bytes, LocalFileSystem, WritableFile
+from appliance.store.atomic import Bytes, LocalFileSystem, WritableFile
 
 FEW = 4
 """Up to so many changes of names that are not durable, every subset is tried."""

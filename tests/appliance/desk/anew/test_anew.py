@@ -20,8 +20,7 @@ from appliance.desk.anew import work as task
 from appliance.desk.anew.results import COLUMNS, Results, ResultsError, Row, name_of, program_digits, read_table
 from appliance.desk.anew.work import AGAIN, DONE, FAILED, Again, Job, attempt
 from appliance.measure.calibration import file as calibration_file
-from appliance.store.atomic import StorageError
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem, StorageError
 from appliance.store.scan import ScanError, write_raw
 from hw_sim.truth import draw_truth
 from tests.appliance.store.scenes import ORIGIN, frames, record

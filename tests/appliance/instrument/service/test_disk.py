@@ -22,7 +22,7 @@ from appliance.instrument.service.scans import MeasuringSetup, ScanController, S
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.patterns import build_sequence
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.room import FOLDER, Room

@@ -9,7 +9,7 @@ from pathlib import Path
 from appliance.store import incomplete
 from appliance.store import label as labels
 from appliance.store import scan as stored
-from appliance.store.filesystem import AppendingFileSystem, LocalFileSystem
+from appliance.store.atomic import LocalFileSystem
 from appliance.store.manifest import Decision
 from appliance.store.pull.pulling import Far, Open, Pulled, pull_from
 from appliance.store.pull.source import FolderSource, LinkLost, RemoteEntry, Source
@@ -61,7 +61,7 @@ def opened(source: Source) -> Open:
 
 
 def pulled(
-    link: Source | Open, target: Path, fs: AppendingFileSystem = FS, *, every: bool = False,
+    link: Source | Open, target: Path, fs: LocalFileSystem = FS, *, every: bool = False,
     far: Far = lambda *_: None,
 ) -> Pulled:  # fmt: skip
     """One call, which waits for nothing."""

@@ -14,8 +14,7 @@ from appliance.cli import main
 from appliance.store import archive, incomplete, packed
 from appliance.store import label as labels
 from appliance.store import scan as stored
-from appliance.store.atomic import StorageError
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store.atomic import LocalFileSystem, StorageError
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Decision
 from appliance.store.pull.pulling import Pulled, pull_from
