@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from appliance.instrument.machine.words import english
+from appliance.instrument.machine.words import worded
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.screens.views import AimView, AnyView, MenuView, ReviewView
 from appliance.instrument.service.app import run
@@ -110,7 +110,7 @@ class GuidedDive:
     def reviewed(self) -> list[str]:
         """Words about the overlap as they were drawn."""
         reviewed = (view for view in self.told if isinstance(view, ReviewView))
-        return list(dict.fromkeys(english(view.overlap.words) for view in reviewed if view.overlap is not None))
+        return list(dict.fromkeys(worded(view.overlap.words) for view in reviewed if view.overlap is not None))
 
     def clouds(self) -> list[Array]:
         """Return the points of every kept scan in the main's own frame, mm."""

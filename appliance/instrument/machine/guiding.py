@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import assert_never
 
 from appliance.instrument.machine.states import Machine, State
-from appliance.instrument.machine.words import Label, Text, english
+from appliance.instrument.machine.words import Label, Text, worded
 from appliance.instrument.ranging.reach import Reach
 from appliance.measure import Move
 
@@ -58,7 +58,7 @@ class GuidanceSaid:
     @property
     def whole(self) -> str:
         """Both in one line of English, as the status file has it."""
-        return ": ".join(english(label) for label in (self.overlap, self.words) if label is not None)
+        return ": ".join(worded(label) for label in (self.overlap, self.words) if label is not None)
 
 
 def guides(machine: Machine) -> bool:

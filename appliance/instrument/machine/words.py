@@ -6,6 +6,7 @@ languages there, too."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, unique
@@ -28,10 +29,6 @@ class Words:
     def in_language(self, language: Language) -> str:
         """Return the phrase as that language has it."""
         return self.german if language is Language.GERMAN else self.english
-
-    def filled(self, language: Language, *numbers: float) -> str:
-        """Return an entry that has places for numbers as that language has it, with ``numbers`` in them."""
-        return self.in_language(language).format(*numbers)
 
 
 @unique
@@ -298,17 +295,23 @@ STEP_NAMES: Mapping[Step, Text] = {
 }
 """Name of each step of the calibration."""
 
-Label = Text | str | tuple[Text | str, ...]
+Label = Text | Words | str | tuple[Text | str, ...]
 """Words that a screen writes in one place: an entry, something that is the same in every language (a number with its
 unit), or such parts with a space between them: (EXPOSE, "8 ms")."""
 
+_DECIMAL = re.compile(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])")
+"""Pattern of one point between figures: a version like 0.1.0 has two."""
 
-def english(label: Label) -> str:
-    """Return a label in English, as the log, the status file and the tests have it."""
+
+def worded(label: Label, language: Language = Language.ENGLISH) -> str:
+    """Return a label in a language: its entries translated, its numbers written as there (0.31 % → 0,31 % in German).
+
+    The log, the status file and the tests have it in English.
+    """
     match label:
-        case Text():
-            return label.english
+        case Text() | Words():
+            return label.in_language(language)
         case str():
-            return label
+            return _DECIMAL.sub(r"\1,\2", label) if language is Language.GERMAN else label
         case _:
-            return " ".join(english(part) for part in label)
+            return " ".join(worded(part, language) for part in label)

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from appliance.instrument.machine.alerts import Severity
 from appliance.instrument.machine.guiding import GuidanceSaid
 from appliance.instrument.machine.leading import Leader, leader, passing
-from appliance.instrument.machine.words import Language, Text
+from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
+from appliance.instrument.screens.column import known
 from appliance.instrument.screens.frame import alerts_top, draw_title, room_between, words_of
 from appliance.instrument.screens.marks import draw_marks
-from appliance.instrument.screens.texts import numbered, worded
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
 from appliance.instrument.screens.views import AimView, Gauge
 from appliance.measure import FaultCode, Move, WorkingVolume
@@ -43,9 +43,7 @@ _ICON_PX = 46
 _ICON_DETAIL = 4
 
 
-def draw_gauge(
-    canvas: Canvas, gauge: Gauge | None, middle: float, language: Language, right_colour: theme.Colour = theme.GREEN
-) -> None:
+def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, right_colour: theme.Colour = theme.GREEN) -> None:
     """Draw a row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt.
 
     ``right_colour``: of a distance that is right.
@@ -54,17 +52,21 @@ def draw_gauge(
     word = None if gauge is None else gauge.word
     colour = theme.MUTED if word is None else right_colour if word is Reach.OK else ADVICE[word][1]
     if word is Reach.UNKNOWN:
-        hint = Text.DOT_ON_IT.in_language(language)
         canvas.words(
-            hint, ((left + right) / 2, middle + 10), CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, right - left
+            Text.DOT_ON_IT,
+            ((left + right) / 2, middle + 10),
+            CAPTION + 2,
+            BOLD,
+            theme.YELLOW,
+            Align.CENTRE,
+            right - left,
         )
     else:
         # Without a dot the scale has no mark: its place is used to say what makes one.
         _scale(canvas, word, middle, WorkingVolume() if gauge is None else gauge.volume, right_colour)
     distance_mm = None if gauge is None else gauge.distance_mm
     if word is not None:
-        said = ADVICE[word][0].in_language(language)
-        canvas.words(said, (16, middle + 13), TITLE - 4, BLACK, colour, max_width=left - 32)
+        canvas.words(ADVICE[word][0], (16, middle + 13), TITLE - 4, BLACK, colour, max_width=left - 32)
     if gauge is not None and distance_mm is not None:
         low, high = _ends_mm(gauge.volume)
         # Held at the end of the scale, while the number beside it goes on: the mark shows the way back.
@@ -78,8 +80,9 @@ def draw_gauge(
     tilt_deg = None if gauge is None else gauge.tilt_deg
     tilt = None if tilt_deg is None else round(tilt_deg)
     canvas.image("tilt", tilt_icon(tilt), 676, middle - _ICON_PX / 2, _ICON_PX, _ICON_PX)
-    said = "—" if tilt is None else f"{abs(tilt)}°"
-    canvas.words(said, (canvas.width - 14, middle + 12), BODY, BOLD, theme.WHITE, Align.RIGHT)
+    canvas.words(
+        "—" if tilt is None else f"{abs(tilt)}°", (canvas.width - 14, middle + 12), BODY, BOLD, theme.WHITE, Align.RIGHT
+    )
 
 
 def _ends_mm(volume: WorkingVolume) -> tuple[float, float]:
@@ -143,9 +146,7 @@ _PLATES_PX = 56.0
 """Height of what is written along the picture's upper edge."""
 
 
-def draw_guidance(
-    canvas: Canvas, said: GuidanceSaid, left: float, top: float, width: float, height: float, language: Language
-) -> None:
+def draw_guidance(canvas: Canvas, said: GuidanceSaid, left: float, top: float, width: float, height: float) -> None:
     """Draw on the picture that has this place on the screen."""
     # Shape tells as well as colour: no arrow, one, or the other way, and words of their own.
     ground, ink = {
@@ -159,7 +160,7 @@ def draw_guidance(
         # What to do stays where there is no room for how much.
         if label is None or (size != WORDS_PX and said.words is not None and not tall):
             continue
-        words = worded(label, language)
+        words = label
         wide = canvas.measure(words, size, BLACK) + 28
         canvas.box(left + 10, bottom - plate, wide, plate, ground, 10)
         canvas.words(words, (left + 10 + wide / 2, bottom - 0.26 * plate), size, BLACK, ink, Align.CENTRE)
@@ -185,18 +186,18 @@ _PLATE_PX = 42.0
 _ABOUT_HEAT = (FaultCode.WARM, FaultCode.HOT, FaultCode.TOO_HOT, FaultCode.TEMPERATURE_UNKNOWN)
 
 
-def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
-    _title(canvas, view, language)
+def draw_aim(canvas: Canvas, view: AimView, time_s: float) -> None:
+    _title(canvas, view)
     # Green is for what leads: where something else is wrong, a right distance is no more than a number.
     calm = _leads(view) in (Leader.OVERLAP, Leader.SCREEN) and view.scan_allowed
-    draw_gauge(canvas, view.gauge, GAUGE_MIDDLE_PX, language, theme.GREEN if calm else theme.WHITE)
+    draw_gauge(canvas, view.gauge, GAUGE_MIDDLE_PX, theme.GREEN if calm else theme.WHITE)
     width, room = LIVE_PX[0], alerts_top(canvas, view.alerts) - _TOP_PX
     # An alert takes its room from the pictures: they are never covered, since aiming goes on under a warning.
     height = min(LIVE_PX[1], room)
     top = _TOP_PX + (room - height) / 2
     right = canvas.width - width
-    _live(canvas, "left", view.left, 0, top, height, language)
-    _live(canvas, "right", view.right, right, top, height, language)
+    _live(canvas, "left", view.left, 0, top, height)
+    _live(canvas, "right", view.right, right, top, height)
     if view.marks is not None:
         seen = view.gauge is not None and view.gauge.distance_mm is not None
         for pixels, tracks, left in ((view.left, view.marks.left, 0.0), (view.right, view.marks.right, right)):
@@ -205,43 +206,38 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
     _plate(canvas, "L", 10, top + 10)
     _plate(canvas, "R", right + 10, top + 10)
     if view.exposure is not None:
-        _plate(canvas, numbered(view.exposure, language), 62, top + 10)
+        _plate(canvas, view.exposure, 62, top + 10)
     if view.guidance is not None:
-        draw_guidance(canvas, view.guidance, 0, top, width, height, language)
+        draw_guidance(canvas, view.guidance, 0, top, width, height)
     elif view.overlap is not None:
         # Of the scan before; two percentages at once would be taken for each other.
         ground, ink = (theme.YELLOW, theme.INK) if _leads(view) is Leader.OVERLAP else (theme.INK, theme.WHITE)
-        _plate(canvas, worded(view.overlap.words, language), 10, top + height - _PLATE_PX - 10, ground, ink)
+        _plate(canvas, view.overlap.words, 10, top + height - _PLATE_PX - 10, ground, ink)
     bottom = top + height - _PLATE_PX - 10
     # Where the camera is gone, the words that say so have the room.
     if view.water is not None and view.right is not None:
-        _plate(canvas, worded(view.water, language), right + 10, bottom)
+        _plate(canvas, view.water, right + 10, bottom)
     if view.object is not None and view.right is not None:
         above = bottom if view.water is None else bottom - _PLATE_PX - 2
-        _plate(canvas, f"{Text.OBJECT.in_language(language)} {view.object}", right + 10, above)
-    _temperature(canvas, view, top + 10, language)
-    _numbers(canvas, view, language)
+        _plate(canvas, (Text.OBJECT, str(view.object)), right + 10, above)
+    _temperature(canvas, view, top + 10)
+    _numbers(canvas, view)
 
 
 def _leads(view: AimView) -> Leader:
     return leader(view.alerts, view.overlap, Reach.UNKNOWN if view.gauge is None else view.gauge.word)
 
 
-def _title(canvas: Canvas, view: AimView, language: Language) -> None:
+def _title(canvas: Canvas, view: AimView) -> None:
     """Draw READY, or what a scan would fail for now; nothing where an alert in full or the distance says what is to be
     done."""
     leads, told = _leads(view), passing(view.alerts)
     if not view.scan_allowed:
-        draw_title(canvas, Text.NOT_READY.in_language(language), view.keys, language, theme.YELLOW)
+        draw_title(canvas, Text.NOT_READY, view.keys, theme.YELLOW)
     elif leads is Leader.PASSING and told is not None:
-        draw_title(canvas, words_of(told, language)[0], view.keys, language, theme.YELLOW)
+        draw_title(canvas, words_of(told, canvas.language)[0], view.keys, theme.YELLOW)
     elif leads in (Leader.OVERLAP, Leader.SCREEN):
-        draw_title(canvas, Text.READY.in_language(language), view.keys, language)
-
-
-def dash_or(value: float | None, pattern: str) -> str:
-    """Return a number, or a dash where it is not known."""
-    return "—" if value is None else pattern.format(value)
+        draw_title(canvas, Text.READY, view.keys)
 
 
 def _live(
@@ -251,7 +247,6 @@ def _live(
     left: float,
     top: float,
     height: float,
-    language: Language,
 ) -> None:
     """Draw a camera's (h, w) picture into its half of the screen, as high as an alert leaves room for, or say that
     there is none."""
@@ -262,13 +257,13 @@ def _live(
     name = Text.LEFT_CAMERA if side == "left" else Text.RIGHT_CAMERA
     canvas.box(left, top, width, height, theme.DEEP, 10, (theme.YELLOW, 4))
     middle, level = left + width / 2, top + 0.5 * (height + _PLATE_PX + 10)
-    canvas.words(name.in_language(language), (middle, level - 6), TITLE - 6, BOLD, theme.WHITE, Align.CENTRE)
-    canvas.words(Text.NO_IMAGE.in_language(language), (middle, level + 36), TITLE, BLACK, theme.YELLOW, Align.CENTRE)
+    canvas.words(name, (middle, level - 6), TITLE - 6, BOLD, theme.WHITE, Align.CENTRE)
+    canvas.words(Text.NO_IMAGE, (middle, level + 36), TITLE, BLACK, theme.YELLOW, Align.CENTRE)
 
 
 def _plate(
     canvas: Canvas,
-    words: str,
+    words: Label,
     x: float,
     top: float,
     ground: theme.Colour = theme.INK,
@@ -283,7 +278,7 @@ def _plate(
     canvas.words(words, (left + width / 2, top + 31), CAPTION + 2, BLACK, ink, Align.CENTRE)
 
 
-def _temperature(canvas: Canvas, view: AimView, top: float, language: Language) -> None:
+def _temperature(canvas: Canvas, view: AimView, top: float) -> None:
     """Draw the housing's temperature in the colour of its band: white, yellow, or white on red."""
     # The colour comes from the alerts, not from limits of its own: number and warning can then never disagree.
     band = max((alert.severity for alert in view.alerts if alert.code in _ABOUT_HEAT), default=Severity.INFO)
@@ -293,16 +288,16 @@ def _temperature(canvas: Canvas, view: AimView, top: float, language: Language) 
         Severity.CRITICAL: (theme.BLOOD, theme.WHITE),
     }[band]
     # Named: beside the water it would be read as the water's.
-    said = f"{Text.HOUSING.in_language(language)} {dash_or(view.temperature_c, '{:.0f}')} °C"
+    said = (Text.HOUSING, f"{known(view.temperature_c, '{:.0f}')} °C")
     _plate(canvas, said, canvas.width - 10, top, ground, ink, Align.RIGHT)
 
 
-def _numbers(canvas: Canvas, view: AimView, language: Language) -> None:
+def _numbers(canvas: Canvas, view: AimView) -> None:
     """Draw how many scans there are, and for how many more there is room, between the lower labels."""
-    left, right = room_between(canvas, view.keys, language, bottom=True)
+    left, right = room_between(canvas, view.keys, bottom=True)
     cells = (
-        (str(view.scans_taken), Text.TAKEN.in_language(language)),
-        ("—" if view.scans_left is None else str(view.scans_left), Text.LEFT_OVER.in_language(language)),
+        (str(view.scans_taken), Text.TAKEN),
+        ("—" if view.scans_left is None else str(view.scans_left), Text.LEFT_OVER),
     )
     gap, space = 28.0, 7.0
     size = TITLE - 2

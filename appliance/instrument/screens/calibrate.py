@@ -30,12 +30,11 @@ from appliance.calibrate import (
 )
 from appliance.instrument.machine.failure import FailureKind
 from appliance.instrument.machine.states import Task
-from appliance.instrument.machine.words import STEP_NAMES, Language, Text
+from appliance.instrument.machine.words import STEP_NAMES, Label, Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.frame import alerts_top, draw_title
 from appliance.instrument.screens.marks import draw_marks
-from appliance.instrument.screens.texts import numbered
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
 from appliance.instrument.screens.views import CalibrateView
 from appliance.measure import STANDARD, STANDARD_MM, WorkingVolume
@@ -182,23 +181,21 @@ _TASKS = {
 }
 
 
-def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
-    title = STEP_NAMES[view.step].in_language(language)
-    if view.step is Step.VERIFY:
-        title = f"{title}  {Text.BALL_BAR.in_language(language)}"
-    draw_title(canvas, title, view.keys, language)
+def draw_calibrate(canvas: Canvas, view: CalibrateView, time_s: float) -> None:
+    name = STEP_NAMES[view.step]
+    draw_title(canvas, (name, "", Text.BALL_BAR) if view.step is Step.VERIFY else name, view.keys)
     # From below to above: an alert first, over it what became of the recording, and sketches and picture share
     # what is left.
     bottom = alerts_top(canvas, view.alerts) + (-4 if view.alerts else 8)
     free = bottom - _latest_px(view)
     if view.step in HELD:
-        _how(canvas, view, free, language)
-        _live(canvas, view, free, language)
+        _how(canvas, view, free)
+        _live(canvas, view, free)
     elif view.step is Step.SOLVE:
-        _solve(canvas, view, free, language)
+        _solve(canvas, view, free)
     else:
-        _result(canvas, view, free, language)
-    _latest(canvas, view, bottom, language, time_s)
+        _result(canvas, view, free)
+    _latest(canvas, view, bottom, time_s)
     _ticks(canvas, view)
 
 
@@ -225,9 +222,9 @@ _FAILURES = {
 """Words for each failure: what came to nothing, and what to do. The details are in the log and in the status file."""
 
 
-def _step_name(about: str, language: Language) -> str:
+def _step_name(about: str) -> Label:
     """Return the name of the step that a failure is about; empty where it is about none."""
-    return next((name.in_language(language) for step, name in STEP_NAMES.items() if step.value == about), about)
+    return next((name for step, name in STEP_NAMES.items() if step.value == about), about)
 
 
 def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
@@ -267,7 +264,7 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
             assert_never(unknown)
 
 
-def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+def _how(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
     """Draw two sketches side by side, and the same in words; smaller where what is below needs the room."""
     step = view.step
     words, depth = _HOLD[step]
@@ -279,7 +276,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language)
     ):
         canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, size)
         canvas.words(
-            caption.in_language(language),
+            caption,
             (left + _SKETCH_PX / 2, _TOP_PX + size + 22),
             CAPTION,
             REGULAR,
@@ -290,7 +287,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language)
     # The words and the drawing say the same from two tables: this holds them together.
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
     numbers = (plane_place(step, view.volume).wanted_mm,) if HELD[step] is ArtefactKind.PLANE else ()
-    lines = words.filled(language, *numbers).split(", ")
+    lines = words.filled(canvas.language, *numbers).split(", ")
     for number, line in enumerate(lines):
         canvas.words(
             line,
@@ -302,7 +299,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language)
         )
 
 
-def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+def _live(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
     """Draw the left camera's picture, with the laser dots' marks, and the distance that they say."""
     pixels, gauge = view.left, view.gauge
     width, height = _LIVE_PX[0], min(_LIVE_PX[1], bottom - _TOP_PX)
@@ -314,7 +311,7 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
             draw_marks(canvas, view.marks.left, pixels, left, _TOP_PX, width, height, distance_mm is not None)
         if gauge is not None:
             known = distance_mm is not None
-            said = f"{distance_mm:.0f} mm" if known else Text.DOT_ON_IT.in_language(language)
+            said = f"{distance_mm:.0f} mm" if known else Text.DOT_ON_IT
             wide = canvas.measure(said, CAPTION + 2, BLACK) + 20
             canvas.box(left + 10, _TOP_PX + 10, wide, 42, theme.INK, 10)
             ink = theme.WHITE if known else theme.YELLOW
@@ -322,7 +319,7 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
         return
     canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, (theme.YELLOW, 4))
     canvas.words(
-        Text.NO_IMAGE.in_language(language),
+        Text.NO_IMAGE,
         (canvas.width - width / 2, _TOP_PX + height / 2),
         TITLE,
         BLACK,
@@ -331,37 +328,35 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
     )
 
 
-def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Language, time_s: float) -> None:
+def _latest(canvas: Canvas, view: CalibrateView, bottom: float, time_s: float) -> None:
     """Draw the band over the lower labels, or over an alert: what is done now, or what became of the latest
     recording."""
     at = view.at
     # What this visit recorded, else what the session has of the step from before, perhaps from before a restart.
     check = at.latest or view.session.check(view.step)
     if at.task is not None:
-        _working(canvas, at.task, at.progress, language, time_s, bottom)
+        _working(canvas, at.task, at.progress, time_s, bottom)
     elif at.failed is not None:
-        came, remedy = (text.in_language(language) for text in _FAILURES[at.failed.kind])
-        _band(canvas, theme.YELLOW, came, remedy, _step_name(at.failed.about, language), bottom)
+        came, remedy = _FAILURES[at.failed.kind]
+        _band(canvas, theme.YELLOW, came, remedy, _step_name(at.failed.about), bottom)
     elif check is not None and check.refusal is None:
         number = "" if check.number is None else f"{1000.0 * check.number:.0f} µm"
-        what = f"{STEP_NAMES[check.step].in_language(language)} {Text.ACCEPTED.in_language(language)}"
-        _band(canvas, theme.GREEN, what, f"{check.points} {Text.POINTS.in_language(language)}", number, bottom)
+        what = (STEP_NAMES[check.step], Text.ACCEPTED)
+        _band(canvas, theme.GREEN, what, (str(check.points), Text.POINTS), number, bottom)
     elif check is not None and check.refusal is not None:
         words, why = refusal_words(check)
         # An angle is written without the space that SI puts before other units.
         number = "" if check.number is None else f"{check.number:.3g} {UNITS[check.refusal]}".replace(" °", "°")
-        number = numbered(number, language)
         numbers: tuple[float, ...] = ()
         if why is Text.RIGHT_RANGE:
             place = plane_place(check.step, view.volume)
             numbers = (place.nearest_mm, place.farthest_mm)
-        _band(canvas, theme.YELLOW, words.in_language(language), why.filled(language, *numbers), number, bottom)
+        _band(canvas, theme.YELLOW, words, why.filled(canvas.language, *numbers), number, bottom)
     elif view.step is Step.SOLVE:
-        said = Text.SOME_SECONDS.in_language(language)
-        canvas.words(said, (canvas.width / 2, bottom - 16), CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
+        canvas.words(Text.SOME_SECONDS, (canvas.width / 2, bottom - 16), CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
 
 
-def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, bottom: float) -> None:
+def _band(canvas: Canvas, fill: theme.Colour, what: Label, why: Label, number: Label, bottom: float) -> None:
     top, ink = bottom - _BAND_PX, theme.INK
     canvas.box(0, top, canvas.width, _BAND_PX, fill)
     right = canvas.width - 16
@@ -371,12 +366,10 @@ def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, 
     canvas.words(why, (16, top + 72), CAPTION + 2, BOLD, ink, max_width=canvas.width - 32)
 
 
-def _working(
-    canvas: Canvas, task: Task, progress: float | None, language: Language, time_s: float, bottom: float
-) -> None:
+def _working(canvas: Canvas, task: Task, progress: float | None, time_s: float, bottom: float) -> None:
     top = bottom - _WORKING_PX
     canvas.box(0, top, canvas.width, _WORKING_PX, theme.INK)
-    canvas.words(_TASKS[task].in_language(language), (16, top + 38), BODY, BLACK, max_width=300)
+    canvas.words(_TASKS[task], (16, top + 38), BODY, BLACK, max_width=300)
     left, width = 330.0, canvas.width - 346.0
     canvas.box(left, top + 12, width, 28, theme.PANEL, 14)
     if progress is not None:
@@ -386,13 +379,12 @@ def _working(
         canvas.box(left + (width - 120.0) * swing, top + 12, 120, 28, theme.AQUA, 14)
 
 
-def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+def _solve(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
     middle, room = canvas.width / 2, bottom - _TOP_PX
     top = _TOP_PX
     if view.at.failed is None:
         top, low, size = (top + 84.0, 24.0, TITLE) if room > 240 else (top + 38.0, 7.0, TITLE - 6)
-        said = Text.FOUR_READY.in_language(language)
-        canvas.words(said, (middle, top - low), size, BLACK, align=Align.CENTRE, max_width=760)
+        canvas.words(Text.FOUR_READY, (middle, top - low), size, BLACK, align=Align.CENTRE, max_width=760)
     # Rows move together where an alert needs room; all four stay, as the diver compares them.
     pitch = min(40.0, (bottom - top - 4) / len(USED))
     size = BODY if pitch > 34 else CAPTION
@@ -401,9 +393,9 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
         if check is None:
             continue
         baseline = top + pitch * (row + 0.75)
-        canvas.words(STEP_NAMES[step].in_language(language), (120, baseline), size, BOLD)
+        canvas.words(STEP_NAMES[step], (120, baseline), size, BOLD)
         canvas.words(
-            f"{check.points} {Text.POINTS.in_language(language)}",
+            (str(check.points), Text.POINTS),
             (560, baseline),
             CAPTION,
             REGULAR,
@@ -424,26 +416,30 @@ class _Box:
     used: bool
     """True if the calibration of the box is the one in use."""
 
-    def draw(self, canvas: Canvas, name: Text, error: float | None, language: Language) -> None:
+    def draw(self, canvas: Canvas, name: Text, error: float | None) -> None:
         """Draw the name above, the error in percent in the middle."""
         edge, width = (theme.AQUA, 6) if self.used else (theme.LINE, 3)
         canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, (edge, width))
-        canvas.words(name.in_language(language), (self.left + 24, self.name_at), BODY, BLACK, theme.MUTED)
-        text = "—" if error is None else numbered(f"{100.0 * abs(error):.3f} %", language)
+        canvas.words(name, (self.left + 24, self.name_at), BODY, BLACK, theme.MUTED)
+        text = "—" if error is None else f"{100.0 * abs(error):.3f} %"
         # 76 units are the lines of name and verdict, between which the number stands.
         size = round(min(HUGE - 18.0, 0.8 * (self.height - 76)))
         # Figures are 0.72 of the type size high: half of that below the middle is where their baseline has to be.
         level = 0.5 * (self.name_at + self.verdict_at - 26) + 0.36 * size
         canvas.words(text, (self.left + _BOX_PX / 2, level), size, BLACK, align=Align.CENTRE, max_width=340)
 
-    def judge(
-        self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None, language: Language
-    ) -> None:
+    def judge(self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None) -> None:
         """Draw the verdict in a word, and how sure it is."""
-        canvas.words(word.in_language(language), (self.left + 24, self.verdict_at), BODY, BLACK, colour)
+        canvas.words(word, (self.left + 24, self.verdict_at), BODY, BLACK, colour)
         if verified is not None:
-            said = numbered(f"± {100.0 * verified.sigma:.3f} %", language)
-            canvas.words(said, (self.left + 346, self.verdict_at), CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+            canvas.words(
+                f"± {100.0 * verified.sigma:.3f} %",
+                (self.left + 346, self.verdict_at),
+                CAPTION,
+                BOLD,
+                theme.MUTED,
+                Align.RIGHT,
+            )
 
     @property
     def name_at(self) -> float:
@@ -456,47 +452,57 @@ class _Box:
         return self.top + self.height - 14
 
 
-def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+def _result(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
     session = view.session
     top = _TOP_PX + 34
     height = min(190.0, bottom - top - 34)
     below = top + height + 27
-    canvas.words(
-        Text.LENGTH_ERROR.in_language(language), (canvas.width / 2, top - 9), BODY, BOLD, theme.MUTED, Align.CENTRE
-    )
+    canvas.words(Text.LENGTH_ERROR, (canvas.width / 2, top - 9), BODY, BOLD, theme.MUTED, Align.CENTRE)
     verified = session.verified
     # Without anything solved the bar has checked the calibration in use: there is nothing to compare it with.
     if verified is not None and verified.after is None:
-        _checked(canvas, session, _Box(215.0, top, height, used=True), below, language)
+        _checked(canvas, session, _Box(215.0, top, height, used=True), below)
         return
     before = None if verified is None else verified.before
     new = None if verified is None else verified.after
     # Before on the left, new on the right, whichever is in use: the edge says which, and nothing moves when it changes.
     boxes = _Box(20.0, top, height, not session.in_use), _Box(410.0, top, height, session.in_use)
     for box, name, value in zip(boxes, (Text.BEFORE, Text.NEW), (before, new), strict=True):
-        box.draw(canvas, name, value, language)
+        box.draw(canvas, name, value)
         if box.used:
-            said = Text.IN_USE.in_language(language)
-            canvas.words(said, (box.left + 346, box.name_at), CAPTION, BOLD, theme.AQUA, Align.RIGHT)
+            canvas.words(Text.IN_USE, (box.left + 346, box.name_at), CAPTION, BOLD, theme.AQUA, Align.RIGHT)
     if verified is not None:
         verdict, colour = _VERDICTS[verified.better]
-        boxes[1].judge(canvas, verdict, colour, verified, language)
+        boxes[1].judge(canvas, verdict, colour, verified)
     if session.solved is not None:
-        said = f"{Text.RESIDUAL.in_language(language)} {numbered(f'{session.solved.residual_px:.3f}', language)} px"
-        canvas.words(said, (20, below), CAPTION, BOLD, max_width=370)
+        canvas.words((Text.RESIDUAL, f"{session.solved.residual_px:.3f} px"), (20, below), CAPTION, BOLD, max_width=370)
         if session.solved.warnings:
-            said = f"{Text.WARNINGS.in_language(language)}: {len(session.solved.warnings)}"
-            canvas.words(said, (canvas.width - 20, below), CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
+            canvas.words(
+                f"{canvas.said(Text.WARNINGS)}: {len(session.solved.warnings)}",
+                (canvas.width - 20, below),
+                CAPTION,
+                BOLD,
+                theme.YELLOW,
+                Align.RIGHT,
+                370,
+            )
 
 
-def _checked(canvas: Canvas, session: Session, box: _Box, below: float, language: Language) -> None:
+def _checked(canvas: Canvas, session: Session, box: _Box, below: float) -> None:
     """Draw the length error of the calibration in use, which the bar only checks."""
-    box.draw(canvas, Text.IN_USE, session.length_error, language)
+    box.draw(canvas, Text.IN_USE, session.length_error)
     word, colour = (Text.NOT_RIGHT, theme.YELLOW) if session.wrong else (Text.RIGHT, theme.GREEN)
-    box.judge(canvas, word, colour, session.verified, language)
+    box.judge(canvas, word, colour, session.verified)
     if session.wrong:
-        said = Text.CHECK_WATER.in_language(language)
-        canvas.words(said, (canvas.width / 2, below), CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, canvas.width - 40)
+        canvas.words(
+            Text.CHECK_WATER,
+            (canvas.width / 2, below),
+            CAPTION + 2,
+            BOLD,
+            theme.YELLOW,
+            Align.CENTRE,
+            canvas.width - 40,
+        )
 
 
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:

@@ -17,6 +17,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.instrument.machine.words import Label, Language, worded
 from appliance.instrument.screens.theme import BODY, BOLD, CAPTION, DESIGN_SIZE_PX, WHITE, Colour, colour_table
 from drivers.api import DeviceGone
 
@@ -169,6 +170,8 @@ class Canvas:
 
     def __init__(self, context: moderngl.Context, size_px: tuple[int, int]) -> None:
         self.context = context
+        self.language = Language.ENGLISH
+        """The language that words are written in."""
         self.size_px = size_px
         # The smaller of both: on a display of another shape nothing of the design is cut off, and the rest is
         # free room.
@@ -261,7 +264,7 @@ class Canvas:
 
     def words(
         self,
-        words: str,
+        words: Label,
         at: tuple[float, float],
         size: int = BODY,
         weight: int = BOLD,
@@ -269,11 +272,12 @@ class Canvas:
         align: Align = Align.LEFT,
         max_width: float | None = None,
     ) -> float:
-        """Write one line of text ``at`` a place on its baseline; smaller where it would be wider than ``max_width``.
+        """Write one line of text, in the canvas's language, ``at`` a place on its baseline; smaller where it would be wider than ``max_width``.
 
         Returns its width.
         It is never smaller than a caption, which is the least that can be read: what does not fit then is cut.
         """
+        words = self.said(words)
         if not words:
             return 0.0
         x, baseline = at
@@ -308,9 +312,13 @@ class Canvas:
         self._letters["box"] = (left_px, top_px, line.width_px, line.height_px)
         self._letters_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def measure(self, words: str, size: int = BODY, weight: int = BOLD) -> float:
+    def said(self, words: Label) -> str:
+        """Return words as they are written."""
+        return worded(words, self.language)
+
+    def measure(self, words: Label, size: int = BODY, weight: int = BOLD) -> float:
         """Return the width of a line of text."""
-        return self._line(words, round(size * self.scale), weight).width_px / self.scale
+        return self._line(self.said(words), round(size * self.scale), weight).width_px / self.scale
 
     def image(self, slot: str, pixels: NDArray[np.uint8], left: float, top: float, width: float, height: float) -> None:
         """Draw a picture in the middle of the box, as large as fits: (h, w) uint8 of a camera, saturation striped, or

@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from appliance.instrument.machine.words import Language, Text
+from appliance.instrument.machine.words import Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
-from appliance.instrument.screens.texts import numbered
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.measure import Grade
 
@@ -66,9 +65,7 @@ def many(number: int) -> str:
     return f"{number / 1e6:.3g} M"
 
 
-def draw_verdict(
-    canvas: Canvas, grade: Grade, doubtful: bool, top: float, language: Language, *, led: bool = False
-) -> float:
+def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, *, led: bool = False) -> float:
     """Draw the verdict as a word beside the colour of its grade, a bad one on a ground of that colour. Returns its
     lower end.
 
@@ -86,20 +83,16 @@ def draw_verdict(
             (word, top + 36, TITLE - 2, BLACK),
             (Text.LENGTHS_DOUBTFUL, top + 62, CAPTION, BOLD),
         ):
-            canvas.words(
-                said.in_language(language), (left + 10, baseline), size, weight, theme.INK, max_width=right - left - 16
-            )
+            canvas.words(said, (left + 10, baseline), size, weight, theme.INK, max_width=right - left - 16)
         return top + DOUBTFUL_PX
     bad = grade is Grade.BAD
     canvas.box(left, top, right - left if bad else 10, VERDICT_PX, colour, 5)
     ink = theme.INK if bad else theme.WHITE
-    canvas.words(
-        word.in_language(language), (left + 24, top + 49), HEADLINE - 6, BLACK, ink, max_width=right - left - 32
-    )
+    canvas.words(word, (left + 24, top + 49), HEADLINE - 6, BLACK, ink, max_width=right - left - 32)
     return top + VERDICT_PX
 
 
-def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: float, language: Language) -> None:
+def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: float) -> None:
     """Draw as many of the rows, from the first, as fit between ``top`` and ``bottom``."""
     # The rows come with the most telling first, so that an alert takes the room of the last ones.
     fit = min(len(rows), int((bottom - top) / _LEAST_PITCH_PX))
@@ -112,7 +105,7 @@ def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: flo
         baseline = top + pitch * (number + 1) - 0.26 * pitch
         unit_px = canvas.words(row.unit, (right, baseline), CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
         value_right = right - unit_px - (6 if row.unit else 0)
-        name, value = row.name.in_language(language), numbered(row.value, language)
+        name, value = row.name, row.value
         room = value_right - left - 6 - canvas.measure(name, CAPTION, REGULAR)
         canvas.words(value, (value_right, baseline), size, BOLD, theme.WHITE, Align.RIGHT, room)
         canvas.words(name, (left, baseline), CAPTION, REGULAR, theme.MUTED)

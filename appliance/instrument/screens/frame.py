@@ -8,10 +8,9 @@ from typing import assert_never
 
 from appliance.instrument.machine.alerts import Alert, Severity
 from appliance.instrument.machine.leading import in_full
-from appliance.instrument.machine.words import Language, Text
+from appliance.instrument.machine.words import Label, Language, Text, worded
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
-from appliance.instrument.screens.texts import numbered, worded
 from appliance.instrument.screens.theme import (
     BAR_PX,
     BLACK,
@@ -22,7 +21,6 @@ from appliance.instrument.screens.theme import (
     HUGE,
     KEY_CORNERS,
     TITLE,
-    Corner,
 )
 from appliance.instrument.screens.views import KeyLabels
 from drivers.api import Key
@@ -35,11 +33,9 @@ ALERT_PX, CRITICAL_PX, MARKS_PX = 95, 106, 34
 """
 
 
-def draw_title(
-    canvas: Canvas, words: str, keys: KeyLabels, language: Language, colour: theme.Colour = theme.WHITE
-) -> None:
+def draw_title(canvas: Canvas, words: Label, keys: KeyLabels, colour: theme.Colour = theme.WHITE) -> None:
     """Draw the name of the screen in the middle of the room between the upper labels."""
-    left, right = room_between(canvas, keys, language, bottom=False)
+    left, right = room_between(canvas, keys, bottom=False)
     size = TITLE
     width = canvas.measure(words, size, BLACK)
     middle = canvas.width / 2
@@ -49,15 +45,15 @@ def draw_title(
     canvas.words(words, (middle, 42), size, BLACK, colour, Align.CENTRE, right - left)
 
 
-def room_between(canvas: Canvas, keys: KeyLabels, language: Language, bottom: bool) -> tuple[float, float]:
+def room_between(canvas: Canvas, keys: KeyLabels, bottom: bool) -> tuple[float, float]:
     """Return the left and right end of what the labels of the upper or the lower bar leave, with a margin."""
     left, right = 16.0, canvas.width - 16.0
     for key, text in keys.items():
-        corner = KEY_CORNERS[key]
-        if corner.value[1] is not bottom:
+        at_right, below = KEY_CORNERS[key]
+        if below is not bottom:
             continue
-        width = _label_width(canvas, worded(text, language)) + 16.0
-        if corner in (Corner.TOP_RIGHT, Corner.BOTTOM_RIGHT):
+        width = _label_width(canvas, canvas.said(text)) + 16.0
+        if at_right:
             right = canvas.width - width
         else:
             left = width
@@ -67,7 +63,6 @@ def room_between(canvas: Canvas, keys: KeyLabels, language: Language, bottom: bo
 def draw_key_labels(
     canvas: Canvas,
     keys: KeyLabels,
-    language: Language,
     dim: frozenset[Key] = frozenset(),
     urgent: frozenset[Key] = frozenset(),
 ) -> None:
@@ -76,8 +71,8 @@ def draw_key_labels(
     ``dim`` ones do nothing now and are hollow; ``urgent`` ones are yellow: think twice.
     """
     for key, text in keys.items():
-        right, bottom = KEY_CORNERS[key].value
-        words = worded(text, language)
+        right, bottom = KEY_CORNERS[key]
+        words = canvas.said(text)
         width = _label_width(canvas, words)
         left = canvas.width - width if right else 0.0
         top = canvas.height - LABEL_PX if bottom else 0.0
@@ -123,7 +118,7 @@ def _label_width(canvas: Canvas, words: str) -> float:
     return max(theme.LABEL_MIN_PX, width)
 
 
-def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, time_s: float) -> None:
+def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], time_s: float) -> None:
     """Draw the gravest alert that nobody has acknowledged as a band above the lower bar; over it the names of all
     others.
 
@@ -132,20 +127,20 @@ def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, tim
     gravest = in_full(alerts)
     others = [alert for alert in alerts if alert is not gravest]
     if gravest is None:
-        _marks(canvas, others, language, canvas.height - BAR_PX)
+        _marks(canvas, others, canvas.height - BAR_PX)
         return
     critical = gravest.severity is Severity.CRITICAL
     height = CRITICAL_PX if critical else ALERT_PX
     top = canvas.height - BAR_PX - height
     fill, ink, edge = alert_colours(gravest.severity, time_s)
-    _marks(canvas, others, language, top)
+    _marks(canvas, others, top)
     canvas.box(0, top, canvas.width, height, fill, edge=(edge, 7))
     badge = height - 32
     canvas.box(22, top + 16, badge, badge, ink, badge / 2)
     canvas.words("!", (22 + badge / 2, top + 16 + badge * 0.86), round(badge), BLACK, fill, Align.CENTRE)
     left = 22 + badge + 20
     room = canvas.width - left - 20
-    headline, action = words_of(gravest, language)
+    headline, action = words_of(gravest, canvas.language)
     canvas.words(
         headline,
         (left, top + (57 if critical else 47)),
@@ -157,7 +152,7 @@ def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, tim
     canvas.words(action, (left, top + height - 12), BODY + 2, BOLD, ink, max_width=room)
 
 
-def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: float) -> None:
+def _marks(canvas: Canvas, others: Sequence[Alert], bottom: float) -> None:
     """Draw the headlines of the other alerts, the gravest first, and how many there was no room for."""
     if not others:
         return
@@ -165,7 +160,7 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
     ranked = sorted(others, key=lambda alert: (not alert.passing, -alert.severity))
     x, middle, count_px = 14.0, bottom - MARKS_PX / 2, 60.0
     for place, alert in enumerate(ranked):
-        headline, action = words_of(alert, language)
+        headline, action = words_of(alert, canvas.language)
         headline = f"{headline}: {action}" if alert.passing else headline
         colour = theme.WHITE if alert.severity is Severity.INFO else theme.YELLOW
         more = len(ranked) - place
@@ -180,7 +175,7 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
 def words_of(alert: Alert, language: Language) -> tuple[str, str]:
     """Return the headline and action."""
     if language is Language.GERMAN and alert.german is not None:
-        return numbered(alert.german[0], language), numbered(alert.german[1], language)
+        return worded(alert.german[0], language), worded(alert.german[1], language)
     return alert.headline, alert.action
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from appliance.instrument.machine.words import Language
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.frame import alerts_top, draw_title
-from appliance.instrument.screens.texts import worded
 from appliance.instrument.screens.theme import BAR_PX, BLACK, BODY, BOLD, TITLE
 from appliance.instrument.screens.views import MenuRow, MenuView
 
@@ -15,8 +13,8 @@ _ROW_PX, _LEFT_PX, _PAD_PX = 31.0, 24.0, 20.0
 _TALL_ROW_PX = 62.0
 
 
-def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
-    draw_title(canvas, view.title.in_language(language), view.keys, language)
+def draw_menu(canvas: Canvas, view: MenuView, time_s: float) -> None:
+    draw_title(canvas, view.title, view.keys)
     top, bottom = BAR_PX + 4, alerts_top(canvas, view.alerts) - 2
     # Rows move together before any is hidden: what is not on the screen is not found with cold hands.
     fit = int((bottom - top) / _ROW_PX)
@@ -24,7 +22,7 @@ def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
     first = first_shown(len(view.rows), view.selected, fit)
     for place, row in enumerate(view.rows[first : first + fit]):
         selected = first + place == view.selected
-        _row(canvas, row, top + place * pitch, pitch, selected, selected and view.changing, language)
+        _row(canvas, row, top + place * pitch, pitch, selected, selected and view.changing)
     # What is above or below shows as a stroke at the edge of the list.
     middle = canvas.width / 2
     for hidden, y in ((first > 0, top - 4), (first + fit < len(view.rows), bottom - 2)):
@@ -32,17 +30,15 @@ def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
             canvas.box(middle - 60, y, 120, 5, theme.AQUA, 2)
 
 
-def _row(
-    canvas: Canvas, row: MenuRow, top: float, height: float, selected: bool, changing: bool, language: Language
-) -> None:
+def _row(canvas: Canvas, row: MenuRow, top: float, height: float, selected: bool, changing: bool) -> None:
     left, right = _LEFT_PX, canvas.width - _LEFT_PX
     name, said = (BODY + 2, BODY) if height > 40 else (BODY - 2, BODY - 4)
     baseline = top + (height - 5) / 2 + 0.36 * (said if height > 40 else name)
     if selected:
         canvas.box(left, top, right - left, height - 5, theme.WHITE, 12)
     ink = theme.INK if selected else theme.WHITE
-    value = worded(row.value, language)
-    text = row.text.in_language(language)
+    value = row.value
+    text = row.text
     room = right - left - 2 * _PAD_PX - 16 - canvas.measure(text, name, BLACK)
     if changing:
         # UP and DOWN change it: the marks are those beside the keys.

@@ -1,10 +1,18 @@
-"""Owns the way from a view to a picture."""
+"""Owns the way from a view to a picture, and that none is drawn twice: where a view would look as the one before, the
+picture that stands is shown again.
+
+A screen is presented at each beat, sixty times a second, and seldom is anything new on it: live images come ten times a
+second, words at a key. Drawing all the same would keep a graphics card, and a battery, at work for nothing.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
 from types import TracebackType
-from typing import Self, assert_never
+from typing import Any, Self
 
 import moderngl
 import numpy as np
@@ -19,31 +27,19 @@ from appliance.instrument.screens.cloud import CloudPainter
 from appliance.instrument.screens.frame import draw_alerts, draw_key_labels
 from appliance.instrument.screens.gallery import draw_gallery
 from appliance.instrument.screens.menu import draw_menu
-from appliance.instrument.screens.progress import (
-    draw_armed,
-    draw_capture,
-    draw_check,
-    draw_reconstruct,
-    draw_saving,
-    draw_shutdown,
-)
+from appliance.instrument.screens.progress import draw_progress, draw_saving, draw_shutdown
 from appliance.instrument.screens.review import CLOUD_PX, draw_review
-from appliance.instrument.screens.selftest import draw_boot, draw_self_test
+from appliance.instrument.screens.selftest import draw_self_test
 from appliance.instrument.screens.stops import draw_cooling, draw_safe
 from appliance.instrument.screens.theme import BAR_PX
 from appliance.instrument.screens.views import (
     AimView,
     AnyView,
-    ArmedView,
-    BootView,
     CalibrateView,
-    CaptureView,
-    CheckView,
     CoolingView,
     GalleryView,
-    KeyLabels,
     MenuView,
-    ReconstructView,
+    ProgressView,
     ReviewView,
     SafeView,
     SavingView,
@@ -53,11 +49,28 @@ from appliance.instrument.screens.views import (
 from appliance.measure import FaultCode
 from drivers.api import Key
 
-_NONE: frozenset[Key] = frozenset()
+MOVES_HZ = 20.0
+"""Pictures per second of what moves by itself: fringes that drift, a bar that swings, a cloud that nods in ten seconds.
+"""
+_DRAWINGS: Mapping[type[AnyView], Callable[[Canvas, Any, float], None]] = {
+    SelfTestView: draw_self_test,
+    AimView: draw_aim,
+    ProgressView: draw_progress,
+    SavingView: draw_saving,
+    MenuView: draw_menu,
+    GalleryView: draw_gallery,
+    CalibrateView: draw_calibrate,
+    CoolingView: draw_cooling,
+    SafeView: draw_safe,
+    ShutdownView: draw_shutdown,
+}
+"""Functions that draw each view; that of ``ReviewView`` needs the painter's cloud."""
+_STILL = (AimView, MenuView, GalleryView, CoolingView)
+"""Views on which nothing moves by itself but an alert that flashes."""
 
 
 class Painter:
-    """Draws views at ``size_px`` (width, height) with a GL context that is current in the calling thread.
+    """Draws views, and only what changed, at ``size_px`` (width, height) with a GL context that is current in the calling thread.
 
     A context manager: its GL objects end with it. The context may be shared with others; it is made current for
     each drawing.
@@ -69,11 +82,18 @@ class Painter:
         self._context = context
         self.language = language
         """May be changed between two drawings."""
+        self._drawn: tuple[tuple[AnyView, Language, tuple[bool, int]], NDArray[np.uint8]] | None = None
+        """View, language and moment that the picture which stands was drawn for, and the picture; ``None``: it has to
+        be drawn."""
         with context:
             self._canvas = Canvas(context, size_px)
             # As high as the screen: a cloud that turns out of its room is not cut off at a line, and labels are
             # drawn over it.
             self._cloud = CloudPainter(context, self._canvas.pixels(0, 0, CLOUD_PX, self._canvas.height)[2:])
+        self._drawings: Mapping[type[AnyView], Callable[[Canvas, Any, float], None]] = {
+            **_DRAWINGS,
+            ReviewView: partial(draw_review, self._cloud),
+        }
 
     def __enter__(self) -> Self:
         return self
@@ -91,6 +111,7 @@ class Painter:
 
         The picture that ``draw`` returned is drawn over.
         """
+        self._drawn = None
         if self._cloud.empty:
             return None
         with self._context:
@@ -107,61 +128,32 @@ class Painter:
         return self._canvas
 
     def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns).
+        """Return the picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns); it may be as
+        old as 1 / ``MOVES_HZ``.
 
-        (height, width, 3) uint8 RGB, row 0 at the top, in the same memory each time. Raises DeviceGone when the GL
-        context failed.
+        (height, width, 3) uint8 RGB, row 0 at the top, in the same memory each time. Arrays of a view must not change
+        while it is shown. Raises DeviceGone when the GL context failed.
         """
-        view = said_once(view)
+        asked = (view, self.language, moment(view, time_s))
+        if self._drawn is not None and same(self._drawn[0], asked):
+            return self._drawn[1]
+        self._drawn = None
+        picture = self._paint(said_once(view), time_s)
+        self._drawn = asked, picture
+        return picture
+
+    def _paint(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
         with self._context:
-            canvas, language = self._canvas, self.language
+            canvas = self._canvas
+            canvas.language = self.language
             canvas.begin(theme.INK)
-            dim = urgent = _NONE
-            match view:
-                case BootView():
-                    draw_boot(canvas, view, language, time_s)
-                case SelfTestView():
-                    draw_self_test(canvas, view, language, time_s)
-                case AimView():
-                    draw_aim(canvas, view, language)
-                    urgent = frozenset({Key.SCAN}) if view.keys.get(Key.SCAN) is Text.ANYWAY else _NONE
-                    dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
-                case ArmedView():
-                    draw_armed(canvas, view, language)
-                case CaptureView():
-                    draw_capture(canvas, view, language)
-                case CheckView():
-                    draw_check(canvas, view, language, time_s)
-                case ReconstructView():
-                    draw_reconstruct(canvas, view, language, time_s)
-                case ReviewView():
-                    draw_review(canvas, self._cloud, view, language, time_s)
-                case SavingView():
-                    draw_saving(canvas, view, language, time_s)
-                case MenuView():
-                    draw_menu(canvas, view, language)
-                case GalleryView():
-                    draw_gallery(canvas, view, language)
-                case CalibrateView():
-                    draw_calibrate(canvas, view, language, time_s)
-                    dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
-                case CoolingView():
-                    draw_cooling(canvas, view, language)
-                case SafeView():
-                    draw_safe(canvas, view, language, time_s)
-                case ShutdownView():
-                    draw_shutdown(canvas, view, language, time_s)
-                case _:
-                    assert_never(view)
+            self._drawings[type(view)](canvas, view, time_s)
             # Last, over everything: no screen can cover a warning or the meaning of a key.
-            draw_alerts(canvas, view.alerts, language, time_s)
-            draw_key_labels(canvas, view.keys, language, dim, urgent | acknowledges(view.keys))
+            draw_alerts(canvas, view.alerts, time_s)
+            dim = isinstance(view, AimView | CalibrateView) and not view.scan_allowed
+            urgent = frozenset(key for key, word in view.keys.items() if word in (Text.SEEN, Text.ANYWAY))
+            draw_key_labels(canvas, view.keys, frozenset({Key.SCAN}) if dim else frozenset(), urgent)
             return canvas.finish()
-
-
-def acknowledges(keys: KeyLabels) -> frozenset[Key]:
-    """Return the key that takes the warning above it for known: in the colour of the warning."""
-    return frozenset(key for key, word in keys.items() if word is Text.SEEN)
 
 
 def said_once(view: AnyView) -> AnyView:
@@ -176,3 +168,25 @@ def said_once(view: AnyView) -> AnyView:
         case _:
             return view
     return replace(view, alerts=tuple(alert for alert in view.alerts if alert.code not in said))
+
+
+def moment(view: AnyView, time_s: float) -> tuple[bool, int]:
+    """Return what ``time_s`` means to the picture of ``view``: times of equal moments need no drawing anew."""
+    still = isinstance(view, _STILL) or (isinstance(view, ProgressView) and not view.computes)
+    return theme.flash_on(time_s), 0 if still else math.floor(time_s * MOVES_HZ)
+
+
+def same(a: object, b: object) -> bool:
+    """Return True if two views show the same: equal values, and the very same arrays, which must not change while
+    shown."""
+    if a is b:
+        return True
+    if type(a) is not type(b) or isinstance(a, np.ndarray):
+        return False
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return same(tuple(a.items()), tuple(b.items()))
+    if is_dataclass(a) and not isinstance(a, type):
+        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+    return bool(a == b)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from appliance.instrument.machine.words import Language, Text
+from appliance.instrument.machine.states import State
+from appliance.instrument.machine.words import Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.frame import alert_colours, alerts_top, words_of
 from appliance.instrument.screens.theme import BAR_PX, BLACK, BODY, BOLD, HEADLINE, HUGE, TITLE
 from appliance.instrument.screens.views import (
-    ArmedView,
-    CaptureView,
-    CheckView,
-    ReconstructView,
+    ProgressView,
     SavingView,
     ShutdownView,
     View,
@@ -22,60 +20,58 @@ _WATER_PX = 150.0
 _EDGE_PX = 60.0
 
 
-def draw_armed(canvas: Canvas, view: ArmedView, language: Language) -> None:
-    word_at, line_at, _ = _places(canvas, view)
-    _word(canvas, Text.GET_READY, word_at, language)
-    _sentence(canvas, Text.LASERS_OFF, line_at, language)
+_SAID = {
+    State.ARMED: (Text.GET_READY, Text.LASERS_OFF),
+    State.CAPTURE: (Text.HOLD_STILL, Text.LIGHT_IS_ON),
+    State.CHECK: (Text.CHECKING, Text.MAY_MOVE),
+    State.RECONSTRUCT: (Text.COMPUTING, Text.MAY_MOVE),
+}
+"""Word and sentence on the way of a scan."""
 
 
-def draw_capture(canvas: Canvas, view: CaptureView, language: Language) -> None:
-    word_at, line_at, _ = _places(canvas, view)
-    _word(canvas, Text.HOLD_STILL, word_at, language)
-    _sentence(canvas, Text.LIGHT_IS_ON, line_at, language)
-
-
-def draw_check(canvas: Canvas, view: CheckView, language: Language, time_s: float) -> None:
-    word_at, line_at, more_at = _places(canvas, view)
-    _word(canvas, Text.CHECKING, word_at, language)
-    _sentence(canvas, Text.MAY_MOVE, line_at, language)
-    _waiting(canvas, more_at, time_s)
-
-
-def draw_reconstruct(canvas: Canvas, view: ReconstructView, language: Language, time_s: float) -> None:
-    if not view.alerts:
+def draw_progress(canvas: Canvas, view: ProgressView, time_s: float) -> None:
+    if view.state is State.RECONSTRUCT and not view.alerts:
         canvas.water(0, 0, canvas.width, _WATER_PX, 4.0 * _FRINGE_SPEED * time_s)
     word_at, line_at, more_at = _places(canvas, view)
-    _word(canvas, Text.COMPUTING, word_at, language)
-    _sentence(canvas, Text.MAY_MOVE, line_at, language)
-    _waiting(canvas, more_at, time_s)
+    word, sentence = _SAID[view.state]
+    _word(canvas, word, word_at)
+    canvas.words(sentence, (canvas.width / 2, line_at), BODY + 2, BOLD, align=Align.CENTRE, max_width=canvas.width - 60)
+    if view.computes:
+        _waiting(canvas, more_at, time_s)
 
 
-def draw_saving(canvas: Canvas, view: SavingView, language: Language, time_s: float) -> None:
+def draw_saving(canvas: Canvas, view: SavingView, time_s: float) -> None:
     word_at, line_at, more_at = _places(canvas, view)
     middle = canvas.width / 2
     if view.saved:
         top, bottom = word_at - 92, more_at + 14
         canvas.box(middle - 340, top, 680, bottom - top, theme.DEEP, 36, (theme.GREEN, 8))
-    _word(canvas, Text.SAVED if view.saved else Text.SAVING, word_at, language, 600)
+    _word(canvas, Text.SAVED if view.saved else Text.SAVING, word_at, 600)
     canvas.words(view.scan_id, (middle, line_at), TITLE, BOLD, align=Align.CENTRE, max_width=600)
     if view.saved:
-        said = Text.SAFE_ON_DISK.in_language(language)
-        canvas.words(said, (middle, more_at - 8), BODY, BOLD, theme.GREEN, Align.CENTRE, 620)
+        canvas.words(Text.SAFE_ON_DISK, (middle, more_at - 8), BODY, BOLD, theme.GREEN, Align.CENTRE, 620)
     else:
         _waiting(canvas, more_at, time_s)
 
 
-def draw_shutdown(canvas: Canvas, view: ShutdownView, language: Language, time_s: float) -> None:
+def draw_shutdown(canvas: Canvas, view: ShutdownView, time_s: float) -> None:
     word_at, line_at, more_at = _places(canvas, view)
-    _word(canvas, Text.POWERING_OFF, word_at, language)
+    _word(canvas, Text.POWERING_OFF, word_at)
     middle = canvas.width / 2
     if view.saving:
-        said = f"{Text.SAVING.in_language(language)}: {Text.WAIT_FOR_DARK.in_language(language)}"
-        canvas.words(said, (middle, line_at), BODY, BLACK, theme.YELLOW, Align.CENTRE, canvas.width - 40)
+        canvas.words(
+            f"{canvas.said(Text.SAVING)}: {canvas.said(Text.WAIT_FOR_DARK)}",
+            (middle, line_at),
+            BODY,
+            BLACK,
+            theme.YELLOW,
+            Align.CENTRE,
+            canvas.width - 40,
+        )
     if view.reason is not None:
         ground, ink, edge = alert_colours(view.reason.severity, time_s)
         canvas.box(_EDGE_PX, more_at - 50, canvas.width - 2 * _EDGE_PX, 90, ground, 24, (edge, 7))
-        headline, _ = words_of(view.reason, language)
+        headline, _ = words_of(view.reason, canvas.language)
         canvas.words(headline, (middle, more_at + 13), HEADLINE - 4, BLACK, ink, Align.CENTRE, canvas.width - 180)
 
 
@@ -87,16 +83,10 @@ def _places(canvas: Canvas, view: View) -> tuple[float, float, float]:
     return top + 0.44 * room, top + 0.44 * room + min(66.0, 0.25 * room), top + 0.44 * room + min(146.0, 0.5 * room)
 
 
-def _word(canvas: Canvas, text: Text, baseline: float, language: Language, room: float | None = None) -> None:
-    words = text.in_language(language)
+def _word(canvas: Canvas, text: Text, baseline: float, room: float | None = None) -> None:
     canvas.words(
-        words, (canvas.width / 2, baseline), HUGE, BLACK, align=Align.CENTRE, max_width=room or canvas.width - 60
+        text, (canvas.width / 2, baseline), HUGE, BLACK, align=Align.CENTRE, max_width=room or canvas.width - 60
     )
-
-
-def _sentence(canvas: Canvas, text: Text, baseline: float, language: Language) -> None:
-    words = text.in_language(language)
-    canvas.words(words, (canvas.width / 2, baseline), BODY + 2, BOLD, align=Align.CENTRE, max_width=canvas.width - 60)
 
 
 def _waiting(canvas: Canvas, bottom: float, time_s: float) -> None:

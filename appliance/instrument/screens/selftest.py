@@ -2,52 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from appliance.instrument.machine.alerts import Alert
-from appliance.instrument.machine.words import Label, Language, Text
+from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.frame import alerts_top, words_of
-from appliance.instrument.screens.texts import DEVICE_NAMES, worded
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR
-from appliance.instrument.screens.views import BootView, DeviceLine, DeviceResult, SelfTestView
+from appliance.instrument.screens.views import DeviceLine, SelfTestView
 
+DEVICE_NAMES: Mapping[str, Text] = {
+    "camera.left": Text.CAMERA_LEFT,
+    "camera.right": Text.CAMERA_RIGHT,
+    "board": Text.BOARD,
+    "keys": Text.KEYS,
+    "projector": Text.PROJECTOR,
+    "display": Text.DISPLAY,
+    "storage": Text.STORAGE,
+    "calibration": Text.CALIBRATION,
+    "worker": Text.WORKER,
+}
+"""Names of the devices of the rig file; a device not listed is shown by its own name."""
 _BANNER_PX, _FRINGE_SPEED = 104.0, 1.6
 _ROWS = 5
 _LEAST_DETAIL_PX, _DETAIL_PX = 52.0, 26.0
 _RESULTS = {
-    DeviceResult.WORKS: (Text.OK, theme.WHITE, theme.GREEN, theme.WHITE),
-    DeviceResult.FAILED: (Text.FAILED, theme.YELLOW, theme.YELLOW, theme.YELLOW),
-    DeviceResult.WAITING: (Text.WAITING, theme.MUTED, theme.LINE, theme.MUTED),
+    True: (Text.OK, theme.WHITE, theme.GREEN, theme.WHITE),
+    False: (Text.FAILED, theme.YELLOW, theme.YELLOW, theme.YELLOW),
+    None: (Text.WAITING, theme.MUTED, theme.LINE, theme.MUTED),
 }
 """Word, and colours of name, mark and word."""
 
 
-def draw_boot(canvas: Canvas, view: BootView, language: Language, time_s: float) -> None:
-    _banner(canvas, Text.STARTING, theme.WHITE, view.version, language, time_s)
-    _devices(canvas, view.devices, alerts_top(canvas, view.alerts), language)
-
-
-def draw_self_test(canvas: Canvas, view: SelfTestView, language: Language, time_s: float) -> None:
-    word, colour = Text.SELF_TEST, theme.WHITE
+def draw_self_test(canvas: Canvas, view: SelfTestView, time_s: float) -> None:
+    word, colour = Text.SELF_TEST if view.opened else Text.STARTING, theme.WHITE
     if view.finished:
         word, colour = (Text.ALL_READY, theme.GREEN) if view.passed else (Text.SEE_BELOW, theme.YELLOW)
-    _banner(canvas, word, colour, view.version, language, time_s)
-    _devices(canvas, view.devices, alerts_top(canvas, view.alerts), language)
+    _banner(canvas, word, colour, view.version, time_s)
+    _devices(canvas, view.devices, alerts_top(canvas, view.alerts))
 
 
-def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, language: Language, time_s: float) -> None:
+def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, time_s: float) -> None:
     """Draw the banner up to the upper edge: the only key label there is GO ON, on the right."""
     canvas.water(0, 0, canvas.width, _BANNER_PX, _FRINGE_SPEED * time_s, 0.5)
     canvas.box(0, 0, 450, _BANNER_PX, theme.INK, (0, 0, 40, 0))
     canvas.words("KINGFISHER", (24, 52), HEADLINE - 8, BLACK)
     name_px = canvas.measure("KINGFISHER", HEADLINE - 8, BLACK)
     canvas.words(version, (24 + name_px + 14, 52), CAPTION, REGULAR, theme.MUTED, max_width=412 - name_px)
-    canvas.words(word.in_language(language), (24, 91), BODY + 2, BLACK, colour, max_width=410)
+    canvas.words(word, (24, 91), BODY + 2, BLACK, colour, max_width=410)
 
 
-def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, language: Language) -> None:
+def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float) -> None:
     """Draw the devices in two columns; why one failed stands below its name.
 
     Where room is short, only such lines are higher.
@@ -60,27 +66,25 @@ def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, langu
         heights = [pitch] * len(lines)
         if pitch < _LEAST_DETAIL_PX:
             # Rows of equal height would have no room for any reason; of those that failed the diver needs it.
-            reasons = [bool(line.detail) and line.result is DeviceResult.FAILED for line in lines]
+            reasons = [bool(line.detail) and line.works is False for line in lines]
             pitch = (bottom - top - _DETAIL_PX * sum(reasons)) / _ROWS
             if pitch >= _LEAST_DETAIL_PX - _DETAIL_PX:
                 heights = [pitch + _DETAIL_PX * reason for reason in reasons]
         y = top
         for line, height in zip(lines, heights, strict=True):
-            _line(canvas, line, column_px * column + 18, column_px * (column + 1) - 18, y, height, language)
+            _line(canvas, line, column_px * column + 18, column_px * (column + 1) - 18, y, height)
             y += height
 
 
-def _line(
-    canvas: Canvas, line: DeviceLine, left: float, right: float, top: float, pitch: float, language: Language
-) -> None:
-    word, ink, mark, result_ink = _RESULTS[line.result]
-    name = DEVICE_NAMES[line.device].in_language(language) if line.device in DEVICE_NAMES else line.device
-    detail = _said(line.detail, language) if pitch >= _LEAST_DETAIL_PX else ""
+def _line(canvas: Canvas, line: DeviceLine, left: float, right: float, top: float, pitch: float) -> None:
+    word, ink, mark, result_ink = _RESULTS[line.works]
+    name = DEVICE_NAMES.get(line.device, line.device)
+    detail = _said(canvas, line.detail) if pitch >= _LEAST_DETAIL_PX else ""
     tight = pitch < 60
     baseline = top + (0.5 * pitch + (7 if tight else 10) if not detail else 20 if tight else 26)
     # A square, not a dot, where it failed: the shape says it without colour.
-    canvas.box(left, baseline - 20, 20, 20, mark, 3 if line.result is DeviceResult.FAILED else 10)
-    word_px = canvas.words(word.in_language(language), (right, baseline), BODY, BLACK, result_ink, Align.RIGHT)
+    canvas.box(left, baseline - 20, 20, 20, mark, 3 if line.works is False else 10)
+    word_px = canvas.words(word, (right, baseline), BODY, BLACK, result_ink, Align.RIGHT)
     canvas.words(
         name,
         (left + 32, baseline),
@@ -99,6 +103,6 @@ def _line(
     )
 
 
-def _said(detail: Alert | Label, language: Language) -> str:
+def _said(canvas: Canvas, detail: Alert | Label) -> Label:
     """Return what to do about a failure; the device's own message is for the log."""
-    return words_of(detail, language)[1] if isinstance(detail, Alert) else worded(detail, language)
+    return words_of(detail, canvas.language)[1] if isinstance(detail, Alert) else detail

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from appliance.instrument.machine.words import Language, Text
+from appliance.instrument.machine.words import Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.column import known
@@ -16,8 +16,8 @@ HOTTER_C = 15.0
 """Range of the bar above the limit, in degrees Celsius."""
 
 
-def draw_cooling(canvas: Canvas, view: CoolingView, language: Language) -> None:
-    draw_title(canvas, Text.COOLING.in_language(language), view.keys, language, theme.YELLOW)
+def draw_cooling(canvas: Canvas, view: CoolingView, time_s: float) -> None:
+    draw_title(canvas, Text.COOLING, view.keys, theme.YELLOW)
     top, bottom = float(BAR_PX), alerts_top(canvas, view.alerts)
     room = bottom - top
     high = room > 200
@@ -32,17 +32,25 @@ def draw_cooling(canvas: Canvas, view: CoolingView, language: Language) -> None:
         theme.YELLOW,
         max_width=360,
     )
-    until = f"{Text.UNTIL.in_language(language)} {view.limit_c:.0f} °C"
+    until = (Text.UNTIL, f"{view.limit_c:.0f} °C")
     right = canvas.width - 40
     canvas.words(until, (right, baseline - 52), BODY + 2, BOLD, theme.WHITE, Align.RIGHT, 370)
     if view.remaining_s is not None:
-        still = f"{Text.SOME_MORE.in_language(language)} {minutes(view.remaining_s)}"
-        canvas.words(still, (right, baseline), BODY + 2, BOLD, theme.WHITE, Align.RIGHT, 370)
+        canvas.words(
+            (Text.SOME_MORE, minutes(view.remaining_s)),
+            (right, baseline),
+            BODY + 2,
+            BOLD,
+            theme.WHITE,
+            Align.RIGHT,
+            370,
+        )
     _thermometer(canvas, view, 40, right, top + room * (0.56 if high else 0.72))
     if high:
         middle = canvas.width / 2
-        said = Text.NO_LIGHT.in_language(language)
-        canvas.words(said, (middle, top + room * 0.86), TITLE - 4, BLACK, theme.WHITE, Align.CENTRE, canvas.width - 80)
+        canvas.words(
+            Text.NO_LIGHT, (middle, top + room * 0.86), TITLE - 4, BLACK, theme.WHITE, Align.CENTRE, canvas.width - 80
+        )
 
 
 def _thermometer(canvas: Canvas, view: CoolingView, left: float, right: float, top: float) -> None:
@@ -61,13 +69,13 @@ def minutes(duration_s: float) -> str:
     return f"{seconds // 60}:{seconds % 60:02d} min"
 
 
-def draw_safe(canvas: Canvas, view: SafeView, language: Language, time_s: float) -> None:
+def draw_safe(canvas: Canvas, view: SafeView, time_s: float) -> None:
     ground, ink, edge = alert_colours(view.alert.severity, time_s)
     middle, top = canvas.width / 2, float(BAR_PX)
     bottom = alerts_top(canvas, view.alerts)
     height = bottom - top - (96 if not view.alerts else 62)
     canvas.box(0, top, canvas.width, height, ground, edge=(edge, 12))
-    headline, to_do = words_of(view.alert, language)
+    headline, to_do = words_of(view.alert, canvas.language)
     canvas.words(
         headline,
         (middle, top + 0.56 * height),
@@ -80,5 +88,4 @@ def draw_safe(canvas: Canvas, view: SafeView, language: Language, time_s: float)
     canvas.words(to_do, (middle, top + 0.84 * height), TITLE, BOLD, ink, Align.CENTRE, canvas.width - 60)
     said, colour = (Text.ALL_SAVED, theme.GREEN) if view.saved else (Text.SAVING, theme.YELLOW)
     baseline = bottom - (34 if not view.alerts else 18)
-    words = said.in_language(language)
-    canvas.words(words, (middle, baseline), HEADLINE - 10, BLACK, colour, Align.CENTRE, canvas.width - 60)
+    canvas.words(said, (middle, baseline), HEADLINE - 10, BLACK, colour, Align.CENTRE, canvas.width - 60)

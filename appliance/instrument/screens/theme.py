@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 from types import MappingProxyType
 
 import cv2
@@ -98,24 +97,10 @@ def flash_on(time_s: float) -> bool:
     return time_s * FLASH_HZ % 1.0 < 0.5
 
 
-class Corner(Enum):
-    """(right?, bottom?)"""
-
-    TOP_LEFT = (False, False)
-    BOTTOM_LEFT = (False, True)
-    TOP_RIGHT = (True, False)
-    BOTTOM_RIGHT = (True, True)
-
-
-KEY_CORNERS: Mapping[Key, Corner] = MappingProxyType(
-    {
-        Key.UP: Corner.TOP_LEFT,
-        Key.DOWN: Corner.BOTTOM_LEFT,
-        Key.SCAN: Corner.TOP_RIGHT,
-        Key.BACK: Corner.BOTTOM_RIGHT,
-    }
+KEY_CORNERS: Mapping[Key, tuple[bool, bool]] = MappingProxyType(
+    {Key.UP: (False, False), Key.DOWN: (False, True), Key.SCAN: (True, False), Key.BACK: (True, True)}
 )
-"""The keys sit two on each side of the display; each label touches the edge at its key."""
+"""Side of each key: on the right, and below. Two sit on each side of the display, and each label touches the edge there."""
 BAR_PX = 62
 """Height of the upper and the lower bar, which hold the labels."""
 LABEL_MAX_PX = 250

@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
-from types import MappingProxyType
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +15,7 @@ from numpy.typing import NDArray
 from appliance.calibrate import Session, Step
 from appliance.instrument.machine.alerts import Alert
 from appliance.instrument.machine.guiding import GuidanceSaid, OverlapSaid
-from appliance.instrument.machine.states import Calibrating
+from appliance.instrument.machine.states import Calibrating, State
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.marks import Marks
 from appliance.instrument.ranging.reach import Reach
@@ -29,28 +26,12 @@ KeyLabels = Mapping[Key, Label]
 """The present meaning of each key. A key without a label has none drawn."""
 
 
-def labels(
-    scan: Text | None = None, back: Text | None = None, up: Text | None = None, down: Text | None = None
-) -> KeyLabels:
-    """Return the labels of the keys that mean something on a screen."""
-    given = {Key.SCAN: scan, Key.BACK: back, Key.UP: up, Key.DOWN: down}
-    return MappingProxyType({key: text for key, text in given.items() if text is not None})
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
     """Base of all views: alerts, the gravest first, and the meaning of the keys."""
 
-    moves: ClassVar[bool] = True
-    """False: nothing on it moves by itself but an alert that flashes; its drawing is not told the time."""
     alerts: tuple[Alert, ...] = ()
-    keys: KeyLabels = field(default_factory=labels)
-
-
-class DeviceResult(Enum):
-    WAITING = "waiting"
-    WORKS = "works"
-    FAILED = "failed"
+    keys: KeyLabels = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,29 +40,22 @@ class DeviceLine:
     to do."""
 
     device: str
-    result: DeviceResult
+    works: bool | None
+    """``None``: nobody knows yet."""
     detail: Alert | Label = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BootView(View):
-    """Start-up: each device with its result, as soon as it is known. Up to nine lines fit."""
-
-    devices: tuple[DeviceLine, ...]
-    version: str
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_OFF))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SelfTestView(View):
-    """Each device, and storage, calibration and worker, with its result. Up to nine lines fit."""
+    """Each device, and storage, calibration and worker, with its result as soon as it is known. Up to nine lines fit."""
 
     devices: tuple[DeviceLine, ...]
     version: str
-    finished: bool
-    passed: bool
+    opened: bool = True
+    """False while devices are still opened for the first time."""
+    finished: bool = False
+    passed: bool = False
     """True if every line says OK; it means nothing before ``finished``. What failed need not forbid a scan."""
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_OFF))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +74,6 @@ class Gauge:
 class AimView(View):
     """Live pictures while the diver chooses the place. A picture is (h, w) uint8; ``None`` is a camera without one."""
 
-    moves: ClassVar[bool] = False
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
     scans_taken: int
@@ -123,37 +96,21 @@ class AimView(View):
     """Number of the object that scans belong to; ``None``: of none."""
     scan_allowed: bool = True
     """False draws the label of SCAN dim; the reason is an alert."""
-    keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.SCAN, back=Text.HOLD_OFF))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ArmedView(View):
-    """SCAN was pressed; lasers are proven off and cameras made ready. Nothing shines yet."""
+class ProgressView(View):
+    """A scan on its way: ARMED (nothing shines yet), CAPTURE, CHECK or RECONSTRUCT, in which the diver may move.
 
-    moves: ClassVar[bool] = False
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
+    That of CAPTURE is drawn once, before the first pattern: until the last one nothing is drawn.
+    """
 
+    state: State
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CaptureView(View):
-    """The sequence is being recorded. Drawn once, before the first pattern: until the last one nothing is drawn."""
-
-    moves: ClassVar[bool] = False
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CheckView(View):
-    """The sequence is recorded; whether its frames show what they should is being checked. The diver may move."""
-
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_REDO))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ReconstructView(View):
-    """Points are being computed; for how long, nobody knows."""
-
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_REDO))
+    @property
+    def computes(self) -> bool:
+        """True where something is computed; for how long, nobody knows."""
+        return self.state not in (State.ARMED, State.CAPTURE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -183,7 +140,6 @@ class ReviewView(View):
     """Exposure of the next scan, with its unit, where it is not that of this one."""
     turn: int = 0
     """Number of steps by which the diver turned the cloud: to the right."""
-    keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -206,42 +162,40 @@ class MenuRow:
 class MenuView(View):
     """A page of the menu. Any number of rows: those around the selected one are shown."""
 
-    moves: ClassVar[bool] = False
     title: Text
     rows: tuple[MenuRow, ...]
     selected: int
     changing: bool = False
     """The value of the selected row is being changed, and not yet taken."""
-    keys: KeyLabels = field(
-        default_factory=lambda: labels(scan=Text.OK, back=Text.BACK, up=Text.ARROW_UP, down=Text.ARROW_DOWN)
-    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GalleryView(View):
-    """One scan on the disk, ``index`` (from 0, the newest first) of ``count``; ``count`` 0 is an empty gallery.
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredScan:
+    """One scan as the gallery shows it. What a damaged scan does not tell is ``None``."""
 
-    ``preview`` is (h, w, 3) uint8 RGB as it was stored, and must not change while it is shown. ``taken`` is the wall
-    time as text, ``None`` where the clock was not to be trusted. Of a ``damaged`` scan the rest may be unknown.
-    """
-
-    moves: ClassVar[bool] = False
-    scan_id: str = ""
-    index: int = 0
-    count: int = 0
+    scan_id: str
+    damaged: bool = False
     preview: NDArray[np.uint8] | None = None
+    """(h, w, 3) uint8 RGB as it was stored; it must not change while it is shown."""
     grade: Grade | None = None
     corrected: bool = False
-    """True if motion was taken out of its points."""
+    """Motion was taken out of its points."""
     lengths_doubtful: bool = False
-    """True if lengths were not to be trusted when the scan was taken."""
     points: int | None = None
     coverage_percent: float | None = None
     noise_mm: float | None = None
     distance_mm: float | None = None
     taken: str | None = None
-    damaged: bool = False
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.BACK, up=Text.NEWER, down=Text.OLDER))
+    """Wall time; ``None`` where the clock was not to be trusted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GalleryView(View):
+    """One scan on the disk, ``index`` (from 0, the newest first) of ``count``; ``scan`` ``None`` is an empty gallery."""
+
+    scan: StoredScan | None = None
+    index: int = 0
+    count: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -270,12 +224,10 @@ class CalibrateView(View):
 class CoolingView(View):
     """Too hot to shine: dark until ``temperature_c`` has fallen to ``limit_c``."""
 
-    moves: ClassVar[bool] = False
     temperature_c: float | None
     limit_c: float
     remaining_s: float | None
     """Estimated time in seconds until it is that cool; ``None`` where it cannot be told."""
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.BACK))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -296,13 +248,9 @@ class ShutdownView(View):
 
 
 AnyView = (
-    BootView
-    | SelfTestView
+    SelfTestView
     | AimView
-    | ArmedView
-    | CaptureView
-    | CheckView
-    | ReconstructView
+    | ProgressView
     | ReviewView
     | SavingView
     | MenuView

@@ -17,7 +17,7 @@ from types import FrameType
 
 import appliance
 from appliance.instrument.machine.words import Language
-from appliance.instrument.screens.unchanged import FrugalPainter
+from appliance.instrument.screens.painter import Painter
 from appliance.instrument.service.aiming import AimingController
 from appliance.instrument.service.beams import BeamsFile
 from appliance.instrument.service.calibrating import CalibrationController
@@ -149,7 +149,7 @@ def run(rig: Rig) -> int:
         black_dn, light = rig.camera.left.black_level_dn, drawn_light_of(rig)
         aiming = stack.enter_context(AimingController(wires.clock, live_s, black_dn, light))
         painter = stack.enter_context(
-            FrugalPainter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
+            Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )
         devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)

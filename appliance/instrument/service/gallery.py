@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -12,30 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.instrument.machine import events as on
-from appliance.measure import GRADE_NAME, LENGTHS_DOUBTFUL, Grade
+from appliance.instrument.screens.views import StoredScan
+from appliance.measure import GRADE_NAME, LENGTHS_DOUBTFUL
 from appliance.store import PREVIEW_FILE, Library, ScanEntry, StorageError, UnknownScan
 
 MAX_PREVIEW_BYTES = 20_000_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
-    """One scan as the gallery shows it. What a damaged scan does not tell is ``None``."""
-
-    scan_id: str
-    damaged: bool
-    preview: NDArray[np.uint8] | None = None
-    """(h, w, 3) uint8 RGB."""
-    grade: Grade | None = None
-    corrected: bool = False
-    """Motion was taken out of its points."""
-    lengths_doubtful: bool = False
-    points: int | None = None
-    coverage_percent: float | None = None
-    noise_mm: float | None = None
-    distance_mm: float | None = None
-    taken: str | None = None
-    """Wall time; ``None`` where the clock was not to be trusted."""
 
 
 class GalleryController:
@@ -46,7 +26,7 @@ class GalleryController:
         self._wanted: str | None = None
         self._tasks: list[Future[None]] = []
         self._listed: tuple[str, ...] | None = None
-        self.shown: Shown | None = None
+        self.shown: StoredScan | None = None
 
     def list_scans(self) -> None:
         """Answer ScansListed."""
@@ -83,19 +63,19 @@ class GalleryController:
             self.shown = read(self._library, scan_id)
 
 
-def read(library: Library, scan_id: str) -> Shown:
+def read(library: Library, scan_id: str) -> StoredScan:
     """Read one scan from the disk. Never raises: what cannot be read is damaged."""
     try:
         entry = library.entry(scan_id)
     except (StorageError, UnknownScan):
-        return Shown(scan_id, damaged=True)
+        return StoredScan(scan_id, damaged=True)
     if entry.manifest is None:
-        return Shown(scan_id, damaged=True)
+        return StoredScan(scan_id, damaged=True)
     record = entry.manifest.record
     graded = next((verdict for verdict in record.verdicts if verdict.name == GRADE_NAME), None)
     preview, readable = _preview(entry)
     points = record.cloud.get("points")
-    return Shown(
+    return StoredScan(
         scan_id,
         damaged=not entry.ok or not readable,
         preview=preview,

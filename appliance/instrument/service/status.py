@@ -12,7 +12,7 @@ from appliance.instrument.machine.guiding import guidance_said, overlap_said
 from appliance.instrument.machine.keys import labels
 from appliance.instrument.machine.leading import alerts
 from appliance.instrument.machine.states import Answer, Device, Machine
-from appliance.instrument.machine.words import english
+from appliance.instrument.machine.words import worded
 
 
 def describe(
@@ -35,7 +35,7 @@ def describe(
             for alert in alerts(machine)
         ],
         "question": _question(machine),
-        "keys": {key.name.lower(): english(label) for key, label in labels(machine).items()},
+        "keys": {key.name.lower(): worded(label) for key, label in labels(machine).items()},
         "devices": {device.value: _device(machine, device) for device in Device},
         "scans": machine.scans,
         "scans_left": machine.scans_left,
@@ -86,7 +86,7 @@ def _calibration(machine: Machine) -> dict[str, Any] | None:
 def _overlap(machine: Machine) -> str | None:
     """Return what the screen says of the latest scan's overlap; ``None``: nothing."""
     said = overlap_said(machine)
-    return None if said is None else english(said.words)
+    return None if said is None else worded(said.words)
 
 
 def _guidance(machine: Machine) -> dict[str, Any] | None:

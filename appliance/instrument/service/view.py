@@ -37,26 +37,21 @@ from appliance.instrument.ranging.marks import Marks
 from appliance.instrument.screens.views import (
     AimView,
     AnyView,
-    ArmedView,
-    BootView,
     CalibrateView,
-    CaptureView,
-    CheckView,
     CoolingView,
     DeviceLine,
-    DeviceResult,
     GalleryView,
     Gauge,
     MenuRow,
     MenuView,
-    ReconstructView,
+    ProgressView,
     ReviewView,
     SafeView,
     SavingView,
     SelfTestView,
     ShutdownView,
+    StoredScan,
 )
-from appliance.instrument.service.gallery import Shown
 from appliance.instrument.service.scan_files import ScanInMemory
 from appliance.measure import Fault, FaultCode, Grade, grade
 
@@ -179,7 +174,7 @@ class Surroundings:
     right: NDArray[np.uint8] | None
     temperature_c: float | None
     scan: ScanInMemory | None
-    shown: Shown | None = None
+    shown: StoredScan | None = None
     """The scan that the gallery has loaded."""
     facts: Facts | None = None
     marks: Marks | None = None
@@ -197,7 +192,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
         return question_view(machine, machine.off_question)
     match machine.state:
         case State.BOOT:
-            return BootView(devices=_lines(machine), version=appliance.__version__, alerts=shown)
+            return SelfTestView(devices=_lines(machine), version=appliance.__version__, opened=False, alerts=shown)
         case State.SELF_TEST:
             return SelfTestView(
                 devices=(*_lines(machine), *_parts(machine)),
@@ -230,14 +225,8 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
             return menu_view(machine, around.facts)
         case State.GALLERY:
             return _gallery(machine, around.shown)
-        case State.ARMED:
-            return ArmedView(alerts=shown)
-        case State.CAPTURE:
-            return CaptureView(alerts=shown)
-        case State.CHECK:
-            return CheckView(alerts=shown)
-        case State.RECONSTRUCT:
-            return ReconstructView(alerts=shown)
+        case State.ARMED | State.CAPTURE | State.CHECK | State.RECONSTRUCT:
+            return ProgressView(state=machine.state, alerts=shown)
         case State.REVIEW:
             return _review(machine, around, machine.scan is not None and machine.scan.full is not None)
         case State.SAVING:
@@ -332,47 +321,28 @@ def _cooling(machine: Machine) -> CoolingView:
     )
 
 
-def _gallery(machine: Machine, shown: Shown | None) -> GalleryView:
+def _gallery(machine: Machine, shown: StoredScan | None) -> GalleryView:
     at = machine.gallery
     if at is None or not at.scans or at.scan_id is None:
         return GalleryView(alerts=on_screen(machine))
-    scan = shown if shown is not None and shown.scan_id == at.scan_id else Shown(at.scan_id, damaged=False)
-    return GalleryView(
-        scan_id=scan.scan_id,
-        index=at.index,
-        count=len(at.scans),
-        preview=scan.preview,
-        grade=scan.grade,
-        corrected=scan.corrected,
-        lengths_doubtful=scan.lengths_doubtful,
-        points=scan.points,
-        coverage_percent=scan.coverage_percent,
-        noise_mm=scan.noise_mm,
-        distance_mm=scan.distance_mm,
-        taken=scan.taken,
-        damaged=scan.damaged,
-        alerts=on_screen(machine),
-    )
+    scan = shown if shown is not None and shown.scan_id == at.scan_id else StoredScan(at.scan_id)
+    return GalleryView(scan=scan, index=at.index, count=len(at.scans), alerts=on_screen(machine))
 
 
 def _parts(machine: Machine) -> tuple[DeviceLine, ...]:
-    lines = []
-    for part in Part:
-        test = machine.parts.get(part)
-        result = DeviceResult.WAITING if test is None else DeviceResult.WORKS if test.passed else DeviceResult.FAILED
-        lines.append(DeviceLine(part.value, result, "" if test is None else test.detail))
-    return tuple(lines)
+    tests = ((part, machine.parts.get(part)) for part in Part)
+    return tuple(
+        DeviceLine(part.value, None if test is None else test.passed, "" if test is None else test.detail)
+        for part, test in tests
+    )
 
 
 def _lines(machine: Machine) -> tuple[DeviceLine, ...]:
     lines = []
     for device in Device:
-        if device in machine.up:
-            lines.append(DeviceLine(device.value, DeviceResult.WORKS))
-        elif device in machine.lost:
-            lines.append(DeviceLine(device.value, DeviceResult.FAILED, alert_of(machine.lost[device])))
-        else:
-            lines.append(DeviceLine(device.value, DeviceResult.WAITING))
+        lost = machine.lost.get(device)
+        works = True if device in machine.up else None if lost is None else False
+        lines.append(DeviceLine(device.value, works, "" if lost is None else alert_of(lost)))
     return tuple(lines)
 
 

@@ -20,9 +20,8 @@ from appliance.instrument.machine.leading import Leader, alerts, in_full, leader
 from appliance.instrument.machine.permissions import may_light, refusal
 from appliance.instrument.machine.start import waits_for_ok
 from appliance.instrument.machine.states import Device, Machine, Notice, NoticeKind, State, boot
-from appliance.instrument.machine.words import Language, Text, english
+from appliance.instrument.machine.words import Language, Text, worded
 from appliance.instrument.ranging.reach import Reach
-from appliance.instrument.screens.texts import worded
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import LOST, NO_OVERLAP, UNKNOWN, Guidance, Overlap
 from appliance.measure.news import LiveGuidance
@@ -394,7 +393,7 @@ def of_object(machine: Machine, number: int | None = 3) -> Machine:
 
 def overlap(machine: Machine) -> tuple[str, bool] | None:
     found = overlap_said(machine)
-    return None if found is None else (english(found.words), found.warns)
+    return None if found is None else (worded(found.words), found.warns)
 
 
 @pytest.mark.parametrize(

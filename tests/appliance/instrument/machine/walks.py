@@ -17,7 +17,7 @@ from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.instrument.machine.states import Device, Machine, Part, PartTested, State, boot
 from appliance.instrument.machine.step import step
 from appliance.instrument.machine.transfer import Serving, Transfer
-from appliance.instrument.machine.words import english
+from appliance.instrument.machine.words import worded
 from appliance.instrument.ranging.reach import Range
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.fault import Fault, FaultCode
@@ -52,7 +52,7 @@ def after(machine: Machine, *events: on.Event) -> tuple[Machine, list[do.Effect]
 
 def labels(machine: Machine) -> Mapping[Key, str]:
     """What is written beside each key, in English as the status file has it."""
-    return {key: english(label) for key, label in keys.labels(machine).items()}
+    return {key: worded(label) for key, label in keys.labels(machine).items()}
 
 
 UPS = tuple(on.DeviceUp(device) for device in Device)

@@ -15,11 +15,10 @@ import pytest
 
 from appliance.instrument.machine.alerts import RULES, Severity
 from appliance.instrument.machine.states import State
-from appliance.instrument.machine.words import Label, Language, Text
+from appliance.instrument.machine.words import Label, Language, Text, worded
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Canvas
 from appliance.instrument.screens.frame import words_of
-from appliance.instrument.screens.texts import worded
 from appliance.instrument.screens.views import AnyView
 from appliance.measure.fault import FaultCode
 from appliance.measure.verdict import SPOILS_POINTS, SPOILS_SCAN

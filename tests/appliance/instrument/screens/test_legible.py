@@ -20,13 +20,12 @@ from appliance.instrument.machine.leading import alerts
 from appliance.instrument.machine.menu import ROWS
 from appliance.instrument.machine.states import Calibrating, Menu, Notice, NoticeKind, Page, boot
 from appliance.instrument.machine.transfer import Serving, Transfer
-from appliance.instrument.machine.words import Label, Language, Text
+from appliance.instrument.machine.words import Label, Language, Text, worded
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Canvas, Written
 from appliance.instrument.screens.frame import alerts_top, draw_alerts, draw_key_labels, room_between, words_of
 from appliance.instrument.screens.painter import Painter, said_once
-from appliance.instrument.screens.texts import worded
 from appliance.instrument.screens.views import AimView, AnyView, CalibrateView, Gauge, MenuView, ShutdownView
 from appliance.instrument.service.view import Facts, menu_view
 from appliance.measure.fault import Fault, FaultCode
@@ -34,7 +33,17 @@ from appliance.measure.light.exposure import Exposure, Span, ladder
 from appliance.measure.verdict import Grade
 from drivers.api import Key, KeyPress
 from tests.appliance.instrument.machine.walks import STARTS, armed, in_gallery, reviewing, run
-from tests.appliance.instrument.screens.golden.scenes import AIM, ALERTS, GALLERY, REVIEW, SCENES, Scene, alert, keys
+from tests.appliance.instrument.screens.golden.scenes import (
+    AIM,
+    ALERTS,
+    GALLERY,
+    REVIEW,
+    SCENES,
+    STORED,
+    Scene,
+    alert,
+    keys,
+)
 from tests.support import news
 
 DATA = {"fault", "self-test-failed"}
@@ -101,6 +110,7 @@ def weak(painter: Painter, view: AnyView, time_s: float, share: float, patch: py
     _, lines = written(painter, view, time_s)
     with patch.context() as without:
         without.setattr(Canvas, "_stamp", lambda *_: None)
+        painter.preview()  # drawn over, so that the view is drawn anew
         ground = painter.draw(view, time_s)
     found = {}
     for line in lines:
@@ -160,6 +170,7 @@ def every_alert() -> Iterator[Alert]:
 
 @BOTH
 def test_every_fault_with_every_number_is_whole_and_large_in_its_band(canvas: Canvas, language: Language) -> None:
+    canvas.language = language
     told: set[tuple[str, str]] = set()
     for one in every_alert():
         words = one.german if language is Language.GERMAN and one.german else (one.headline, one.action)
@@ -167,7 +178,7 @@ def test_every_fault_with_every_number_is_whole_and_large_in_its_band(canvas: Ca
             continue
         told.add(words)
         canvas.begin(theme.INK)
-        draw_alerts(canvas, (one,), language, 0.0)
+        draw_alerts(canvas, (one,), 0.0)
         assert not any(line.cut for line in canvas.written), words
         if one.passing:  # a mark with what to do
             (line,) = canvas.written
@@ -179,16 +190,17 @@ def test_every_fault_with_every_number_is_whole_and_large_in_its_band(canvas: Ca
         if one.detail == "noticed":
             continue
         canvas.begin(theme.INK)
-        draw_alerts(canvas, (replace(one, seen=True, lasts=True),), language, 0.0)
+        draw_alerts(canvas, (replace(one, seen=True, lasts=True),), 0.0)
         assert not any(line.cut for line in canvas.written), words
     assert len(told) > 200
 
 
 @BOTH
 def test_many_alerts_are_named_or_counted(canvas: Canvas, language: Language) -> None:
+    canvas.language = language
     for number in range(2, 9):
         canvas.begin(theme.INK)
-        draw_alerts(canvas, tuple(ALERTS.values())[:number], language, 0.0)
+        draw_alerts(canvas, tuple(ALERTS.values())[:number], 0.0)
         others = [line.words for line in canvas.written[:-3]]
         counted = [int(words) for words in others if words.startswith("+")]
         assert 0 < len(others) - len(counted) == number - 1 - sum(counted)
@@ -257,8 +269,10 @@ MOST: dict[str, AnyView] = {
     ),
     "review, bad": replace(REVIEW, points=999_499, grade=Grade.BAD, lengths_doubtful=True, coarse=True),
     "gallery, most": replace(
-        GALLERY, scan_id="9999999", index=99_998, count=99_999, points=99_949_999, coverage_percent=100.0, noise_mm=12.3,
-        distance_mm=9_999.0, grade=Grade.USABLE, lengths_doubtful=True, taken="2026-11-21T14:07:59+00:00",
+        GALLERY, index=99_998, count=99_999, scan=replace(
+            STORED, scan_id="9999999", points=99_949_999, coverage_percent=100.0, noise_mm=12.3, distance_mm=9_999.0, grade=Grade.USABLE,
+            lengths_doubtful=True, taken="2026-11-21T14:07:59+00:00",
+        ),
     ),
     **{
         f"{step}, {refusal}": CalibrateView(
@@ -350,12 +364,13 @@ def labels() -> dict[Key, set[Label]]:
 def test_every_label_with_every_value_is_whole_large_enough_and_within_its_own_field(
     canvas: Canvas, language: Language
 ) -> None:
+    canvas.language = language
     rooms: dict[Key, list[tuple[float, float]]] = {key: [] for key in Key}
     for key, shown in labels().items():
         for label in shown:
             canvas.begin(theme.INK)
-            draw_key_labels(canvas, {key: label}, language)
-            left, right = room_between(canvas, {key: label}, language, theme.KEY_CORNERS[key].value[1])
+            draw_key_labels(canvas, {key: label})
+            left, right = room_between(canvas, {key: label}, theme.KEY_CORNERS[key][1])
             rooms[key].append((left, right))
             drawn = canvas.written
             assert not any("…" in line.words or line.cut for line in drawn), label
@@ -368,12 +383,13 @@ def test_every_label_with_every_value_is_whole_large_enough_and_within_its_own_f
     # Two side by side leave room between them for a scale.
     assert min(right for _, right in rooms[Key.BACK]) - max(left for left, _ in rooms[Key.DOWN]) > 260.0
     canvas.begin(theme.INK)
-    draw_key_labels(canvas, {Key.DOWN: (Text.EXPOSE, "16 ms +12 dB")}, language)
+    draw_key_labels(canvas, {Key.DOWN: (Text.EXPOSE, "16 ms +12 dB")})
     assert [line.words for line in canvas.written] == [Text.EXPOSE.in_language(language), "16 ms +12 dB"]
 
 
 @BOTH
 def test_labels_keep_nearly_their_full_size(canvas: Canvas, language: Language) -> None:
+    canvas.language = language
     plain = (Text.SCAN, Text.OK, Text.KEEP, Text.REPEAT, Text.BACK, Text.HOLD_OFF, Text.TURN, Text.SEEN, Text.RETRY)
     for text in plain:
         assert canvas.measure(text.in_language(language), theme.BODY, theme.BLACK) <= (theme.LABEL_MAX_PX - 48) / 0.8

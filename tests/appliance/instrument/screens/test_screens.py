@@ -19,14 +19,13 @@ from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCh
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.instrument.machine.alerts import Alert, Severity
 from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.machine.states import Calibrating, Task
+from appliance.instrument.machine.states import Calibrating, State, Task
 from appliance.instrument.machine.words import Label, Language, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme, views
 from appliance.instrument.screens.calibrate import refusal_words, sketch_depth, sketch_front
 from appliance.instrument.screens.canvas import MAX_WORDS, Canvas
-from appliance.instrument.screens.painter import Painter
-from appliance.instrument.screens.unchanged import MOVES_HZ, FrugalPainter
+from appliance.instrument.screens.painter import MOVES_HZ, Painter
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.volume import STANDARD, WorkingVolume
 from appliance.measure.verdict import Grade
@@ -40,7 +39,8 @@ NEWS = Alert(FaultCode.BOARD_RESET, Severity.INFO, "BOARD RESET", "NOTHING TO DO
 DIM = Alert(FaultCode.AIM_DARK, Severity.WARNING, "TOO DARK TO SCAN", "GO CLOSER", passing=True)
 YELLOW, GREEN, AQUA = (255, 210, 31), (91, 227, 138), (63, 208, 232)
 GREY = np.full((1200, 1600), 90, np.uint8)
-AIM = views.AimView(left=GREY, right=GREY, scans_taken=12, scans_left=41, temperature_c=34.0)
+KEYS = {Key.SCAN: Text.SCAN, Key.BACK: Text.HOLD_OFF}
+AIM = views.AimView(left=GREY, right=GREY, scans_taken=12, scans_left=41, temperature_c=34.0, keys=KEYS)
 POINTS = np.random.default_rng(2).uniform((-100, -80, 480), (100, 80, 520), (4000, 3)).astype(np.float32)
 REVIEW = views.ReviewView(
     points_mm=POINTS, values=POINTS[:, 2].copy(), coarse=False, grade=Grade.GOOD, points=4000,
@@ -104,7 +104,11 @@ def test_no_word_of_the_table_is_left_over() -> None:
 
 
 def test_what_waits_moves_and_what_a_screen_is_about_is_not_said_twice(painter: Painter) -> None:
-    for view in (views.CheckView(), views.ReconstructView(), views.SavingView(scan_id="1", saved=False)):
+    for view in (
+        views.ProgressView(state=State.CHECK),
+        views.ProgressView(state=State.RECONSTRUCT),
+        views.SavingView(scan_id="1", saved=False),
+    ):
         assert (drawn(painter, view, 0.0) != drawn(painter, view, 0.4)).any()
     plain = drawn(painter, views.SafeView(alert=LEAK, saved=True))
     np.testing.assert_array_equal(drawn(painter, views.SafeView(alert=LEAK, saved=True, alerts=(LEAK,))), plain)
@@ -154,10 +158,14 @@ def test_what_a_scan_would_fail_for_stands_where_ready_stood(painter: Painter) -
 
 @pytest.mark.parametrize("grade", [Grade.GOOD, Grade.USABLE])
 def test_a_grade_does_not_stand_alone_where_lengths_are_not_trusted(painter: Painter, grade: Grade) -> None:
-    for view in (replace(REVIEW, grade=grade), views.GalleryView(scan_id="000007", count=1, grade=grade)):
-        assert "LENGTHS UNSURE" not in said(painter, view)
-        assert "LENGTHS UNSURE" in said(painter, replace(view, lengths_doubtful=True))
-        assert share(drawn(painter, replace(view, lengths_doubtful=True))[68:134, 524:780], YELLOW) > 0.5
+    stored = views.StoredScan("000007", grade=grade)
+    for certain, doubtful in (
+        (replace(REVIEW, grade=grade), replace(REVIEW, grade=grade, lengths_doubtful=True)),
+        tuple(views.GalleryView(scan=replace(stored, lengths_doubtful=one), count=1) for one in (False, True)),
+    ):
+        assert "LENGTHS UNSURE" not in said(painter, certain)
+        assert "LENGTHS UNSURE" in said(painter, doubtful)
+        assert share(drawn(painter, doubtful)[68:134, 524:780], YELLOW) > 0.5
     assert "BAD" in said(painter, replace(REVIEW, grade=Grade.BAD, lengths_doubtful=True))
 
 
@@ -221,7 +229,7 @@ def test_a_screen_is_drawn_anew_as_soon_as_anything_on_it_is_and_not_before(cont
         {"alerts": (NEWS,)}, {"keys": {}},
     ]  # fmt: skip
     changed = [(AIM, replace(AIM, **change), 0.0, True) for change in changes]  # type: ignore[arg-type]
-    with FrugalPainter(context, (400, 240)) as painter:
+    with Painter(context, (400, 240)) as painter:
         for before, view, time_s, anew in (*moving, *changed):
             painter.draw(AIM if before is REVIEW else REVIEW, 0.0)
             painter.draw(before, 0.0)[:] = 7
@@ -235,7 +243,7 @@ def test_a_screen_is_drawn_anew_as_soon_as_anything_on_it_is_and_not_before(cont
 
 
 def test_whatever_stood_there_before_the_picture_is_that_of_the_view(context: moderngl.Context) -> None:
-    with FrugalPainter(context, (400, 240)) as painter, Painter(context, (400, 240)) as other:
+    with Painter(context, (400, 240)) as painter, Painter(context, (400, 240)) as other:
         for scene in (*SCENES.values(), *list(SCENES.values())[::-3]):
             got = painter.draw(scene.view, 0.3)
             other.draw(views.SavingView(scan_id="1", saved=False), 0.0)

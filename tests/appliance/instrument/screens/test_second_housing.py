@@ -53,8 +53,9 @@ def of_this_housing(view: AnyView, volume: WorkingVolume) -> AnyView:
     if isinstance(view, ReviewView):
         scale = np.float32(volume.scaled(1.0))
         view = replace(view, points_mm=view.points_mm * scale, values=view.values * scale)
-    if isinstance(view, ReviewView | GalleryView) and view.distance_mm is not None:
-        view = replace(view, distance_mm=volume.scaled(view.distance_mm))
+        view = replace(view, distance_mm=volume.scaled(view.distance_mm or 0.0))
+    if isinstance(view, GalleryView) and view.scan is not None and view.scan.distance_mm is not None:
+        view = replace(view, scan=replace(view.scan, distance_mm=volume.scaled(view.scan.distance_mm)))
     return view
 
 

@@ -16,7 +16,7 @@ from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Device, State
 from appliance.instrument.machine.words import Language
-from appliance.instrument.screens.unchanged import FrugalPainter
+from appliance.instrument.screens.painter import Painter
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.inputs import Inputs
 from appliance.instrument.service.live import LiveViews
@@ -47,7 +47,7 @@ WANTED = do.Arm(7, 16, EXPOSURE, object=5)
 def drawing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drawing]:
     rig = small_rig(tmp_path_factory.mktemp("rig"))
     size_px = rig.display.width_px, rig.display.height_px
-    with open_gl() as gl, FrugalPainter(gl, size_px, Language.ENGLISH) as painter:
+    with open_gl() as gl, Painter(gl, size_px, Language.ENGLISH) as painter:
         yield Drawing(DrawnPatterns(gl, rig, 64, None), painter)
 
 

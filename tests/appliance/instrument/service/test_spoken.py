@@ -12,9 +12,8 @@ from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Device, Gallery, Part, PartTested, State, boot
 from appliance.instrument.ranging.marks import Marks, Track
 from appliance.instrument.ranging.reach import Range, Reach
-from appliance.instrument.screens.texts import to_the_minute
-from appliance.instrument.screens.views import AimView, CalibrateView, GalleryView, SelfTestView
-from appliance.instrument.service.gallery import Shown
+from appliance.instrument.screens.gallery import to_the_minute
+from appliance.instrument.screens.views import AimView, CalibrateView, GalleryView, SelfTestView, StoredScan
 from appliance.instrument.service.loop import fault_text, spoken
 from appliance.instrument.service.view import Surroundings, view_of
 from appliance.measure.fault import Fault, FaultCode
@@ -73,16 +72,17 @@ NOTHING = Surroundings(left=None, right=None, temperature_c=None, scan=None)
 
 def test_the_gallery_shows_the_scan_that_is_looked_at_and_of_another_that_was_loaded_nothing() -> None:
     machine = replace(aim(), state=State.GALLERY, gallery=Gallery(("000003", "000002"), 1))
-    loaded = Shown("000002", damaged=False, points=44_597, coverage_percent=81.7)
+    loaded = StoredScan("000002", points=44_597, coverage_percent=81.7)
     view, other = (view_of(machine, replace(NOTHING, shown=one)) for one in (loaded, replace(loaded, scan_id="000003")))
     assert isinstance(view, GalleryView)
     assert isinstance(other, GalleryView)
-    assert (view.scan_id, view.index, view.count, view.points, view.coverage_percent) == ("000002", 1, 2, 44_597, 81.7)
-    assert (other.scan_id, other.count, other.points) == ("000002", 2, None)
+    assert (view.scan is loaded, view.index, view.count) == (True, 1, 2)
+    assert other.scan is not None
+    assert (other.scan.scan_id, other.count, other.scan.points) == ("000002", 2, None)
     for empty in (None, Gallery(), Gallery(())):
         blank = view_of(replace(machine, gallery=empty), replace(NOTHING, shown=loaded))
         assert isinstance(blank, GalleryView)
-        assert (blank.scan_id, blank.count, blank.points) == ("", 0, None)
+        assert (blank.scan, blank.count) == (None, 0)
 
 
 @pytest.mark.parametrize("failed", [None, *Part])

@@ -100,7 +100,8 @@ class Studio:
         alert = ALERTS[golden.name]
         with self._context:
             self._canvas.begin(theme.INK)
-            draw_alerts(self._canvas, (alert,), golden.language, 0.0)
+            self._canvas.language = golden.language
+            draw_alerts(self._canvas, (alert,), 0.0)
             top = round(alerts_top(self._canvas, (alert,)))
             return self._canvas.finish()[top : SIZE_PX[1] - theme.BAR_PX].copy()
 

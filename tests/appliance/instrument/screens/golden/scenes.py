@@ -11,7 +11,7 @@ from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, R
 from appliance.instrument.machine.alerts import RULES, Alert, alert_of
 from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.instrument.machine.guiding import GuidanceSaid, OverlapSaid
-from appliance.instrument.machine.states import Calibrating, Task
+from appliance.instrument.machine.states import Calibrating, State, Task
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import views
@@ -66,10 +66,11 @@ REVIEW = views.ReviewView(
     points_mm=_POINTS, values=_POINTS[:, 2], coarse=False, grade=Grade.GOOD, points=1_312_409,
     coverage_percent=87.0, noise_mm=0.028, distance_mm=503.0, duration_s=2.8, keys=_REVIEW_KEYS,
 )  # fmt: skip
-GALLERY = views.GalleryView(
-    scan_id="000012", index=0, count=12, preview=seabed.preview(), grade=Grade.GOOD, points=1_312_409, coverage_percent=87.0,
-    noise_mm=0.028, distance_mm=503.0, taken="2026-11-21 14:07", keys=keys(back=Text.BACK, down=Text.OLDER),
+STORED = views.StoredScan(
+    "000012", preview=seabed.preview(), grade=Grade.GOOD, points=1_312_409, coverage_percent=87.0, noise_mm=0.028, distance_mm=503.0,
+    taken="2026-11-21 14:07",
 )  # fmt: skip
+GALLERY = views.GalleryView(scan=STORED, index=0, count=12, keys=keys(back=Text.BACK, down=Text.OLDER))
 MAIN_ROWS = (
     views.MenuRow(Text.EXPOSURE, "12 ms"), views.MenuRow(Text.FRINGES, Text.FINE), views.MenuRow(Text.WATER, (Text.SALT, "12.5 °C")), views.MenuRow(Text.CALIBRATE),
     views.MenuRow(Text.OBJECT, "3"), views.MenuRow(Text.GALLERY), views.MenuRow(Text.TRANSFER, Text.OFF), views.MenuRow(Text.LANGUAGE, Text.ENGLISH),
@@ -83,8 +84,8 @@ _SOLVED = AdjustmentSummary("bundle, spline", 0.034, (), "abc")
 def _tested(failed: Mapping[str, Alert | Text], waiting: int = 0) -> tuple[views.DeviceLine, ...]:
     known = _NAMES[: len(_NAMES) - waiting]
     return (
-        *(views.DeviceLine(name, views.DeviceResult.FAILED if name in failed else views.DeviceResult.WORKS, failed.get(name, "")) for name in known),
-        *(views.DeviceLine(name, views.DeviceResult.WAITING) for name in _NAMES[len(known) :]),
+        *(views.DeviceLine(name, name not in failed, failed.get(name, "")) for name in known),
+        *(views.DeviceLine(name, None) for name in _NAMES[len(known) :]),
     )  # fmt: skip
 
 
@@ -100,7 +101,7 @@ def _calibrate(at: Calibrating, session: Session | None = None, **words: Label) 
 _UNCALIBRATED = replace(alert(FaultCode.UNCALIBRATED), lasts=True)
 _OFF, _BACK, _REDO = keys(back=Text.HOLD_OFF), keys(back=Text.BACK), keys(back=Text.HOLD_REDO)
 _VIEWS: dict[str, views.AnyView] = {
-    "boot": views.BootView(devices=_tested({}, 5), version="0.1.0", keys=_OFF),
+    "boot": views.SelfTestView(devices=_tested({}, 5), version="0.1.0", opened=False, keys=_OFF),
     "self-test": views.SelfTestView(devices=_tested({}), version="0.1.0", finished=True, passed=True, keys=_OFF),
     "self-test-failed": views.SelfTestView(
         devices=_tested({"camera.right": LOST, "calibration": Text.NOT_MEASURED}),
@@ -128,10 +129,10 @@ _VIEWS: dict[str, views.AnyView] = {
         AIM, scan_allowed=False,
         alerts=(alert(FaultCode.HOT), LOST, *map(alert, (FaultCode.BOARD_LOST, FaultCode.UNCALIBRATED, FaultCode.STORAGE_FULL))),
     ),
-    "armed": views.ArmedView(keys=keys(back=Text.STOP)),
-    "capture": views.CaptureView(keys=keys(back=Text.STOP)),
-    "check": views.CheckView(keys=_REDO),
-    "reconstruct": views.ReconstructView(keys=_REDO),
+    "armed": views.ProgressView(state=State.ARMED, keys=keys(back=Text.STOP)),
+    "capture": views.ProgressView(state=State.CAPTURE, keys=keys(back=Text.STOP)),
+    "check": views.ProgressView(state=State.CHECK, keys=_REDO),
+    "reconstruct": views.ProgressView(state=State.RECONSTRUCT, keys=_REDO),
     "review": replace(
         REVIEW, overlap=OverlapSaid((Text.OVERLAP, "62 %")),
         keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.HOLD_ADD, "3.2 ms")),
@@ -177,8 +178,7 @@ _VIEWS: dict[str, views.AnyView] = {
     ),
     "gallery": GALLERY,
     "gallery-damaged": replace(
-        GALLERY, scan_id="000009", index=3, preview=None, grade=None, points=None, coverage_percent=None, noise_mm=None,
-        distance_mm=None, taken=None, damaged=True, keys=keys(back=Text.BACK, up=Text.NEWER, down=Text.OLDER),
+        GALLERY, scan=views.StoredScan("000009", damaged=True), index=3, keys=keys(back=Text.BACK, up=Text.NEWER, down=Text.OLDER),
     ),
     "gallery-empty": views.GalleryView(keys=_BACK),
     "calibrate-bar": _calibrate(Calibrating(Step.M1, latest=RecordingCheck(Step.M1, Refusal.TILT_MORE, 12.0))),
