@@ -21,7 +21,7 @@ from appliance.measure.decode.scratch import (
     UQ,
     P,
 )
-from appliance.measure.light.noise import CameraNoise, StereoNoise, camera_noise
+from appliance.measure.light.noise import CameraNoise, StereoNoise
 from appliance.measure.points.quality import Ripple
 from appliance.measure.points.sigma import SigmaFactors, expect_row, sigma_factors
 
@@ -89,13 +89,3 @@ def test_a_ripple_that_is_lost_in_noise_does_not_count() -> None:
         factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), Ripple(0.05, lost_px, 0.1))
         assert (factors.ripple_px2 > 0.0) == counts
     assert sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT)).ripple_px2 == 0.0
-
-
-def test_a_data_sheets_figures_are_the_cameras_noise_at_every_gain() -> None:
-    """13 000 electrons at 255 grey values, 20 electrons of read noise: at 6.02 dB twice the grey values per electron."""
-    for times in (1.0, 2.0):
-        made = camera_noise(13_000.0, 20.0, 2.0, 20.0 * math.log10(times))
-        assert made.dn_per_e == pytest.approx(times * 255.0 / 13_000.0)
-        assert made.read_dn == pytest.approx(math.sqrt((20.0 * made.dn_per_e) ** 2 + 1.0 / 12.0))
-        assert made.variance_dn2(102.0) == pytest.approx(made.read_dn**2 + 100.0 * made.dn_per_e)
-        assert made.variance_dn2(0.0) == pytest.approx(made.read_dn**2), "below black there is no light to be missing"

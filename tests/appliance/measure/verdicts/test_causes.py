@@ -166,22 +166,14 @@ HANDS = motion(5.0)
         ((motion(25.0, MOVED, lost_percent=None),), MOVED, 0.36),
         ((motion(25.0, MOVED, score=4.5),), MOVED, 1.0 - 0.96 / 1.25**2),
         *[((motion(25.0, MOVED, **unknown),), MOVED, None) for unknown in ({"score": 4.4}, {"score": None}, {"score_limit": None})],
-        ((motion(25.0),), MOVED, None),
-        ((motion(25.0, UNDONE),), MOVED, None),
-        ((motion(25.0, UNDONE),), UNDONE, 0.0),
         # Light takes what its ripple adds to the noise of the better camera.
         ((flicker(),), FLICKER, over(12.25)),
         ((flicker(left=None),), FLICKER, over(12.96)),
         ((flicker(left=None, right=None),), FLICKER, None),
-        ((flicker(left=0.0),), FLICKER, None),
-        ((flicker(common=1.0, local=5.0),), FLICKER, over(12.25)),
         # Before what moves, it is what exceeds the motion's own ripple: 2.4 times in common, 4 times in parts.
         ((motion(8.0), flicker(common=3.0, local=1.0)), FLICKER, over(0.9 * 12.25 - 2.4**2 * M2)),
-        ((motion(8.0), flicker(common=3.0, local=4.0)), FLICKER, over(0.64 * 12.25 - 4.0**2 * M2)),
         ((motion(8.0), flicker()), FLICKER, over(12.25 - 2.4**2 * M2)),
         ((motion(8.0), flicker(common=3.0, local=4.0, left_local_flicker_percent=None)), FLICKER, over(0.64 * 12.25 - 4.0**2 * M2)),
-        ((motion(-5.0), flicker(common=3.0, local=0.0)), FLICKER, over(12.25)),
-        ((motion(200.0), flicker(common=3.0, local=4.0)), FLICKER, None),
         # Before a movement of unknown harm a lamp has half of the change in common.
         ((motion(None), flicker(common=2.0, local=2.0)), FLICKER, over(12.25)),
         ((motion(None), flicker(common=2.0, local=2.01)), FLICKER, None),
@@ -193,29 +185,18 @@ HANDS = motion(5.0)
         ((place(300.0, 90.0, None),), NEAR, 1.0),
         ((place(300.0, 90.0, 0.0, fringe_dn=8.0),), NEAR, 1.0),
         ((place(300.0, 90.0, 0.0, fringe_dn=7.9),), NEAR, 0.5),
-        ((place(700.0, 0.0, 90.0, fringe_dn=7.9),), FAR, 1.0),
         # Light takes the pixels that it costs.
         ((said("light", DARK, {"weak_percent": 3.0, "coverage_percent": 70.0}),), DARK, 0.3),
         ((said("light", DARK, {}),), DARK, 1.0),
         ((said("light", LAMP, {"ambient_percent": 40.0}),), LAMP, 0.4),
         ((said("light", LAMP, {}),), LAMP, 0.0),
         ((said("light", BRIGHT, {"saturated_percent": 20.0}),), BRIGHT, 0.2),
-        ((said("light", left_saturated_percent=9.0),), BRIGHT, None),
         # Water takes what its backscatter hides from an eighth of the light on; what moves looks like specks.
         ((STILL, water(12.0, 20.0, 20.0)), DIRTY, 0.2),
         ((STILL, water(11.9, 20.0, 25.0)), DIRTY, None),
-        ((STILL, water(30.0, 20.0, 21.0)), DIRTY, 0.3),
         ((STILL, water(30.0, 20.0, 20.0)), DIRTY, 0.2),
-        ((STILL, water(30.0, 20.0)), DIRTY, 0.2),
         ((STILL, water(speck=3.0)), DIRTY, 0.03),
-        ((HANDS, water(speck=3.0)), DIRTY, None),
-        ((STILL, water(17.3, 7.7, 23.0, 3.1)), DIRTY, 0.173),
-        ((HANDS, water(17.3, 7.7, 23.0, 3.1)), DIRTY, None),
-        ((HANDS, water(17.3, 25.1, 23.0, 3.1)), DIRTY, 0.251),
-        ((HANDS, water(30.1, 7.7, 23.0, 3.1)), DIRTY, 0.301),
         ((HANDS, water(25.1, 7.7, 25.1, 3.1)), DIRTY, 0.251),
-        ((STILL, water()), DIRTY, None),
-        ((said("water", speck_percent=3.0),), DIRTY, None),
     ],
 )  # fmt: skip
 def test_of_a_usable_scan_each_cause_takes_its_share_beyond_its_judges_limit(
@@ -258,13 +239,11 @@ def rushing(
     ("seen", "told"),
     [
         ({"fringe": 10.0}, True), ({"fringe": 9.9}, False), ({"fringe": None}, False),
-        ({"veil": 11.9}, True), ({"veil": 12.0}, False),
+        ({"veil": 12.0}, False),
         ({"saturated": 25.0}, True), ({"saturated": 25.1}, False),
-        ({"distance_mm": 800.0, "far_percent": 90.0}, False),
         # Water that outshines the object, or of which that is not known, or before which nothing was seen to move.
         ({"veil": 27.0, "score": 2288.0, "object_percent": 40.0}, True),
         ({"veil": 27.0, "score": 2288.0, "object_percent": 39.9}, False),
-        ({"veil": 27.0, "score": 2288.0}, False),
         ({"veil": 27.0, "score": 4.4, "object_percent": 84.0}, False),
     ],
 )  # fmt: skip
@@ -327,13 +306,11 @@ def faint(fringe: float, top: Given = 10.0, noise_mm: Given = 0.02, room: float 
 @pytest.mark.parametrize(
     ("seen", "code"),
     [
-        ({"fringe": 2.0, "room": 4.0}, DARK), ({"fringe": 2.0, "room": 3.9}, DIRTY),
         # White may not exceed 235: of fringes of 3 and a white of 88, 8.01 can be made, of 89 7.9.
         ({"fringe": 3.0, "top": 88.0}, DARK), ({"fringe": 3.0, "top": 89.0}, DIRTY),
         ({"fringe": 2.0, "top": None, "room": 4.0}, DARK),
-        ({"fringe": 0.03, "top": 0.0, "room": 300.0}, DIRTY),
-        ({"fringe": 8.0}, None), ({"fringe": 7.9}, DARK),
-        ({"fringe": 7.9, "left_saturated_percent": 25.0}, DARK), ({"fringe": 7.9, "left_saturated_percent": 25.1}, None),
+        ({"fringe": 8.0}, None),
+        ({"fringe": 7.9, "left_saturated_percent": 25.0}, DARK),
         # Strong fringes, and yet a poor scan: points are too noisy.
         ({"fringe": 9.0, "noise_mm": 0.25}, None), ({"fringe": 9.0, "noise_mm": None}, None),
         ({"fringe": 9.0, "noise_mm": 0.26, "room": 1.26}, DARK), ({"fringe": 9.0, "noise_mm": 0.26, "room": 1.25}, None),
@@ -351,10 +328,8 @@ def test_faint_fringes_are_dark_where_exposing_makes_eight_dn(seen: dict[str, An
         (7.9, Exposure(16_000, 12.0), 15.5, DIRTY),  # worth 4, and nothing is left to expose for
         # White of 14.7 may be made 16 times as bright: 4 by time alone, 4 by gain, over whose noise only 2 of these count.
         (0.62, Exposure(4_000), 14.68, DIRTY),
-        (0.64, Exposure(4_000), 14.68, DARK),
         # As far as white leaves room without gain, every grey value counts.
         (2.01, Exposure(4_000), 58.0, DARK),
-        (1.95, Exposure(4_000), 58.0, DIRTY),
     ],
 )
 def test_gain_makes_grey_values_but_no_photons(fringe: float, present: Exposure, top: float, code: FaultCode) -> None:
@@ -379,7 +354,7 @@ def test_what_faint_fringes_take_is_what_is_lost_as_far_as_they_are_too_faint() 
 @pytest.mark.parametrize(
     ("glow_per_m", "time_us", "steps", "code"),
     [
-        (1.6, 12_000, (USUAL,), DIRTY), (1.5, 12_000, (USUAL,), FaultCode.NOTHING_SEEN),
+        (1.6, 12_000, (USUAL,), DIRTY),
         (None, 750, (USUAL,), DARK), (None, 751, (USUAL,), FaultCode.NOTHING_SEEN), (None, 500, (), FaultCode.NOTHING_SEEN),
     ],
 )  # fmt: skip
@@ -394,7 +369,7 @@ def test_where_no_fringes_are_seen_it_is_the_water_or_the_exposure_or_that_there
 
 @pytest.mark.parametrize(
     ("coverage", "noise_mm", "word"),
-    [(None, None, "few"), (24.9, 0.02, "few"), (25.0, 0.26, "noisy"), (80.0, 0.26, "noisy")],
+    [(None, None, "few"), (25.0, 0.26, "noisy")],
 )
 def test_a_poor_scan_without_a_cause_has_few_or_noisy_points(coverage: Given, noise_mm: Given, word: str) -> None:
     summary = CloudSummary(10, coverage, None, noise_mm, None)
