@@ -19,7 +19,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-CHANCE = "by chance: different things of the same number"
 SIMULATOR = tuple(
     f"hw_sim/{room}" for room in ("objects", "optics", "water", "light", "rendering", "timing", "scene.py", "truth.py",
     "workshop.py", "heat.py", "clocks.py", "in_dive.py", "mount_shift.py", "options.py", "outside.py", "ranges.py", "drawings.py",
@@ -151,12 +150,6 @@ def shared(simulator: list[Stated], product: list[Stated]) -> dict[str, str]:
     return found
 
 
-def without_reason(found: Mapping[str, str], named: Mapping[str, frozenset[str]]) -> tuple[list[str], list[str]]:
-    """Return where numbers are shared without a reason, and which reasons nothing needs any more, whatever their class."""
-    allowed = frozenset[str]().union(*named.values())
-    return [found[pair] for pair in sorted(found.keys() - allowed)], sorted(allowed - found.keys())
-
-
 def of(packages: tuple[str, ...]) -> list[Stated]:
     return [
         one
@@ -219,7 +212,7 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "1e-05 board_scale = scale",
         }
     ),
-    CHANCE: frozenset(
+    "by chance: different things of the same number": frozenset(
         {
             "150 BALL_DISTANCE_MM = _BEGIN_MM",
             "150 FRUSTUM_BASE_MM = _BEGIN_MM",
@@ -289,16 +282,9 @@ def test_a_number_on_both_sides_is_noticed_and_a_round_one_only_by_its_name(
 
 def test_no_number_is_stated_on_both_sides_without_a_reason() -> None:
     """If this is red: state the number independently (draw it, or cite its own source), or name the pair and its reason above."""
-    found = shared(of(SIMULATOR), of(PRODUCT))
-    unnamed, stale = without_reason(found, MAY_BE_EQUAL)
-    assert not unnamed
-    assert not stale, "what is not shared any more needs no reason"
-
-
-def test_a_reason_that_nothing_needs_any_more_is_noticed_in_every_class() -> None:
-    found = {"7 A = B": "7 A = B (a, b)", "8 C = D": "8 C = D (a, b)"}
-    named = {"physics": frozenset({"7 A = B", "9 E = F"}), CHANCE: frozenset({"10 G = H"})}
-    assert without_reason(found, named) == (["8 C = D (a, b)"], ["10 G = H", "9 E = F"])
+    found, allowed = shared(of(SIMULATOR), of(PRODUCT)), frozenset[str]().union(*MAY_BE_EQUAL.values())
+    assert not [found[pair] for pair in sorted(found.keys() - allowed)]
+    assert not allowed - found.keys(), "what is not shared any more needs no reason"
 
 
 def test_every_file_of_the_simulator_that_states_what_the_world_is_like_is_compared() -> None:

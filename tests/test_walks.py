@@ -88,12 +88,6 @@ def test_the_files_of_a_walk_are_there(walk: str) -> None:
         assert (ROOT / name.replace("/<name>.py", "")).exists(), name
 
 
-def test_a_judge_is_named_in_the_table_and_nowhere_above() -> None:
-    above = {name for name in naming("judge_water") if not name.startswith("appliance/measure/verdicts/")}
-    assert above == {"appliance/measure/judges.py"}
-    assert "water" in {judge.name for judge in JUDGES}
-
-
 def test_a_screen_is_named_in_the_files_of_its_walk() -> None:
     named = naming(r"State\.COOLING|COOLING|CoolingView|cooling")
     shared = {name for name in walks()["A screen with a state of its own"] if "<name>" not in name}
@@ -103,12 +97,13 @@ def test_a_screen_is_named_in_the_files_of_its_walk() -> None:
     assert named - shared - own <= enters, "a file that the example touches is missing from the walk"
 
 
-def test_a_verdict_is_named_in_the_files_of_its_walk() -> None:
+def test_a_verdict_is_named_in_the_files_of_its_walk_and_its_judge_in_no_other() -> None:
     """By its judge, which has a row in one table, and by its fault, which has a row in another."""
     folder, judges, alerts = walks()["A verdict"]
     assert folder == "appliance/measure/verdicts/<name>.py"
     assert (ROOT / judges, ROOT / alerts) == (source_of(Judge), source_of(Rule))
-    assert judges in naming("judge_water")
+    assert {name for name in naming("judge_water") if not name.startswith("appliance/measure/verdicts/")} == {judges}
+    assert "water" in {judge.name for judge in JUDGES}
     assert alerts in naming(r"FaultCode\.WATER_DIRTY")
 
 
