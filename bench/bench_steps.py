@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.foreign.assumptions import equal_steps
+from appliance.desk.foreign.description import equal_steps
 from appliance.desk.foreign.phase import ROWS_AT_ONCE, fit_sine, step_weights
 from appliance.measure.decode.phase import fit_steps, phase, turns_of
 from appliance.measure.decode.scratch import COORDINATE, MODULATION_HALF_DN

@@ -33,27 +33,25 @@ class Import(Verb):
             writable_as(out, SCAN_SUFFIXES, "a cloud")
         writable(self.reasons, "--reasons")
         if self.source.is_dir():
-            return self._of_folder(out)
-        from appliance.desk import load_description
+            self._check_folder(out)
+        else:
+            from appliance.desk import check_import
 
-        # A wrong word is the usual end of a first try, as is a picture that is not there: told before anything that
-        # computes is loaded, and before a minute of compiling.
-        load_description(self.source)
-        from appliance.desk import look_first
-
-        look_first(self.source)
-        from appliance.desk import check_import, import_cloud, import_scan
-
-        check_import(self.source, out)
+            # Told before anything that computes is loaded, and before a minute of compiling.
+            check_import(self.source, out)
         with ProgressLine() as progress:
+            if self.source.is_dir():
+                progress("looking for images")
+            from appliance.desk import import_images
+
             compile_point_kernels()
             with writing(out):
-                make = import_cloud if out.suffix else import_scan
-                report = make(self.source, out, progress, as_described=self.as_described, reasons=self.reasons)
+                report = import_images(self.source, out, progress, as_described=self.as_described, reasons=self.reasons)
         self.tell(report)
         return Exit.OK
 
-    def _of_folder(self, out: Path) -> Exit:
+    def _check_folder(self, out: Path) -> None:
+        """Raises UsageError."""
         if self.as_described or not out.suffix:
             raise UsageError(
                 "import: of a folder a cloud is made (.ply .e57 .las .npz), and nothing is described yet; import the "
@@ -62,12 +60,3 @@ class Import(Verb):
         description = out.with_suffix(".toml")
         if description.exists():
             raise UsageError(f"{description} is there already: import it, or give another name with --out FILE")
-        with ProgressLine() as progress:
-            progress("looking for images")
-            from appliance.desk import import_folder
-
-            compile_point_kernels()
-            with writing(out):
-                report = import_folder(self.source, out, progress, self.reasons)
-        self.tell(report)
-        return Exit.OK

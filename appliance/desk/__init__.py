@@ -54,19 +54,9 @@ if TYPE_CHECKING:
         PlacedGrid,  # One scan of an object and where it lies
         write_placed,  # Write the scans (SUFFIXES), whole or not at all; one is held at a time
     )
-    from .foreign.description import (
-        load_description,  # Read and check a description. Raises ForeignError for whatever the file holds
-    )
     from .foreign.first_look import (
-        look_first,  # Check all of a description that takes no time
-    )
-    from .foreign_folder import (
-        import_folder,  # Guess what the images below folder show
-    )
-    from .foreign_import import (
         check_import,  # Refuse whatever can be refused at once
-        import_cloud,  # Write the points of the images that the description at path describes
-        import_scan,  # Make the scan folder out of images that have our own form. Raises as import_cloud
+        import_images,  # Import the images below a folder, or those that a description describes
     )
     from .measuring import (
         exposure_found,  # Return how straight the fringes of a stored scan are. Raises ScanError

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance.base import Progress
-from appliance.measure import UNCHECKED, CurveError, NoPoint, OneDirectionError, first_direction_cloud
+from appliance.measure import UNCHECKED, NoPoint, first_direction_cloud
 from appliance.store import (
     Chosen,
     IncompleteRecording,
@@ -47,7 +47,7 @@ def rescue_recording(
             water,
             Instrument(source.rig).settings_of_scan(record).noise,
         )
-    except (OneDirectionError, CurveError, ValueError) as error:
+    except ValueError as error:
         raise ScanError(f"{scan.folder}: {error}") from error
     if cloud.summary.points < FEWEST_POINTS:
         raise ScanError(f"{scan.folder}: {cloud.summary.points} points; nothing can be rescued of it")

@@ -229,7 +229,6 @@ if TYPE_CHECKING:
     )
     from .light.water import (
         Water,  # The water around the instrument, and the wavelength of the light that travels through it
-        quan_fry_index,  # Return the refractive index of water relative to air, Quan & Fry
     )
     from .news import (
         Bracket,  # Outcome of a second exposure: the cloud of both, or the fault for which there is none
@@ -285,7 +284,6 @@ if TYPE_CHECKING:
     from .points.one_direction import (
         UNCHECKED,  # The note that every file of such a cloud carries
         NoPoint,  # Reason why a left pixel has no point; the first that applies
-        OneDirectionError,  # One direction cannot do with these maps; says why, and what would help
         OneDirectionLimits,  # Limits of a search. What is None follows from the maps themselves
         match_along_curves,  # Find the point of each left pixel whose coordinate lies on its epipolar curve
     )

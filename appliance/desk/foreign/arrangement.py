@@ -23,17 +23,15 @@ from numpy.typing import NDArray
 from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome, beyond, told, wrong
 from appliance.desk.foreign.camera import DecodedCamera, placed_again
 from appliance.desk.foreign.cameras import ForeignRig
-from appliance.desk.foreign.decode import place
+from appliance.desk.foreign.decode import Reason, place
 from appliance.desk.foreign.description import AxisConvention, Description
 from appliance.desk.foreign.phase import Floats
 from appliance.desk.foreign.points import depths_of, own_px
-from appliance.desk.foreign.reasons import Reason
 from appliance.desk.foreign.texture import Offset, Texture
 from appliance.measure import (
     CurveError,
     HousedCamera,
     NoPoint,
-    OneDirectionError,
     OneDirectionLimits,
     StereoRig,
     match_along_curves,
@@ -313,7 +311,7 @@ def _found(setting: _Setting, description: Description) -> _Found:
             points = match_along_curves(
                 left_px, right_px, StereoRig(first, second), setting.index, depths_mm, limits=limits
             )
-        except (OneDirectionError, CurveError) as error:
+        except CurveError as error:
             why = f" ({error})"
             continue
         there = points.mask

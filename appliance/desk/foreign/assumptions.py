@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from appliance.desk.foreign.camera import DecodedCamera
 from appliance.desk.foreign.code import LEAST_BITS, numbered_stripes, stripe_numbers
 from appliance.desk.foreign.decode import Measured, by_periods, chance_misfit
-from appliance.desk.foreign.description import AxisConvention
+from appliance.desk.foreign.description import AxisConvention, equal_steps
 from appliance.desk.foreign.order import Shows
-from appliance.desk.foreign.phase import Floats, some_pixels
+from appliance.desk.foreign.phase import Floats, some_pixels, step_columns
 
 SAMPLES = 400_000
 """Number of pixels that are asked, in whole lines along the direction."""
@@ -296,17 +296,11 @@ def _few(usable: NDArray[np.bool_]) -> NDArray[np.intp]:
     return places[:: max(1, places.size // FEW)]
 
 
-def equal_steps(count: int) -> tuple[float, ...]:
-    """Return ``count`` steps of equal size around the circle, in degrees."""
-    return tuple(360.0 * k / count for k in range(count))
-
-
 def misfit(stack: NDArray[np.float64], steps_deg: tuple[float, ...]) -> float:
     """Return the root mean square that the best sines leave of images (n, pixels), as a share of their modulation."""
-    angles = np.deg2rad(np.asarray(steps_deg))
-    columns = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
+    columns = step_columns(steps_deg)
     values = np.linalg.pinv(columns) @ stack
-    left = np.sqrt(np.square(stack - columns @ values).sum(axis=0) / max(1, len(angles) - 3))
+    left = np.sqrt(np.square(stack - columns @ values).sum(axis=0) / max(1, len(columns) - 3))
     return float(np.median(left / np.maximum(np.hypot(values[1], values[2]), 1e-6)))
 
 

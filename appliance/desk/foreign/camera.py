@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.foreign.decode import DRAWN, Measured, PlacedAxis, measure, place
+from appliance.desk.foreign.decode import DRAWN, Measured, PlacedAxis, Reason, measure, place
 from appliance.desk.foreign.description import Description
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import Shows
 from appliance.desk.foreign.phase import ROWS_AT_ONCE, Floats
-from appliance.desk.foreign.reasons import Reason
 from appliance.measure import CoordinateMap
 
 MAD_TO_SIGMA = 1.4826

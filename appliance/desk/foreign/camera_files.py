@@ -30,8 +30,8 @@ import yaml
 from numpy.typing import NDArray
 
 from appliance.base import read_bounded
-from appliance.desk.foreign.arrays import ArrayError, array_heads, load_array
 from appliance.desk.foreign.camera_dialects import CameraNumbers, NumbersOf, facts_of, refuse_other_lenses, understood
+from appliance.desk.foreign.frames import array_heads, load_array
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure import CalibrationError
 from appliance.store import load_calibration
@@ -41,12 +41,11 @@ MOST_NUMBERS = 20_000
 """Arrays of more numbers are left out: they are no camera's."""
 
 
-class MatlabError(ValueError):
-    """The bytes are no MATLAB file of version 4 to 7, or are damaged."""
-
-
 def matlab_tables(raw: bytes) -> dict[str, Any]:
-    """Return numbers, lists of them and texts by name; structures are tables. Raises MatlabError."""
+    """Return numbers, lists of them and texts by name; structures are tables.
+
+    Raises ValueError for bytes that are no MATLAB file of version 4 to 7, or are damaged.
+    """
     try:
         done = subprocess.run(
             [sys.executable, "-I", __file__],
@@ -57,10 +56,10 @@ def matlab_tables(raw: bytes) -> dict[str, Any]:
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        raise MatlabError(f"reading takes longer than {MOST_S} s") from error
+        raise ValueError(f"reading takes longer than {MOST_S} s") from error
     if done.returncode:
         last = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
-        raise MatlabError(last[-200:] or f"it ends its reader by signal {-done.returncode}")
+        raise ValueError(last[-200:] or f"it ends its reader by signal {-done.returncode}")
     found: dict[str, Any] = json.loads(done.stdout)
     return found
 
@@ -174,7 +173,7 @@ def numbers_in(path: Path) -> dict[str, Array]:
     format, read = FORMATS[path.suffix.lower()]
     try:
         content = dict(flat(read(path, raw)))
-    except (ArrayError, MatlabError, ElementTree.ParseError, yaml.YAMLError, ValueError, RecursionError) as error:
+    except (ElementTree.ParseError, yaml.YAMLError, ValueError, RecursionError) as error:
         said = " ".join(str(error).split())[:200]
         raise ForeignError(
             f"{path}: not readable as {format} ({said}); correct it, or write the matrices under [cameras.left] and "

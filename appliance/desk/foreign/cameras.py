@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.foreign.camera_dialects import KINDS, CameraNumbers, facts_of, rotation_of, understood
 from appliance.desk.foreign.camera_files import camera_numbers, flat, numeric, without_scale
-from appliance.desk.foreign.description import Description, Medium
+from appliance.desk.foreign.description import Description
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure import (
     SIDES,
@@ -25,7 +25,6 @@ from appliance.measure import (
     Port,
     StereoRig,
     matrix3,
-    quan_fry_index,
 )
 from appliance.store import load_calibration
 
@@ -218,26 +217,16 @@ def _our_own(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
     if description.ports is not None:
         raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")
     # Made in water unless somebody says so: our own files know theirs.
-    index = ours.water.index if description.medium.is_air else _index_of(description.medium)
+    index = ours.water.index if description.water is None else description.index
     return ForeignRig(ours.rig, index, ours, stated_px)
-
-
-def _index_of(medium: Medium) -> float:
-    """Return the index relative to air. Raises ForeignError."""
-    if medium.index is not None or medium.temperature_c is None:
-        return medium.index or 1.0
-    return quan_fry_index(medium.temperature_c, medium.salinity_psu, medium.wavelength_nm)
 
 
 def _behind_ports(description: Description, rig: StereoRig) -> ForeignRig:
     """Return the cameras behind the description's ports; without these rays go straight, in water too: so they were
     calibrated there."""
     ports = description.ports
-
-    def housed(camera: HousedCamera, normal: int) -> HousedCamera:
-        if ports is None or (description.medium.is_air and ports.thickness_mm == 0.0):
-            return replace(camera, port=NO_PORT, lens_in_water=True)
-        port = Port(ports.normals[normal], ports.distance_mm, ports.thickness_mm, ports.glass_index)
-        return replace(camera, port=port)
-
-    return ForeignRig(StereoRig(housed(rig.left, 0), housed(rig.right, 1)), _index_of(description.medium))
+    if ports is None or (description.water is None and ports[0].thickness_mm == 0.0):
+        housed = [replace(one, port=NO_PORT, lens_in_water=True) for one in (rig.left, rig.right)]
+    else:
+        housed = [replace(one, port=port) for one, port in zip((rig.left, rig.right), ports, strict=True)]
+    return ForeignRig(StereoRig(housed[0], housed[1]), description.index)

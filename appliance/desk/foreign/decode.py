@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from typing import Any
 
 import cv2
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.foreign.code import LINES_AT_ONCE, CodeBits, read_bits
-from appliance.desk.foreign.description import AxisConvention
+from appliance.desk.foreign.description import AxisConvention, equal_steps
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import Shows
 from appliance.desk.foreign.phase import (
@@ -35,7 +36,6 @@ from appliance.desk.foreign.phase import (
     some_pixels,
     unbend,
 )
-from appliance.desk.foreign.reasons import Reason
 from appliance.measure import choose_fringes
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
@@ -61,6 +61,46 @@ and 8 px."""
 MOST_SKIPPED = 2
 """Largest change of a stripe's number at a border that a coordinate is drawn from: one stripe in between may be too
 narrow to be seen."""
+
+
+GAP_PIXELS, SIGMA_PIXELS = 2.5, 5.0
+"""Largest ray gap and expected error of a point, over the size of a pixel on the object there."""
+_GAP = f"rays pass each other by more than {GAP_PIXELS:g} pixels; check the cameras' numbers, [water] and [ports]"
+_SIGMA = (
+    f"the expected error is larger than {SIGMA_PIXELS:g} pixels on the object; range.max_sigma_mm sets another limit"
+)
+
+
+class Reason(IntEnum):
+    """Why a left pixel has no point: the first of these that applies, with red, green and blue of it in a picture."""
+
+    text: str
+    """Meaning, with what to do about it."""
+    colour: tuple[int, int, int]
+
+    def __new__(cls, value: int, text: str, *colour: int) -> Reason:
+        reason = int.__new__(cls, value)
+        reason._value_, reason.text = value, text
+        red, green, blue = colour
+        reason.colour = red, green, blue
+        return reason
+
+    FOUND = 0, "a point", 128, 128, 128
+    SATURATED = 1, "white in some image", 255, 255, 0
+    WEAK = 2, "too little light or contrast", 16, 16, 72
+    CONTRADICTION = 3, "the parts of the code contradict each other", 214, 39, 40
+    OUTSIDE = 4, "beyond the pattern; its size, [x] and [y] say how far it goes", 148, 103, 189
+    NO_RAY = 5, "the lens model folds over there", 140, 86, 75
+    NO_MATCH = 6, "nothing on the other side has that coordinate where the pixel looks", 31, 119, 180
+    GAP = 7, _GAP, 255, 127, 14
+    SIGMA = 8, _SIGMA, 44, 160, 44
+    DEPTH = 9, "nearer or farther than range.near_mm and range.far_mm", 23, 190, 207
+    NEIGHBOURS = 10, "an edge, or alone", 227, 119, 194
+
+    @property
+    def word(self) -> str:
+        """The reason's name in reports."""
+        return self.name.lower().replace("_", "-")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,8 +207,7 @@ def _fit_modulated(images: NDArray[Any], steps_deg: tuple[float, ...], across: i
 
     Source: Chen, Seidel, Lensch, CVPR 2008.
     """
-    steps_across = tuple(360.0 * k / across for k in range(across))
-    straight = [fit_sine(images[k : k + across], steps_across, white) for k in range(0, len(images), across)]
+    straight = [fit_sine(images[k : k + across], equal_steps(across), white) for k in range(0, len(images), across)]
     fit = fit_sine([one.modulation for one in straight], steps_deg, math.inf)
     return replace(fit, saturated=np.logical_or.reduce([one.saturated for one in straight]))
 

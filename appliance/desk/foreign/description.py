@@ -10,11 +10,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from appliance.base import parse_toml, read_text
 from appliance.desk.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order, words_in
 from appliance.desk.foreign.problem import ForeignError, Table
-from appliance.measure import SIDES
+from appliance.measure import SIDES, Water
+
+if TYPE_CHECKING:  # brings NumPy
+    from appliance.desk.foreign.frames import Frame
+    from appliance.measure import Port
 
 MAX_BYTES = 1_000_000
 LEAST_STEPS, MOST_STEPS = 3, 16
@@ -129,33 +134,8 @@ class ImageFiles:
     sides: str = ""
     """Sides in whose turn the files of both cameras come, again and again, or one of ``HALVES``; empty: all are this
     camera's."""
-
-
-@dataclass(frozen=True, slots=True)
-class Medium:
-    """Medium between cameras and object."""
-
-    index: float | None = None
-    """Refractive index of the water relative to air; ``None``: it follows from temperature and salinity, or it is air.
-    """
-    temperature_c: float | None = None
-    salinity_psu: float = 0.0
-    wavelength_nm: float = 530.0
-
-    @property
-    def is_air(self) -> bool:
-        """True if nothing was said of water."""
-        return self.index is None and self.temperature_c is None
-
-
-@dataclass(frozen=True, slots=True)
-class Ports:
-    """The cameras' plane windows."""
-
-    distance_mm: float
-    thickness_mm: float
-    glass_index: float
-    normals: tuple[tuple[float, float, float], tuple[float, float, float]]
+    frames: tuple[Frame, ...] = ()
+    """The images themselves, in order, where a folder was looked through for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +156,10 @@ class Description:
     axes: tuple[AxisConvention, ...]
     cameras: Table
     """Everything said about the cameras (``cameras.py`` reads it)."""
-    medium: Medium = Medium()
-    ports: Ports | None = None
+    water: Water | float | None = None
+    """Water between cameras and object, or its refractive index relative to air; ``None``: it is air."""
+    ports: tuple[Port, Port] | None = None
+    """Windows of both cameras."""
     near_mm: float | None = None
     far_mm: float | None = None
     max_sigma_mm: float | None = None
@@ -187,6 +169,11 @@ class Description:
     def one_direction(self) -> bool:
         """True if only one pattern coordinate is there."""
         return len(self.axes) == 1
+
+    @property
+    def index(self) -> float:
+        """Refractive index between cameras and object relative to air."""
+        return 1.0 if self.water is None else self.water if isinstance(self.water, float) else self.water.index
 
     def extent_px(self, axis: AxisConvention) -> tuple[float, float]:
         """Return where the pattern begins and ends: of two cameras, what the code covers, whatever the projector's
@@ -200,6 +187,11 @@ class Description:
     def with_axis(self, axis: AxisConvention) -> Description:
         """Return the description with another convention for that direction."""
         return replace(self, axes=tuple(axis if one.name == axis.name else one for one in self.axes))
+
+
+def equal_steps(count: int) -> tuple[float, ...]:
+    """Return ``count`` steps of equal size around the circle, in degrees."""
+    return tuple(360.0 * k / count for k in range(count))
 
 
 def load_description(path: Path) -> Description:
@@ -259,7 +251,7 @@ def _described(top: Table, folder: Path, name: str) -> Description:
         raise ForeignError(f"range.near_mm is {near_mm:g}; allowed: less than far_mm = {far_mm:g}; exchange them")
     return Description(
         top.text("name", name), folder, files, order, images.choice("channel", CHANNELS, "grey"),
-        images.optional("white", 1.0, 1e6), size_px, tuple(axes), top.needed("cameras"), _medium(top), _ports(top),
+        images.optional("white", 1.0, 1e6), size_px, tuple(axes), top.needed("cameras"), _water(top), _ports(top),
         near_mm, far_mm, ranges.optional("max_sigma_mm", 1e-6, 1e6),
     )  # fmt: skip
 
@@ -395,9 +387,7 @@ def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], 
         raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both there; give one of them")
     said = table.content.get("steps_deg")
     if said is None:
-        found = [
-            tuple(360.0 * k / count for k in range(count)) for count in table.wholes("steps", LEAST_STEPS, MOST_STEPS)
-        ]
+        found = [equal_steps(count) for count in table.wholes("steps", LEAST_STEPS, MOST_STEPS)]
     else:
         lists = said if isinstance(said, list) and said and isinstance(said[0], list) else [said]
         found = [Table(table.name, {"steps_deg": one}).numbers("steps_deg", -3600.0, 3600.0) for one in lists]
@@ -412,39 +402,38 @@ def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], 
     return tuple(found * (periods if len(found) == 1 else 1))
 
 
-def _medium(top: Table) -> Medium:
+def _water(top: Table) -> Water | float | None:
     water = top.table("water", "index", "temperature_c", "salinity_psu", "wavelength_nm")
     if water is None:
-        return Medium()
+        return None
     index, temperature_c = water.optional("index", 1.0, 1.6), water.optional("temperature_c", -2.0, 40.0)
     if (index is None) == (temperature_c is None):
         raise ForeignError("water.index or water.temperature_c: give one of them; for air take [water] out")
-    return Medium(
-        index,
-        temperature_c,
-        water.number("salinity_psu", 0.0, 45.0, 0.0),
-        water.number("wavelength_nm", 380.0, 750.0, 530.0),
-    )
+    rest = water.number("salinity_psu", 0.0, 45.0, 0.0), water.number("wavelength_nm", 380.0, 750.0, 530.0)
+    return index if temperature_c is None else Water(temperature_c, *rest)
 
 
-def _ports(top: Table) -> Ports | None:
+def _ports(top: Table) -> tuple[Port, Port] | None:
     ports = top.table("ports", "distance_mm", "thickness_mm", "glass_index", "left_normal", "right_normal")
     if ports is None:
         return None
-    found: list[tuple[float, float, float]] = []
-    for key in ("left_normal", "right_normal"):
-        normal = ports.numbers(key, -1e6, 1e6, default=(0.0, 0.0, 1.0))
+    from appliance.measure import Port
+
+    found = []
+    for side in SIDES:
+        normal = ports.numbers(f"{side}_normal", -1e6, 1e6, default=(0.0, 0.0, 1.0))
         length = math.hypot(*normal)
         if len(normal) != 3 or length < 1e-6 or normal[2] < 0.5 * length:
-            raise ports.wrong(key, "three numbers: a vector towards the water, in the camera's own frame", "correct it")
+            allowed = "three numbers: a vector towards the water, in the camera's own frame"
+            raise ports.wrong(f"{side}_normal", allowed, "correct it")
         x, y, z = normal
         found.append((x / length, y / length, z / length))
-    return Ports(
+    size = (
         ports.number("distance_mm", 0.0, 1000.0),
         ports.number("thickness_mm", 0.0, 100.0),
         ports.number("glass_index", 1.0, 3.0),
-        (found[0], found[1]),
     )
+    return Port(found[0], *size), Port(found[1], *size)
 
 
 def counted(description: Description, images: tuple[ShownImage, ...]) -> Description:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from appliance.desk.foreign.description import ImageFiles
@@ -26,19 +26,7 @@ _ASIDE = re.compile(r"calib|chess|board|checker|charuco|result|output|depth|mask
 """Folders and files beside a sequence, left out where the names tell nothing otherwise."""
 
 
-@dataclass(frozen=True, slots=True)
-class CameraFiles:
-    """The images of one camera."""
-
-    side: str
-    """``left`` or ``right``."""
-    named: ImageFiles
-    """Names of the files in the words of a description, relative to the folder."""
-    files: tuple[Frame, ...]
-    """The images themselves, in natural order."""
-
-
-def camera_files(folder: Path) -> list[CameraFiles]:
+def camera_files(folder: Path) -> dict[str, ImageFiles]:
     """Return the images of the one or two cameras below ``folder``, the left one first. Raises ForeignError."""
     if not folder.is_dir():
         raise ForeignError(f"{folder}: is no folder; give the one with the images")
@@ -60,22 +48,22 @@ def camera_files(folder: Path) -> list[CameraFiles]:
             "of each camera into "
             "a folder of its own, left and right"
         )
-    return [
-        CameraFiles(
-            side, ImageFiles((pattern,)), tuple(Frame(folder / name) for name in sorted(best[pattern], key=natural_key))
-        )
-        for side, pattern in zip(SIDES, _left_first(best), strict=False)
-    ]
+    frames = {
+        pattern: tuple(Frame(folder / name) for name in sorted(names, key=natural_key))
+        for pattern, names in best.items()
+    }
+    return _by_side(frames)
 
 
-def _left_first(names: Iterable[str]) -> list[str]:
-    ordered = sorted(names, key=natural_key)
+def _by_side(frames: Mapping[str, tuple[Frame, ...]]) -> dict[str, ImageFiles]:
+    """Return the images of one or two cameras by side, from those by the names of their files."""
+    ordered = sorted(frames, key=natural_key)
     if len(ordered) == 2 and (_RIGHT.search(ordered[0]) or _LEFT.search(ordered[1])) and not _LEFT.search(ordered[0]):
         ordered.reverse()
-    return ordered
+    return {side: ImageFiles((name,), frames=frames[name]) for side, name in zip(SIDES, ordered, strict=False)}
 
 
-def _stacks(folder: Path) -> list[CameraFiles] | None:
+def _stacks(folder: Path) -> dict[str, ImageFiles] | None:
     """Return the one or two stacks of images below ``folder``; ``None`` where there is none, or more than that."""
     found: dict[str, tuple[Frame, ...]] = {}
     for path in sorted(folder.rglob("*")):
@@ -91,15 +79,12 @@ def _stacks(folder: Path) -> list[CameraFiles] | None:
                 found[f"{name}#{array}" if array else name] = frames
     if not 1 <= len(found) <= 2 or len({len(frames) for frames in found.values()}) != 1:
         return None
-    return [
-        CameraFiles(side, ImageFiles((name,)), found[name])
-        for side, name in zip(SIDES, _left_first(found), strict=False)
-    ]
+    return _by_side(found)
 
 
-def in_halves(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
+def in_halves(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
     """Yield two cameras that share each picture, beside or above each other, where its shape allows it."""
-    head = frame_head(camera.files[0])
+    head = frame_head(camera.frames[0])
     if head is not None:
         height_px, width_px = head.shape
         if width_px >= WIDE * height_px:
@@ -108,26 +93,22 @@ def in_halves(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
             yield _shared(camera, "left above right")
 
 
-def taken_in_turns(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
+def taken_in_turns(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
     """Yield the ways in which two cameras may share one sequence: by turns, and one after the other."""
-    count = len(camera.files)
+    count = len(camera.frames)
     if count % 2 == 0 and count >= 2 * LEAST_IMAGES:
         yield _shared(camera, "left right")
         yield _shared(camera, f"left*{count // 2} right*{count // 2}")
 
 
-def _shared(camera: CameraFiles, sides: str) -> list[CameraFiles]:
-    named = replace(camera.named, sides=sides)
-    return [CameraFiles(side, named, tuple(of_side(camera.files, sides, side))) for side in SIDES]
+def _shared(camera: ImageFiles, sides: str) -> dict[str, ImageFiles]:
+    return {side: replace(camera, sides=sides, frames=tuple(of_side(camera.frames, sides, side))) for side in SIDES}
 
 
-def other_way_round(cameras: Sequence[CameraFiles]) -> tuple[CameraFiles, ...]:
-    """Return two cameras of which the first is the right one."""
-    sides = re.sub("left|right", lambda found: SIDES[found[0] == "left"], cameras[0].named.sides)
-    return tuple(
-        CameraFiles(side, replace(one.named, sides=sides), one.files)
-        for side, one in zip(SIDES, reversed(cameras), strict=True)
-    )
+def other_way_round(cameras: Mapping[str, ImageFiles]) -> dict[str, ImageFiles]:
+    """Return two cameras of which the left is the right one."""
+    sides = re.sub("left|right", lambda found: SIDES[found[0] == "left"], cameras["left"].sides)
+    return {side: replace(cameras[other], sides=sides) for side, other in zip(SIDES, SIDES[::-1], strict=True)}
 
 
 def _best(names: list[str]) -> dict[str, list[str]] | None:

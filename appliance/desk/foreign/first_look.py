@@ -1,24 +1,73 @@
-"""Owns what a description, headers and files of numbers tell, before anything that computes is loaded."""
+"""Owns how images that another rig took are imported: what a description, headers and files of numbers tell is looked
+at before anything that computes is loaded; then come decoding and points.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from appliance.desk.foreign.cameras import ForeignRig, read_rig
+from appliance.base import Progress
 from appliance.desk.foreign.description import Description, counted, load_description
-from appliance.desk.foreign.images import ImageSet, first_of_side
 from appliance.desk.foreign.problem import ForeignError
 
+if TYPE_CHECKING:  # brings NumPy
+    from appliance.desk.foreign.cameras import ForeignRig
+    from appliance.desk.foreign.images import ImageSet
 
-def look_first(path: Path) -> tuple[Description, Mapping[str, ImageSet]]:
-    """Check all of a description that takes no time: its words, that its images are there, and the cameras' numbers.
-    Raises ForeignError.
+MOST_PX = 65_535
+"""Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each.
+"""
 
-    Returns the description and, by side, what the images show with the first of them (``first_of_side``).
+
+def check_import(path: Path, out: Path) -> None:
+    """Refuse whatever can be refused at once: words, images that are not there, cameras' numbers, and what ``out``
+    cannot be.
+
+    ``out`` without a suffix is a scan folder. Nothing is decoded, and no kernel is needed. Raises ForeignError,
+    ExportError, MissingLibraryError.
     """
+    # A wrong word is the usual end of a first try, as is a picture that is not there.
     said = load_description(path)
-    return checked(path, said, {side: first_of_side(said, side) for side in said.files})[:2]
+    from appliance.desk.foreign.images import first_of_side
+
+    description, images, _ = checked(path, said, {side: first_of_side(said, side) for side in said.files})
+    if out.suffix:
+        from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
+
+        checked_suffix(out, SCAN_SUFFIXES, "a cloud")
+        require_library(out)
+    longest_px = max(max(one.shape) for one in images.values())
+    if "right" not in images:
+        longest_px = max(longest_px, *description.projector_px)
+    if longest_px > MOST_PX and not description.one_direction:
+        raise ForeignError(
+            f"{path}: an image or the projector has {longest_px} px along a side; allowed for two directions are "
+            f"{MOST_PX} px; cut it, or describe one direction only"
+        )
+    if not out.suffix:
+        if out.exists():
+            raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")
+        if not out.absolute().parent.is_dir():
+            raise ForeignError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
+        from appliance.desk.foreign.own_form import required_sequence
+
+        required_sequence(path, out, description, images["left"])
+
+
+def import_images(
+    source: Path, out: Path, progress: Progress, *, as_described: bool = False, reasons: Path | None = None
+) -> dict[str, Any]:
+    """Import the images below the folder ``source``, or those that the description ``source`` describes, and return
+    the report. Raises as ``import_folder`` and ``import_described``."""
+    if source.is_dir():
+        from appliance.desk.foreign.folder import import_folder
+
+        return import_folder(source, out, progress, reasons)
+    from appliance.desk.foreign.importing import import_described
+
+    return import_described(source, out, progress, as_described=as_described, reasons=reasons)
 
 
 def checked(
@@ -28,6 +77,8 @@ def checked(
 
     Raises ForeignError where they do not belong together.
     """
+    from appliance.desk.foreign.cameras import read_rig
+
     description = counted(said, sets["left"].shown)
     if "right" in sets and set(sets["right"].shown) != set(sets["left"].shown):
         raise ForeignError(f"{path}: left and right have other images; name the same for both")

@@ -1,28 +1,97 @@
 """Owns where a single image of a foreign set lies: a file of its own, a page of a TIFF, or one of an array that NumPy
-wrote.
+wrote, and the arrays in NumPy's files: what each is by its header alone, and its numbers once their size is allowed.
 
 Stacks are (n, h, w), or (h, w, n) as MATLAB's programs leave them: n is the least of the three; colours are a fourth
 dimension, blue first, as OpenCV has them. An array of several in an ``.npz`` is named behind ``#``:
-``frames.npz#left``.
+``frames.npz#left``. Five megabytes of an ``.npz`` may unpack to as many gigabytes, so that nothing is unpacked to learn
+its shape. Format: NEP 1, versions 1 to 3.
 """
 
 from __future__ import annotations
 
+import io
 import mmap
 import re
-from contextlib import suppress
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import read_bounded, refuse_irregular
-from appliance.desk.foreign.arrays import ArrayError, array_heads, load_array
 from appliance.desk.foreign.problem import ForeignError
 from appliance.store import picture_head, size_px
+
+HEADER_BYTES = 16 * 1024
+"""Bytes that are read for a header; those of arrays of numbers have some hundred."""
+MOST_ARRAYS = 1000
+ZIPPED = ".npz"
+_SUFFIX = ".npy"
+
+
+def array_heads(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an ``.npz`` by name, or the one of an ``.npy``, whose name is empty. Raises ValueError.
+
+    Shapes and types are theirs; numbers are not read, and none has room of its own.
+    """
+    with _told(path):
+        if path.suffix.lower() != ZIPPED:
+            with path.open("rb") as file:
+                return {"": _head(file)}
+        with zipfile.ZipFile(path) as archive:
+            names = [name for name in archive.namelist() if name.endswith(_SUFFIX)]
+            found = {}
+            for name in names[: MOST_ARRAYS + 1]:
+                with archive.open(name) as member:
+                    found[name.removesuffix(_SUFFIX)] = _head(member)
+    if len(names) > MOST_ARRAYS:
+        raise ValueError(f"{len(names)} arrays; allowed are up to {MOST_ARRAYS}")
+    return found
+
+
+def load_array(path: Path, name: str, most_bytes: int) -> NDArray[Any]:
+    """Return one of ``array_heads``; of an ``.npy`` the file is mapped, not read.
+
+    Raises ValueError for one of more than ``most_bytes``.
+    """
+    if path.suffix.lower() == ZIPPED:
+        head = array_heads(path)[name]
+        size_bytes = head.size * head.itemsize
+        if size_bytes > most_bytes:
+            raise ValueError(
+                f"array {name} unpacks to {size_bytes / 1e9:.3g} GB; allowed are {most_bytes / 1e9:.3g} GB; save it as "
+                ".npy, of which only what is needed is read"
+            )
+    with _told(path):
+        if path.suffix.lower() != ZIPPED:
+            return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+        with np.load(path, allow_pickle=False) as content:
+            return np.asarray(content[name])
+
+
+def _head(file: IO[bytes]) -> NDArray[Any]:
+    # A header may state its own length in four bytes: no more than these few are unpacked for it.
+    few = io.BytesIO(file.read(HEADER_BYTES))
+    version = np.lib.format.read_magic(few)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(few)
+    return np.broadcast_to(np.empty((), dtype), shape)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged file makes NumPy and zipfile raise into ValueError."""
+    try:
+        refuse_irregular(path)
+        yield
+    except Exception as error:
+        raise ValueError(f"not readable as NumPy's file ({str(error)[:120]})") from error
+
 
 SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".exr", ".hdr")
 STACKS = (".npy", ".npz")
@@ -93,7 +162,7 @@ def arrays_in(path: Path) -> tuple[str, ...]:
     """Return the names of the arrays in an ``.npz`` that may be stacks of images; none where it is something else."""
     try:
         return tuple(name for name, head in array_heads(path).items() if head.ndim >= 3)
-    except ArrayError:
+    except ValueError:
         return ()
 
 
@@ -180,7 +249,7 @@ def _stack(path: Path, array: str, head: bool = False) -> NDArray[Any]:
                 f"{path}: {said} ({', '.join(list(heads)[:20])[:200]}); name one of them: {path.name}#NAME"
             )
         content = heads[name] if head else load_array(path, name, MOST_STACK_BYTES)
-    except ArrayError as error:
+    except ValueError as error:
         raise ForeignError(f"{path}: {error}; save it anew, without objects") from error
     if content.ndim not in (2, 3, 4) or 0 in content.shape:
         raise ForeignError(

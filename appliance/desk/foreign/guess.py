@@ -41,7 +41,6 @@ from appliance.desk.foreign.assumptions import (
     MOST_MISFIT,
     ExaminedAssumption,
     Outcome,
-    equal_steps,
     measured_steps,
     misfit,
 )
@@ -49,15 +48,14 @@ from appliance.desk.foreign.camera import DecodedCamera, decode_camera
 from appliance.desk.foreign.camera_files import camera_numbers, cameras_in
 from appliance.desk.foreign.cameras import read_rig
 from appliance.desk.foreign.decode import by_periods, chance_misfit
-from appliance.desk.foreign.description import EACH, LEAST_STEPS, AxisConvention, Description
-from appliance.desk.foreign.files import CameraFiles, camera_files, in_halves, other_way_round, taken_in_turns
+from appliance.desk.foreign.description import EACH, LEAST_STEPS, AxisConvention, Description, ImageFiles, equal_steps
+from appliance.desk.foreign.files import camera_files, in_halves, other_way_round, taken_in_turns
 from appliance.desk.foreign.frames import Frame, FrameReader
 from appliance.desk.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures, of_channel
-from appliance.desk.foreign.order import FRINGES, ProjectedSequence, ShownImage, Shows, hypotheses, numbered
+from appliance.desk.foreign.order import FRINGES, ProjectedSequence, ShownImage, Shows, hypotheses, joined, numbered
 from appliance.desk.foreign.phase import Floats, fit_sine
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.desk.foreign.reading import examine
-from appliance.desk.foreign.writing import joined
 
 SMOOTHED_PX = 5
 LEAST_PIXELS = 500
@@ -230,7 +228,6 @@ class TriedSequence:
     """A hypothesis that was tried on the images of a folder."""
 
     program: str
-    cameras: tuple[CameraFiles, ...]
     images: NDArray[Any]
     """(n, h, w): those on which it was tried, reduced."""
     description: Description
@@ -276,18 +273,18 @@ class _ReducedPictures:
     progress: Progress
     _read: dict[tuple[Frame, str], NDArray[Any]] = field(default_factory=dict)
 
-    def of(self, camera: CameraFiles, channel: str) -> tuple[NDArray[Any], tuple[int, int]]:
+    def of(self, frames: Sequence[Frame], channel: str) -> tuple[NDArray[Any], tuple[int, int]]:
         """Return the images (n, h, w) of one camera, and the width and height that they had. Raises ForeignError."""
-        pictures = Pictures.of(camera.files, channel)
+        pictures = Pictures.of(frames, channel)
         height_px, width_px = pictures.shape[1:]
         factor = math.ceil(math.sqrt(height_px * width_px / MOST_PIXELS))
         small_px = width_px // factor, height_px // factor
-        for k, frame in enumerate(camera.files):
+        for k, frame in enumerate(frames):
             if (frame, channel) not in self._read:
                 self.progress(f"reading {frame.name}")
                 whole = pictures[k][: small_px[1] * factor, : small_px[0] * factor]
                 self._read[frame, channel] = cv2.resize(whole, small_px, interpolation=cv2.INTER_AREA)
-        return np.stack([self._read[frame, channel] for frame in camera.files]), (width_px, height_px)
+        return np.stack([self._read[frame, channel] for frame in frames]), (width_px, height_px)
 
 
 def guess_sequence(folder: Path, progress: Progress) -> tuple[TriedSequence, ...]:
@@ -298,7 +295,7 @@ def guess_sequence(folder: Path, progress: Progress) -> tuple[TriedSequence, ...
     named, table, pictures = camera_files(folder), cameras_in(folder), _ReducedPictures(progress)
     found: list[TriedSequence] = []
     refused: ForeignError | None = None
-    for cameras in [named] if len(named) == 2 else _ways(folder, table, named[0]):
+    for cameras in [named] if len(named) == 2 else _ways(folder, table, named["left"]):
         if found and max(one.rank for one in found) >= GOOD:
             break  # another way to share the images only where this one makes no sense
         try:
@@ -328,20 +325,21 @@ def guess_sequence(folder: Path, progress: Progress) -> tuple[TriedSequence, ...
     return tuple([one for one in rivals if one.standing == best][:2])
 
 
-def _ways(folder: Path, table: Mapping[str, Any], camera: CameraFiles) -> list[list[CameraFiles]]:
+def _ways(folder: Path, table: Mapping[str, Any], camera: ImageFiles) -> list[dict[str, ImageFiles]]:
     """Return the ways in which files of one name may be those of one camera, or of two, the likeliest first."""
     two = "calibration" in table
     if "files" in table:
         with suppress(ForeignError):
             two = not camera_numbers(folder, Table("cameras.", table), of_projector=True).has_projector
-    return [*in_halves(camera), *taken_in_turns(camera), [camera]] if two else [[camera], *taken_in_turns(camera)]
+    alone = {"left": camera}
+    return [*in_halves(camera), *taken_in_turns(camera), alone] if two else [alone, *taken_in_turns(camera)]
 
 
-def _candidates(folder: Path, cameras: Sequence[CameraFiles], pictures: _ReducedPictures) -> list[TriedSequence]:
+def _candidates(folder: Path, cameras: Mapping[str, ImageFiles], pictures: _ReducedPictures) -> list[TriedSequence]:
     """Return what the left camera's images may show, each order once."""
-    channel = _channel(cameras[0].files)
-    cameras = [replace(one, files=tuple(of_channel(one.files, channel))) for one in cameras]
-    images, _ = pictures.of(cameras[0], channel)
+    channel = _channel(cameras["left"].frames)
+    files = {side: replace(one, frames=tuple(of_channel(one.frames, channel))) for side, one in cameras.items()}
+    images, _ = pictures.of(files["left"].frames, channel)
     places = _different(images) if channel == EACH else list(range(len(images)))
     looks = look_at(images[places])
     agreed = sorted(((agreement(looks, one.shown), one) for one in _all_hypotheses(looks)), key=lambda two: -two[0])
@@ -359,11 +357,10 @@ def _candidates(folder: Path, cameras: Sequence[CameraFiles], pictures: _Reduced
             size_px = [int(one) for one in GUESSED_PX]
             for axis in axes:
                 size_px["xy".index(axis.name)] = round(axis.size_px)
-            files = {one.side: one.named for one in cameras}
             description = Description(
                 folder.name, folder, files, tuple(order), channel, None, (size_px[0], size_px[1]), axes, Table("cameras.", {})
             )  # fmt: skip
-            tried = _explained(TriedSequence(sequence.program, tuple(cameras), images, description), places, pictures)
+            tried = _explained(TriedSequence(sequence.program, images, description), places, pictures)
             if sequence.shown not in best or tried.rank > best[sequence.shown].rank:
                 best[sequence.shown] = tried
     return list(best.values())
@@ -492,9 +489,10 @@ def _fitted(candidate: TriedSequence, pictures: _ReducedPictures) -> tuple[Tried
         description = candidate.description
         with_rays = bool(description.cameras.content)
         decoded, sizes_px = {}, {"right": description.projector_px}
-        for one in candidate.cameras if with_rays else candidate.cameras[:1]:
-            images, sizes_px[one.side] = pictures.of(one, description.channel)
-            decoded[one.side] = decode_camera(_image_set(one, description, images), description)
+        for side in description.files if with_rays else ("left",):
+            frames = description.files[side].frames
+            images, sizes_px[side] = pictures.of(frames, description.channel)
+            decoded[side] = decode_camera(_image_set(frames, description, images), description)
         rig = read_rig(description, sizes_px) if with_rays else None
         candidate = replace(candidate, tested=examine(description, decoded, rig))
         changed = _with_instead(candidate)
@@ -504,31 +502,30 @@ def _fitted(candidate: TriedSequence, pictures: _ReducedPictures) -> tuple[Tried
     return candidate, decoded
 
 
-def _image_set(camera: CameraFiles, description: Description, images: NDArray[Any]) -> ImageSet:
+def _image_set(frames: Sequence[Frame], description: Description, images: NDArray[Any]) -> ImageSet:
     """Return those of ``images`` (n, h, w) that show something of the sequence."""
     shown = description.order or ()
     kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
     white = next(one for one in FULL_SCALES if float(images.max()) <= one)
-    return ImageSet(tuple(shown[k] for k in kept), tuple(camera.files[k] for k in kept), images[kept], white)
+    return ImageSet(tuple(shown[k] for k in kept), tuple(frames[k] for k in kept), images[kept], white)
 
 
 def _with_instead(candidate: TriedSequence) -> TriedSequence:
     """Return the candidate with what fits in place of what was contradicted: fields of its conventions, or the cameras
     exchanged."""
-    cameras, description = candidate.cameras, candidate.description
+    description = candidate.description
     for one in candidate.tested:
         if one.outcome is not Outcome.WRONG:
             continue
         if one.about == WHICH_IS_LEFT:
-            cameras = other_way_round(cameras)
-            description = replace(description, files={camera.side: camera.named for camera in cameras})
+            description = replace(description, files=other_way_round(description.files))
         for key, value in one.instead.items():
             # Of one camera's images a direction's own words are named; what rays say names the direction, too.
             name, _, word = (key if "." in key else f"{one.about.rpartition(': ')[2][0]}.{key}").partition(".")
             axis = description.axis(name)
             if axis is not None:
                 description = description.with_axis(replace(axis, **{word: value}))
-    return replace(candidate, cameras=cameras, description=description)
+    return replace(candidate, description=description)
 
 
 # ------------------------------------------------------------------------------------------- cameras, projector
@@ -539,8 +536,8 @@ def _on_rig(candidate: TriedSequence, table: Mapping[str, Any], pictures: _Reduc
     said = replace(candidate.description, cameras=Table("cameras.", table))
     found: list[TriedSequence] = []
     try:
-        left_px = pictures.of(candidate.cameras[0], said.channel)[1]
-        for description in _on_projectors(said, left_px) if len(candidate.cameras) == 1 else [said]:
+        left_px = pictures.of(said.files["left"].frames, said.channel)[1]
+        for description in _on_projectors(said, left_px) if len(said.files) == 1 else [said]:
             found.append(_fitted(replace(candidate, description=description), pictures)[0])
             if not found[-1].contradictions:
                 break

@@ -14,7 +14,7 @@ language of ``images.order``. A row says what its images show; how wide its stri
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import product
@@ -109,6 +109,25 @@ def words_in(text: str, key: str, most: int = MOST_IMAGES) -> list[str]:
     if len(words) > most:
         raise ForeignError(f"{key} names {len(words)} images; allowed are up to {most}; shorten it")
     return words
+
+
+def joined(words: Sequence[str]) -> str:
+    """Return words with repetitions written as such: ``gray-x*6``, ``(gray-x ~gray-x)*6``."""
+    said: list[str] = []
+    k = 0
+    while k < len(words):
+        for length in (1, 2):
+            unit, count = list(words[k : k + length]), 1
+            while list(words[k + count * length : k + (count + 1) * length]) == unit:
+                count += 1
+            if count > 1 and len(set(unit)) == length:
+                said.append(f"{unit[0] if length == 1 else '(' + ' '.join(unit) + ')'}*{count}")
+                k += count * length
+                break
+        else:
+            said.append(words[k])
+            k += 1
+    return " ".join(said)
 
 
 def numbered(words: list[str], key: str) -> tuple[ShownImage, ...]:

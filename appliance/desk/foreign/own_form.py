@@ -1,5 +1,5 @@
 """Owns which foreign sets are scans of our own form: what ``PatternSequence`` promises, if the images are put into
-another order.
+another order; and the scan folder of these.
 
 Such a set becomes a scan folder that everything else accepts; of any other one the reason is said, and there is a
 cloud.
@@ -7,15 +7,46 @@ cloud.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance import __version__
 from appliance.desk.foreign.description import AxisConvention, Description
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import Shows
-from appliance.measure import Direction, PatternSequence, build_sequence
+from appliance.desk.foreign.points import ForeignCloud
+from appliance.desk.foreign.problem import ForeignError
+from appliance.desk.foreign.reading import ForeignScan
+from appliance.measure import (
+    SIDES,
+    Calibration,
+    Direction,
+    HousedCamera,
+    PatternSequence,
+    QualityLimits,
+    Water,
+    build_sequence,
+    of_side,
+)
+from appliance.store import (
+    Instrument,
+    Rig,
+    ScanRecord,
+    SequenceInfo,
+    default_rig_path,
+    keep_scan,
+    load_rig,
+)
 
 _FOUR_DEG = [0, 90, 180, 270]
+METHOD = "foreign"
+"""Method of a calibration that was made by others."""
+LEAST_WITHIN = 0.5
+"""Least share of the points that lie within the instrument's own depths, for a scan folder."""
 
 
 def own_sequence(description: Description, images: ImageSet) -> PatternSequence | str:
@@ -82,3 +113,88 @@ def _other_form(axis: AxisConvention) -> str | None:
     if axis.stripe_px != 0.5 * axis.period_px or axis.code_offset_px != 0.0:
         return "its code does not number half periods from the edge of the pattern"
     return None
+
+
+def required_sequence(path: Path, out: Path, description: Description, images: ImageSet) -> PatternSequence:
+    """Return the sequence that a set keeps. Raises ForeignError where it keeps none."""
+    found = own_sequence(description, images)
+    if isinstance(found, str):
+        raise ForeignError(f"{path}: no scan folder can be made: {found}; write a cloud with --out {out.name}.ply")
+    return found
+
+
+def settled_sequence(path: Path, out: Path, scan: ForeignScan) -> PatternSequence:
+    """Return the sequence of a scan folder. Raises ForeignError where none can be made, whatever the points."""
+    sequence = required_sequence(path, out, scan.description, scan.cameras["left"].images)
+    if not scan.rig.scale_known:
+        raise ForeignError(
+            f"{path}: no scan folder can be made: the calibration has no scale; give the translation's length in mm"
+        )
+    if scan.wrong:
+        raise ForeignError(f"{path}: no scan folder can be made of images that are described wrongly; correct it")
+    return sequence
+
+
+def write_own(
+    path: Path, out: Path, scan: ForeignScan, found: ForeignCloud, sequence: PatternSequence
+) -> dict[str, Any]:
+    """Make the scan folder ``out``, and return what there is of it, JSON-ready. Raises ForeignError, StorageError."""
+    limits = QualityLimits()
+    depth_mm = found.cloud.points_mm[..., 2][found.cloud.mask]
+    within = float(np.mean((depth_mm > limits.min_depth_mm) & (depth_mm < limits.max_depth_mm)))
+    if within < LEAST_WITHIN:
+        raise ForeignError(
+            f"{path}: no scan folder can be made: {100 * within:.0f} % of the points lie in the instrument's depths of "
+            f"{limits.min_depth_mm:g} to {limits.max_depth_mm:g} mm; write a cloud with --out {out.name}.ply"
+        )
+    calibration = calibration_of(scan)
+    rig = _rig(scan, calibration)
+    frames = {side: own_frames(sequence, scan.description, one.images) for side, one in scan.cameras.items()}
+    water = calibration.water
+    record = ScanRecord(
+        SequenceInfo.of(sequence), rig.rig_hash, calibration.hash, __version__, None, False, 0,
+        water={
+            "salinity_psu": water.salinity_psu, "temperature_c": water.temperature_c, "wavelength_nm": water.wavelength_nm,
+            "index": water.index,
+        },
+    )  # fmt: skip
+    keep_scan(out, frames, record, Instrument(rig).origin(calibration))
+    return {"folder": str(out), "frames": len(sequence), "period_px": sequence.period_px}
+
+
+def calibration_of(scan: ForeignScan) -> Calibration:
+    """Return the calibration file that says what the description says of the cameras."""
+    if scan.rig.calibration is not None:
+        return scan.rig.calibration
+    water = scan.description.water
+    straight = all(camera.lens_in_water for camera in (scan.rig.rig.left, scan.rig.rig.right))
+    if any(len(camera.lens.distortion) > 5 for camera in (scan.rig.rig.left, scan.rig.rig.right)):
+        raise ForeignError(
+            "no scan folder can be made: our calibration files hold the distortion k1, k2, p1, p2, k3 only"
+        )
+    if not straight and not isinstance(water, Water):
+        raise ForeignError(
+            "no scan folder can be made: behind ports the index of a scan folder follows from temperature and "
+            "salinity; give "
+            "water.temperature_c in place of water.index"
+        )
+    water = water if isinstance(water, Water) else Water(20.0, 0.0, 530.0)
+    return Calibration(scan.description.name, METHOD, "unknown", ("images of another rig",), water, scan.rig.rig)
+
+
+def _rig(scan: ForeignScan, calibration: Calibration) -> Rig:
+    """Return the packaged rig with the foreign cameras and projector in place of its own."""
+    rig = load_rig(default_rig_path())
+    serials = calibration.camera_serials or tuple(f"{scan.description.name} {side}" for side in SIDES)
+
+    def camera(side: str, serial: str) -> Any:
+        seen: HousedCamera = of_side(scan.rig.rig, side)
+        return replace(of_side(rig.camera, side), serial=serial, width_px=seen.width_px, height_px=seen.height_px)
+
+    width_px, height_px = scan.description.projector_px
+    return replace(
+        rig,
+        rig=replace(rig.rig, name=scan.description.name, serial=calibration.rig_serial),
+        camera=replace(rig.camera, left=camera("left", serials[0]), right=camera("right", serials[1])),
+        projector=replace(rig.projector, width_px=width_px, height_px=height_px),
+    )

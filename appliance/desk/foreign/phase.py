@@ -58,13 +58,18 @@ class SineFit:
     """True where an image is at full scale."""
 
 
+def step_columns(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return the columns (n, 3) of A, C and S: 1, cos δ_k, −sin δ_k."""
+    angles = np.deg2rad(np.asarray(steps_deg, np.float64))
+    return np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
+
+
 def step_weights(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
     """Return the (3, n) weights that make A, C and S of n images.
 
     Raises ForeignError for steps that cannot tell a phase.
     """
-    angles = np.deg2rad(np.asarray(steps_deg, np.float64))
-    columns = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
+    columns = step_columns(steps_deg)
     singular = np.linalg.svd(columns, compute_uv=False)
     if len(steps_deg) < 3 or singular[-1] * WORST_CONDITION < singular[0]:
         said = ", ".join(f"{step:g}" for step in steps_deg)
@@ -81,8 +86,7 @@ def fit_sine(images: Sequence[NDArray[Any]] | NDArray[Any], steps_deg: tuple[flo
     """
     # To twelve digits: weights of four steps of 90° are halves and noughts then, and exact.
     weights = np.round(step_weights(steps_deg), 12).astype(np.float32)
-    angles = np.deg2rad(np.asarray(steps_deg, np.float64))
-    columns = np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
+    columns = (step_columns(steps_deg)[:, 1:] * [1.0, -1.0]).T.astype(np.float32, order="C")
     whole = np.ascontiguousarray(images)
     shape = whole.shape[1:]
     turns, modulation, offset, misfit = (np.empty(shape, np.float32) for _ in range(4))

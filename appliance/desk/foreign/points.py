@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from appliance.desk.foreign.camera import CleanCamera
 from appliance.desk.foreign.cameras import ForeignRig
+from appliance.desk.foreign.decode import GAP_PIXELS, SIGMA_PIXELS, Reason
 from appliance.desk.foreign.description import Description
 from appliance.desk.foreign.phase import Floats
-from appliance.desk.foreign.reasons import BEFORE_POINTS, GAP_PIXELS, REASONS, SIGMA_PIXELS, Reason
 from appliance.measure import (
     UNCHECKED,
     CoordinateMap,
     CurveError,
     FoldingLens,
     HousedCamera,
-    OneDirectionError,
     OneDirectionLimits,
     OrganisedCloud,
     StereoRig,
@@ -48,9 +47,6 @@ NARROWER = (1.0, 0.6, 0.35)
 follow it."""
 ROWS = 256
 """Left rows that are judged together: what is compared needs room."""
-MOST_PX = 65_535
-"""Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,21 +73,21 @@ class ForeignCloud:
         return int(np.count_nonzero(self.cloud.mask))
 
     @property
-    def reasons(self) -> dict[str, int]:
-        """Number of left pixels without a point by reason, a word of ``REASONS``; the most frequent first."""
+    def reasons(self) -> dict[Reason, int]:
+        """Number of left pixels without a point by reason; the most frequent first."""
         # Map by map: to count all at once makes eight bytes of each pixel's one.
         counts = {one: int(np.count_nonzero(self.reason_map == one)) for one in Reason if one}
-        return {one.word: counts[one] for one in sorted(counts, key=lambda k: -counts[k]) if counts[one]}
+        return {one: counts[one] for one in sorted(counts, key=lambda k: -counts[k]) if counts[one]}
 
     def largest_reasons(self, *, of_lit: bool = False) -> list[str]:
         """Return the two reasons why most left pixels, or most of those ``of_lit`` with coordinates, have no point, as
         a line each."""
-        counts = {word: count for word, count in self.reasons.items() if not (of_lit and word in BEFORE_POINTS)}
+        counts = {one: count for one, count in self.reasons.items() if not (of_lit and one < Reason.NO_RAY)}
         pixels = self.points + sum(counts.values())
         lines = []
-        for word, count in counts.items():
-            more = f", mostly {self.over_sigma_mm:.3g} mm" if word == "sigma" else ""
-            lines.append(f"{word}: {100.0 * count / pixels:.1f} %{more} ({REASONS[word]})")
+        for one, count in counts.items():
+            more = f", mostly {self.over_sigma_mm:.3g} mm" if one is Reason.SIGMA else ""
+            lines.append(f"{one.word}: {100.0 * count / pixels:.1f} %{more} ({one.text})")
         return lines[:2]
 
 
@@ -142,7 +138,7 @@ def find_points(
             depths_mm = _narrowed(depths_of(description, lenient, rig.index), share)
             try:
                 cloud = _one_direction(lenient, rig.index, left, other[name], depths_mm)
-            except (OneDirectionError, CurveError) as error:
+            except CurveError as error:
                 failure = str(error)
                 continue
             failure = None
@@ -161,7 +157,7 @@ def find_points(
 def _one_direction(
     rig: StereoRig, index: float, left: CleanCamera, other: CoordinateMap, depths_mm: tuple[float, float]
 ) -> OrganisedCloud:
-    """Return the points along epipolar curves. Raises OneDirectionError, CurveError."""
+    """Return the points along epipolar curves. Raises CurveError."""
     (mine,) = left.axes.values()
     found = match_along_curves(
         mine.coordinate_px,

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.decode.scratch import borrowed
-from appliance.measure.light.epipolar import RAY_TERMS, EpipolarCurves, epipolar_curves, inverse_depths
+from appliance.measure.light.epipolar import RAY_TERMS, CurveError, EpipolarCurves, epipolar_curves, inverse_depths
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.points.reach import TOGETHER, places, reach_along
 
@@ -64,7 +64,7 @@ rig."""
 _NO_NOISE = np.zeros((0, 0), np.float32)
 
 
-class OneDirectionError(ValueError):
+class OneDirectionError(CurveError):
     """One direction cannot do with these maps; says why, and what would help."""
 
 

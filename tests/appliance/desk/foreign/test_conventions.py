@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from appliance.base import silent
 from appliance.cli.output import Exit
+from appliance.desk.foreign.importing import import_described
 from appliance.desk.foreign.problem import ForeignError
-from appliance.desk.foreign_import import import_cloud
 from tests.support.commands import Shell
 from tests.support.foreign_sets import ForeignSet
 from tests.support.truth import left_to_rig
@@ -40,7 +40,7 @@ def points_of(grid: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
 def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: Path, name: str) -> None:
     made = foreign_set(name)
     out = tmp_path / "cloud.npz"
-    report = import_cloud(made.description, out, silent)
+    report = import_described(made.description, out, silent)
     with np.load(out) as grid:
         there = grid["mask"]
         complete, off_mm = judged(made, points_of(grid), there)
@@ -71,7 +71,7 @@ def test_a_wrong_word_is_named_with_what_fits(
 ) -> None:
     described = foreign_set(name).described(*changes)
     with pytest.raises(ForeignError, match=re.escape(said)):
-        import_cloud(described, tmp_path / "cloud.ply", silent)
+        import_described(described, tmp_path / "cloud.ply", silent)
     assert not (tmp_path / "cloud.ply").exists()
 
 
@@ -85,8 +85,8 @@ def test_a_calibration_without_scale_makes_a_cloud_in_baselines(foreign_set: Set
         unscaled.write(name, numbers.getNode(name).mat())
     unscaled.write("T", np.asarray(numbers.getNode("T").mat(), np.float64) / length_mm)
     unscaled.release()
-    whole = import_cloud(made.description, tmp_path / "cloud.npz", silent)
-    report = import_cloud(made.described(('"stereo.yml"', '"unscaled.yml"')), tmp_path / "cloud.las", silent)
+    whole = import_described(made.description, tmp_path / "cloud.npz", silent)
+    report = import_described(made.described(('"stereo.yml"', '"unscaled.yml"')), tmp_path / "cloud.las", silent)
     assert report["unit"] == "baselines"
     assert [note.partition(":")[0] for note in report["notes"]] == ["cameras.unit"]
     assert whole["notes"] == []
@@ -114,8 +114,8 @@ def test_a_wrong_word_may_be_insisted_on_and_the_file_tells(foreign_set: Sets, t
         tmp_path / "cloud.npz",
     )
     with pytest.raises(ForeignError, match="contradict it"):
-        import_cloud(described, out, silent)
-    import_cloud(described, out, silent, as_described=True)
+        import_described(described, out, silent)
+    import_described(described, out, silent, as_described=True)
     with np.load(out) as grid:
         notes = json.loads(str(grid["about"]))["notes"]
     wrong = r"wrong: left: x.start_deg: phase and code are 5\d degrees apart: they fit with x.start_deg = 180"

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.desk.foreign.camera import DecodedCamera, clean, decode_camera
+from appliance.desk.foreign.decode import Reason
 from appliance.desk.foreign.description import counted, parse_description
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.phase import TURN, fit_sine, unbend
-from appliance.desk.foreign.reasons import Reason
 
 Lines = NDArray[np.float64]
 SIZE_PX, ROWS = 1024, 40

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from appliance.desk.foreign.description import ImageFiles
-from appliance.desk.foreign.files import CameraFiles, camera_files, in_halves, other_way_round, taken_in_turns
+from appliance.desk.foreign.files import camera_files, in_halves, other_way_round, taken_in_turns
 from appliance.desk.foreign.frames import Frame
 from appliance.desk.foreign.problem import ForeignError
 
@@ -21,7 +21,9 @@ def told(folder: Path) -> str:
         found = camera_files(folder)
     except ForeignError as error:
         return str(error)
-    return "; ".join(f"{one.side} {one.named.patterns[0]}: {' '.join(f.path.stem for f in one.files)}" for one in found)
+    return "; ".join(
+        f"{side} {one.patterns[0]}: {' '.join(f.path.stem for f in one.frames)}" for side, one in found.items()
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,15 +64,15 @@ def test_one_or_two_stacks_of_as_many_images_are_cameras(tmp_path: Path, names: 
 )
 def test_only_a_long_picture_may_be_two(tmp_path: Path, shape: tuple[int, int], wanted: str) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros(shape, np.uint8))
-    one = CameraFiles("left", ImageFiles(("*.png",)), (Frame(tmp_path / "0.png"),))
-    assert [[half.named.sides for half in both] for both in in_halves(one)] == ([[wanted] * 2] if wanted else [])
+    one = ImageFiles(("*.png",), frames=(Frame(tmp_path / "0.png"),))
+    assert [[half.sides for half in both.values()] for both in in_halves(one)] == ([[wanted] * 2] if wanted else [])
 
 
 @pytest.mark.parametrize(("count", "wanted"), [(4, []), (7, []), (6, ["024", "135", "012", "345"])])
 def test_an_even_number_of_images_may_be_taken_in_turns(count: int, wanted: list[str]) -> None:
-    one = CameraFiles("left", ImageFiles(("*.png",)), tuple(Frame(Path(str(k))) for k in range(count)))
+    one = ImageFiles(("*.png",), frames=tuple(Frame(Path(str(k))) for k in range(count)))
     ways = list(taken_in_turns(one))
-    assert ["".join(frame.name for frame in side.files) for way in ways for side in way] == wanted
-    turned = [other_way_round(way)[0] for way in ways]
-    assert [one.files for one in turned] == [way[1].files for way in ways]
-    assert [one.named.sides for one in turned] == ["right left", "right*3 left*3"][: len(ways)]
+    assert ["".join(frame.name for frame in side.frames) for way in ways for side in way.values()] == wanted
+    turned = [other_way_round(way)["left"] for way in ways]
+    assert [one.frames for one in turned] == [way["right"].frames for way in ways]
+    assert [one.sides for one in turned] == ["right left", "right*3 left*3"][: len(ways)]

@@ -15,8 +15,8 @@ import pytest
 from appliance.base import kernel_cache
 from appliance.cli.output import Exit
 from appliance.desk.export.formats import ExportError
+from appliance.desk.foreign.first_look import check_import
 from appliance.desk.foreign.problem import ForeignError
-from appliance.desk.foreign_import import check_import
 from tests.support.commands import ROOT, Shell
 from tests.support.foreign_sets import ForeignSet
 from tests.support.system_calls import seen_by_python

@@ -12,13 +12,13 @@ import pytest
 
 from appliance.desk.foreign.camera import DecodedCamera, clean_camera
 from appliance.desk.foreign.cameras import NO_PORT, ForeignRig
-from appliance.desk.foreign.decode import PlacedAxis
+from appliance.desk.foreign.decode import PlacedAxis, Reason
 from appliance.desk.foreign.description import AxisConvention, Description, ImageFiles
+from appliance.desk.foreign.first_look import check_import
 from appliance.desk.foreign.images import ImageSet
+from appliance.desk.foreign.importing import draw_reasons
 from appliance.desk.foreign.points import ForeignCloud, depths_of, find_points
 from appliance.desk.foreign.problem import ForeignError, Table
-from appliance.desk.foreign.reasons import REASONS, Reason
-from appliance.desk.foreign_import import COLOURS, check_import, draw_reasons
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 
@@ -84,10 +84,15 @@ def searched(description: Description, cameras: ForeignRig, left: DecodedCamera,
 @pytest.mark.parametrize("axes", ["x", "xy"])
 @pytest.mark.parametrize(
     ("limits", "reason"),
-    [((None, None, 1e-4), "sigma"), ((410.0, 2000.0, None), "depth"), ((200.0, 390.0, None), "depth"), ((), "")],
+    [
+        ((None, None, 1e-4), Reason.SIGMA),
+        ((410.0, 2000.0, None), Reason.DEPTH),
+        ((200.0, 390.0, None), Reason.DEPTH),
+        ((), None),
+    ],
 )
 def test_points_lie_where_the_plane_is_and_the_filter_that_took_them_is_named(
-    axes: str, limits: tuple[float | None, ...], reason: str
+    axes: str, limits: tuple[float | None, ...], reason: Reason | None
 ) -> None:
     cameras = rig()
     cloud = searched(described(axes, *limits), cameras, *both(cameras))
@@ -95,12 +100,12 @@ def test_points_lie_where_the_plane_is_and_the_filter_that_took_them_is_named(
     if reason:
         assert cloud.points == 0
         # Along a curve nothing is searched beyond the depths: there the coordinate is not found.
-        wanted = "no-match" if (axes, reason) == ("x", "depth") else reason
-        assert next(iter(cloud.reasons)) == wanted
+        wanted = Reason.NO_MATCH if (axes, reason) == ("x", Reason.DEPTH) else reason
+        assert next(iter(cloud.reasons)) is wanted
         assert cloud.reasons[wanted] > 0.6 * W * H
-        assert cloud.largest_reasons()[0].startswith(f"{wanted}: ")
-        assert REASONS[wanted] in cloud.largest_reasons()[0]
-        if reason == "sigma":
+        assert cloud.largest_reasons()[0].startswith(f"{wanted.word}: ")
+        assert wanted.text in cloud.largest_reasons()[0]
+        if reason is Reason.SIGMA:
             # It says which limit would do.
             assert float(cloud.largest_reasons()[0].split("mostly ")[1].split()[0]) == pytest.approx(OFF_MM, rel=0.5)
     else:
@@ -121,7 +126,7 @@ def test_rays_that_pass_each_other_are_a_gap() -> None:
     }
     cloud = searched(described("xy"), cameras, left, replace(right, placed=moved))
     assert cloud.points == 0
-    assert next(iter(cloud.reasons)) == "gap"
+    assert next(iter(cloud.reasons)) is Reason.GAP
 
 
 def test_what_decoding_leaves_out_keeps_its_reason() -> None:
@@ -136,7 +141,7 @@ def test_what_decoding_leaves_out_keeps_its_reason() -> None:
     cloud = searched(described("xy"), cameras, replace(left, placed=placed), right)
     assert (cloud.reason_map[:10] == Reason.WEAK).all()
     assert (cloud.reason_map[20:30] == Reason.SATURATED).all()
-    assert cloud.reasons["weak"] == cloud.reasons["saturated"] == 10 * W
+    assert cloud.reasons[Reason.WEAK] == cloud.reasons[Reason.SATURATED] == 10 * W
     assert cloud.lit == W * H - 20 * W
 
 
@@ -160,8 +165,8 @@ def test_a_lack_of_points_is_said_and_not_raised(axes: str) -> None:
     assert [one.points for one in (blind, alone, behind)] == [0, 0, 0]
     assert blind.failure
     assert alone.failure
-    assert blind.reasons == {"weak": W * H}
-    assert next(iter(behind.reasons)) == "no-match"
+    assert blind.reasons == {Reason.WEAK: W * H}
+    assert next(iter(behind.reasons)) is Reason.NO_MATCH
 
 
 @pytest.mark.parametrize(
@@ -202,7 +207,7 @@ def test_pixels_at_which_the_lens_folds_over_are_left_out_and_counted(axes: str)
     beyond = np.hypot((u - (W - 1) / 2) / F_PX, (v - (H - 1) / 2) / F_PX) > (2.0 / 3.0) * (1.0 / 2.7) ** 0.5
     assert 0.02 < beyond.mean() < 0.2
     assert (cloud.reason_map[beyond] == Reason.NO_RAY).all()
-    assert cloud.reasons["no-ray"] < 1.4 * beyond.sum()
+    assert cloud.reasons[Reason.NO_RAY] < 1.4 * beyond.sum()
 
 
 def test_a_picture_shows_the_reason_of_each_pixel(tmp_path: Path) -> None:
@@ -213,11 +218,11 @@ def test_a_picture_shows_the_reason_of_each_pixel(tmp_path: Path) -> None:
     cloud = searched(described("xy"), cameras, left, right)
     draw_reasons(cloud, tmp_path / "why.png")
     drawn = np.asarray(cv2.imread(str(tmp_path / "why.png")))[..., ::-1]
-    assert (drawn[20:50, :W] == COLOURS[Reason.CONTRADICTION]).all()
+    assert (drawn[20:50, :W] == Reason.CONTRADICTION.colour).all()
     assert (drawn[:H, :W][cloud.cloud.mask] == 77).all()
     # Each colour that is there is named below.
-    for reason, colour in COLOURS.items():
-        assert (drawn[H:, :20] == colour).all(axis=-1).any() == (reason.word in cloud.reasons)
+    for reason in list(Reason)[1:]:
+        assert (drawn[H:, :20] == reason.colour).all(axis=-1).any() == (reason in cloud.reasons)
 
 
 def test_a_side_that_no_map_can_number_is_refused_by_the_headers(tmp_path: Path) -> None:

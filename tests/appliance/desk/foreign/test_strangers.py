@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from appliance.base import silent
+from appliance.desk.foreign.folder import guessed_text
 from appliance.desk.foreign.guess import guess_sequence
-from appliance.desk.foreign_folder import guessed_text
-from appliance.desk.foreign_import import import_cloud
+from appliance.desk.foreign.importing import import_described
 from tests.support.imported import import_folder
 from tests.support.other_programs import PROGRAMS
 from tests.support.strangers import (
@@ -195,7 +195,7 @@ def test_a_strangers_folder_needs_no_more_than_a_guess(tmp_path: Path, case: Cas
     said = re.sub(r" +# .*", "", text)
     for one in case.said:
         assert one in said
-    import_cloud(folder / "description.toml", tmp_path / "cloud.npz", silent)
+    import_described(folder / "description.toml", tmp_path / "cloud.npz", silent)
     with np.load(tmp_path / "cloud.npz") as grid:
         there = grid["mask"]
         points_mm = np.stack([grid[f"{axis}_mm"][there] for axis in "xyz"], -1)
