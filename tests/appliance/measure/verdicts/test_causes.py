@@ -309,6 +309,7 @@ def faint(fringe: float, top: Given = 10.0, noise_mm: Given = 0.02, room: float 
         # White may not exceed 235: of fringes of 3 and a white of 88, 8.01 can be made, of 89 7.9.
         ({"fringe": 3.0, "top": 88.0}, DARK), ({"fringe": 3.0, "top": 89.0}, DIRTY),
         ({"fringe": 2.0, "top": None, "room": 4.0}, DARK),
+        ({"fringe": 0.03, "top": 0.0, "room": 300.0}, DIRTY),
         ({"fringe": 8.0}, None),
         ({"fringe": 7.9, "left_saturated_percent": 25.0}, DARK),
         # Strong fringes, and yet a poor scan: points are too noisy.
@@ -354,7 +355,7 @@ def test_what_faint_fringes_take_is_what_is_lost_as_far_as_they_are_too_faint() 
 @pytest.mark.parametrize(
     ("glow_per_m", "time_us", "steps", "code"),
     [
-        (1.6, 12_000, (USUAL,), DIRTY),
+        (1.6, 12_000, (USUAL,), DIRTY), (1.5, 12_000, (USUAL,), FaultCode.NOTHING_SEEN),
         (None, 750, (USUAL,), DARK), (None, 751, (USUAL,), FaultCode.NOTHING_SEEN), (None, 500, (), FaultCode.NOTHING_SEEN),
     ],
 )  # fmt: skip
