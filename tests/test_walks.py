@@ -136,7 +136,9 @@ def test_a_format_is_named_in_its_row_and_writes_what_the_row_says() -> None:
     assert naming("encode_las|laspy") == {folder.replace("<name>", "las")}
     for one in FORMATS:
         module = importlib.import_module(f"appliance.desk.export.{one.module}")
-        assert one.contents == tuple(name for name in ("points", "grid", "mesh") if hasattr(module, f"write_{name}"))
+        assert one.contents == tuple(
+            name for name in ("points", "grid", "scans", "mesh") if hasattr(module, f"write_{name}")
+        )
 
 
 def test_every_fault_has_its_row() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -24,22 +24,14 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError
 
 if TYPE_CHECKING:
-    from appliance.desk import PlacedGrid, StoredObject
     from appliance.store import Wish
 
 NAME = "{}"
 """Stands for the scan's name in ``--out``."""
 INCOMPLETE = "incomplete:"
 """Prefix that tells the number of a recording that broke from that of a scan."""
-OWN, GRIDS, POSED, PAGE = ".ply", ".npz", ".e57", ".html"
+OWN, POSED, PAGE = ".ply", ".e57", ".html"
 log = logging.getLogger(__name__)
-
-
-def _triangles() -> tuple[str, ...]:
-    """Return the suffixes that only meshes have."""
-    from appliance.desk import MESH_SUFFIXES, SCAN_SUFFIXES
-
-    return tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SCAN_SUFFIXES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +97,7 @@ class MakeCloud(WithObjects):
                 progress(f"comparing checksums ({k} of {len(works)})")
                 # The name that the cloud gets without --out, too, so that an error speaks of that file.
                 with writing(out):
-                    reports.append(work(out, wish, progress))
+                    reports.append(work(out, progress))
         if len(reports) == 1:
             self.tell(reports[0])
         elif self.json:
@@ -117,17 +109,17 @@ class MakeCloud(WithObjects):
 
     def _works(self, wish: Wish) -> Mapping[Path, _Work]:
         """Return what is to be done for each file. Raises UsageError, UnknownScan, ScanError before any work."""
-        from appliance.desk import MESH_SUFFIXES, SCAN_SUFFIXES
+        from appliance.desk import has_triangles
 
         works: dict[Path, _Work] = {}
         words: dict[Path, str] = {}
         for wanted in self.out or (f"{NAME}{OWN}",):
             path = Path(wanted)
             suffix = path.suffix.lower()
-            meshed = suffix in _triangles() or self.mesh
-            allowed, kind = (MESH_SUFFIXES, "a mesh") if meshed else ((*SCAN_SUFFIXES, *_triangles()), "a scan")
+            meshed = has_triangles(path) or self.mesh
+            kind = "a mesh" if meshed else "a scan"
             # The folder, too, may have the scan's name in it.
-            writable_as(path, allowed, kind) if NAME not in wanted else checked_as(path, allowed, kind)
+            writable_as(path, kind) if NAME not in wanted else checked_as(path, kind)
             if len(self.what) > 1 and NAME not in wanted:
                 raise UsageError(
                     f"--out {wanted}: is one file, for {len(self.what)} scans; put {NAME} where the scan's name "
@@ -156,16 +148,19 @@ class MakeCloud(WithObjects):
         own = suffix == OWN and not (meshed or self.normals)
         if (broken or len(folders) > 1) and not own:
             raise UsageError(f"{word}: its cloud is written as {OWN}, in the instrument's own form")
-        if broken:
-            return f"incomplete-{folders[0].name}", lambda out, wish, progress: _rescued(
-                folders[0], out, wish, progress
-            )
-        if len(folders) > 1:
-            name = "+".join(folder.name for folder in folders)
-            return name, lambda out, wish, progress: _merged(folders, out, wish, progress)
-        if own:
-            return folders[0].name, lambda out, wish, progress: _own(folders[0], out, wish, progress)
-        return folders[0].name, lambda out, wish, progress: _exported(folders[0], out, wish, progress, meshed)
+        name = "+".join(folder.name for folder in folders)
+        if len(folders) > 2:
+            raise UsageError(f"{name}: one cloud is made of two scans at most")
+
+        def work(out: Path, progress: ProgressLine) -> dict[str, Any]:
+            from appliance.desk import write_cloud
+
+            report = write_cloud(folders, out, wish, progress, own=own, mesh=meshed)
+            if report.get("salvaged"):
+                log.warning("%s: salvaged, not to be measured in: %s", folders[0], "; ".join(report["salvaged"]))
+            return report
+
+        return f"incomplete-{name}" if broken else name, work
 
     # ------------------------------------------------------------------------------------- objects
 
@@ -174,21 +169,35 @@ class MakeCloud(WithObjects):
         self._check_files(outs)
         root, solved = self.solved(wish, name)
         compile_kernels()
-        self._write(root, solved, wish, outs)
+        from appliance.desk import write_object
+
+        with ProgressLine() as progress:
+            write_object(
+                root,
+                solved,
+                wish,
+                outs,
+                progress,
+                writing,
+                spacing_mm=self.spacing,
+                mesh=self.mesh,
+                single_scans=self.single_scans,
+                close_holes_mm=self.close_holes or 0.0,
+            )
         self.tell({"object": solved.name, "files": [str(out) for out in outs]}, map(str, outs))
         return Exit.OK
 
     def _check_files(self, outs: Sequence[Path]) -> None:
         """Raises UsageError for a file that cannot be written, and MissingLibraryError, before minutes of work."""
         from appliance.base import require
-        from appliance.desk import SURFACE_SUFFIXES
+        from appliance.desk import has_triangles
 
         for out in outs:
             if out.suffix.lower() == PAGE:
                 raise UsageError(f"--out {out}: a page is made by `kingfisher report object:NAME`")
-            writable_as(out, (*SURFACE_SUFFIXES, *_triangles(), GRIDS), "an object")
+            writable_as(out, "an object")
         # An option that would do nothing is a word that was meant otherwise.
-        meshes = any(map(self._meshed, outs))
+        meshes = any(has_triangles(out, self.mesh) for out in outs)
         if meshes:
             require("skimage.measure", "scikit-image", "the mesh of an object")
         for given, what in (
@@ -200,97 +209,6 @@ class MakeCloud(WithObjects):
         if self.single_scans and not any(out.suffix.lower() == POSED for out in outs):
             raise UsageError("--scans: is for .e57 files, and none is written; give --out FILE.e57")
 
-    def _write(self, root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path]) -> None:
-        """Write the files of a solved object; the surface and its mesh are made once, when they are first wanted.
-        Raises StorageError, ScanError."""
-        from appliance.desk import (
-            VOXEL_MM,
-            about_object,
-            mesh_of_surface,
-            surface_of,
-            write_mesh,
-            write_placed,
-            write_surface,
-        )
 
-        with ProgressLine() as progress:
-            surface = mesh = None
-            for out in outs:
-                if out.suffix.lower() == GRIDS or (self.single_scans and out.suffix.lower() == POSED):
-                    with writing(out):
-                        write_placed(out, _grids(root, solved, wish, progress), about_object(solved))
-                    continue
-                surface = surface_of(root, solved, wish, progress, self.spacing) if surface is None else surface
-                progress(f"writing {out.name}")
-                if self._meshed(out) and mesh is None:
-                    # It takes as long as everything before.
-                    mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * self.spacing), self.close_holes or 0.0)
-                with writing(out):
-                    if mesh is not None and self._meshed(out):
-                        write_mesh(out, mesh, about_object(solved))
-                    else:
-                        write_surface(out, surface, about_object(solved))
-
-    def _meshed(self, out: Path) -> bool:
-        return out.suffix.lower() in _triangles() or (self.mesh and out.suffix.lower() == OWN)
-
-
-_Work = Callable[[Path, "Wish", ProgressLine], dict[str, Any]]
+_Work = Callable[[Path, ProgressLine], dict[str, Any]]
 """Makes a file and returns the report of it."""
-
-
-def _own(folder: Path, out: Path, wish: Wish, progress: ProgressLine) -> dict[str, Any]:
-    """Make the instrument's own form, whose head says which damaged frame was made up."""
-    from appliance.desk import reconstruct_scan, salvage
-    from appliance.store import calibration_for, open_source
-
-    salvaged = salvage(folder)
-    source = open_source(folder, wish, salvaged.scan)
-    report = reconstruct_scan(source, calibration_for(source, wish), out, progress, salvaged)
-    if salvaged.notes:
-        log.warning("%s: salvaged, not to be measured in: %s", folder, "; ".join(salvaged.notes))
-    return report
-
-
-def _exported(folder: Path, out: Path, wish: Wish, progress: ProgressLine, meshed: bool) -> dict[str, Any]:
-    from appliance.desk import export_scan
-    from appliance.store import calibration_for, open_source, refuse_damaged_frames
-
-    refuse_damaged_frames(folder)
-    source = open_source(folder, wish)
-    return export_scan(source, calibration_for(source, wish), out, progress, mesh=meshed)
-
-
-def _merged(folders: Sequence[Path], out: Path, wish: Wish, progress: ProgressLine) -> dict[str, Any]:
-    from appliance.desk import merge_scans
-    from appliance.store import instrument_of, one_calibration, open_source, refuse_damaged_frames
-
-    if len(folders) > 2:
-        raise UsageError(f"{'+'.join(folder.name for folder in folders)}: one cloud is made of two scans at most")
-    for folder in folders:
-        refuse_damaged_frames(folder)
-    sources = (open_source(folders[0], wish), open_source(folders[1], wish))
-    instrument_of(sources, wish)  # refuses two
-    return merge_scans(sources, one_calibration(sources, wish), out, progress)
-
-
-def _rescued(folder: Path, out: Path, wish: Wish, progress: ProgressLine) -> dict[str, Any]:
-    from appliance.desk import rescue_recording
-    from appliance.store import calibration_for, load_incomplete, open_source
-
-    recording = load_incomplete(folder)
-    source = open_source(folder, wish, recording.scan)
-    return rescue_recording(recording, source, calibration_for(source, wish), out, progress)
-
-
-def _grids(root: Path, solved: StoredObject, wish: Wish, progress: ProgressLine) -> Iterator[PlacedGrid]:
-    """Yield the scans that have a place, one at a time."""
-    import numpy as np
-
-    from appliance.desk import PlacedGrid, placed_scans
-
-    places = {} if solved.places is None else solved.places.places
-    for (name, place), scan in zip(places.items(), placed_scans(root, solved, wish, progress), strict=True):
-        yield PlacedGrid(
-            name, scan.cloud, scan.rotation, scan.translation_mm, np.array(place.covariance), np.array(place.middle_mm)
-        )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import number, operand, option, repeated
 from appliance.cli.desk import (
-    PAGE_SUFFIX,
     WithObjects,
     library_root,
     object_named,
@@ -110,7 +109,7 @@ class Compare(WithObjects):
         UsageError for files that cannot be written, and MissingLibraryError where what reads or writes them is absent:
         before minutes of work."""
         from appliance.base import require
-        from appliance.desk import SURFACE_SUFFIXES, checked_drawing, read_object
+        from appliance.desk import checked_drawing, read_object
 
         require("igl", "libigl", "a comparison")
         name = object_named(self.nominal)
@@ -120,7 +119,7 @@ class Compare(WithObjects):
         elif checked_drawing(Path(self.nominal)) != ".stl":
             require("trimesh", "trimesh", "a CAD model")
         for out in map(Path, self.out):
-            writable_as(out, (*SURFACE_SUFFIXES, PAGE_SUFFIX), "a comparison")
+            writable_as(out, "a comparison")
 
     def _start(self) -> Rigid | None:
         import numpy as np

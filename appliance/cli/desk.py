@@ -121,22 +121,20 @@ def writable(out: Path | None, name: str = "--out") -> None:
         raise UsageError(f"{name} {out}: there is no folder {out.parent}; make it first, or give another one")
 
 
-def writable_as(out: Path, allowed: tuple[str, ...], what: str) -> None:
-    """Raises UsageError for a name that ``writable`` refuses or whose suffix is none of those ``allowed`` for ``what``,
-    and MissingLibraryError where what writes it is absent: before minutes of work."""
+def writable_as(out: Path, what: str) -> None:
+    """Raises UsageError for a name that ``writable`` refuses or whose suffix ``what`` is not written with, and MissingLibraryError where what writes it is absent: before minutes of work."""
     writable(out)
-    checked_as(out, allowed, what)
+    checked_as(out, what)
 
 
-def checked_as(out: Path, allowed: tuple[str, ...], what: str) -> None:
+def checked_as(out: Path, what: str) -> None:
     """Raises what ``writable_as`` raises of the suffix alone, where the rest of the name is not known yet."""
-    from appliance.desk import ExportError, checked_suffix, require_library
+    from appliance.desk import ExportError, check_file
 
     try:
-        checked_suffix(out, allowed, what)
+        check_file(out, what)
     except ExportError as error:
         raise UsageError(f"--out {error}") from error
-    require_library(out)
 
 
 def writable_page(out: Path) -> None:

@@ -28,9 +28,7 @@ class Import(Verb):
     def run(self) -> Exit:
         out = self.out or Path(f"{self.source.absolute().stem}.ply")
         if out.suffix:
-            from appliance.desk import SCAN_SUFFIXES
-
-            writable_as(out, SCAN_SUFFIXES, "a cloud")
+            writable_as(out, "a cloud")
         writable(self.reasons, "--reasons")
         if self.source.is_dir():
             self._check_folder(out)

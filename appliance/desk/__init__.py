@@ -22,6 +22,10 @@ if TYPE_CHECKING:
         Job,  # Everything that one scan's task must know; small, and the same bytes on every computer
         work_through_all,  # Yield a row of every job, as they are done by workers of scheduler
     )
+    from .cloud_files import (
+        write_cloud,  # Write the cloud of a stored scan, of two of the same scene as one
+        write_object,  # Write the files of a solved object
+    )
     from .comparing import (
         NominalSurface,  # A surface that others are compared with
         compare,  # Lay surface onto nominal by shape alone and return how far each point lies from it
@@ -38,21 +42,10 @@ if TYPE_CHECKING:
         CAMERA_FRAME,  # Words for the left camera frame
         About,  # Description of a file in it, as far as its format has room
     )
-    from .export.files import (
-        write_mesh,  # Write a mesh; the suffix says how
-        write_surface,  # Write the points of a fused surface (SURFACE_SUFFIXES)
-    )
     from .export.formats import (
-        MESH_SUFFIXES,  # Suffixes that a mesh is written with
-        SCAN_SUFFIXES,  # Suffixes that a scan's points are written with
-        SURFACE_SUFFIXES,  # Suffixes that a surface's points are written with
         ExportError,  # A file cannot be made; the text says which, why, and what to do
-        checked_suffix,  # Return the suffix of a path in lower case; ExportError for one that is not allowed
-        require_library,  # Raise MissingLibraryError where a suffix's library is absent, before minutes of work
-    )
-    from .export.placed import (
-        PlacedGrid,  # One scan of an object and where it lies
-        write_placed,  # Write the scans (SUFFIXES), whole or not at all; one is held at a time
+        check_file,  # Raises ExportError for a suffix that what (WRITTEN) is not written with
+        has_triangles,  # Return whether a mesh is written to path; wanted: also where its suffix leaves the choice
     )
     from .foreign.first_look import (
         check_import,  # Refuse whatever can be refused at once
@@ -63,9 +56,6 @@ if TYPE_CHECKING:
         noise_of_scan,  # Return by side the camera's noise in a stored scan, and what the rig file makes expect
         noise_to_store,  # Return what noise_of_scan found in a stored scan as figures of the instrument's cameras
         response_of_scan,  # Return the projector's response from the raw frames of a stored scan
-    )
-    from .merging import (
-        merge_scans,  # Make one cloud of two stored scans of the same scene with different exposures
     )
     from .object_errors import (
         errors_of,  # Return the joint errors of an object's places, scans in the order of places
@@ -90,7 +80,6 @@ if TYPE_CHECKING:
         about_object,  # Return what a file of the object says of it
         member_of,  # Return a stored scan as a member of an object. Raises ScanError
         overlap_news,  # Return what an object's overlaps tell of its calibration
-        placed_scans,  # Yield the scans that have a place, each with how certain it is beside its neighbours
         solve_object,  # Find where every scan of an object lies and return the object with its places
         surface_of,  # Return one surface of all scans that have a place, a point about every spacing_mm
     )
@@ -98,18 +87,10 @@ if TYPE_CHECKING:
         organised_scan,  # Return the full cloud of a stored scan, of both exposures where it has two
     )
     from .reconstruct import (
-        reconstruct_scan,  # Make the cloud of a stored scan from its raw frames, written as PLY to out (None
-        salvage,  # Open a scan, damaged or not. Raises ScanError that names what cannot be done without
         work_through,  # Reconstruct and judge a scan, one sequence or both. Raises ScanError
     )
     from .report.page import (
         write_report,  # Write the page, whole or not at all. Raises StorageError
-    )
-    from .rescue import (
-        rescue_recording,  # Make the cloud of recording, which source is of, written as PLY to out (None
-    )
-    from .scan_export import (
-        export_scan,  # Write the points of a stored scan, or with mesh its triangles, to out; the suffix says how
     )
     from .surface.drawing_file import (
         checked_drawing,  # Return a CAD model's suffix; NominalError for one that cannot be read

@@ -24,10 +24,10 @@ from appliance.store import (
 
 
 def merge_scans(
-    sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path | None, progress: Progress
+    sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path, progress: Progress
 ) -> dict[str, Any]:
-    """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to ``out``
-    (``None``: ``NAME+NAME.ply`` here).
+    """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to
+    ``out``.
 
     Raises ScanError, also for scans that do not show the same, or are the same; CalibrationError, OSError.
     """
@@ -40,14 +40,13 @@ def merge_scans(
     )
     cloud, verdict, water = merged_cloud_of((scans[0], scans[1]), rig, calibration, progress)
     names = [scan.manifest.scan_id for scan in scans]
-    target = out if out is not None else Path(f"{'+'.join(names)}.ply")
     progress("writing")
-    write_ply(target, cloud)
+    write_ply(out, cloud)
     s = cloud.summary
     return {
         "scans": " + ".join(names),
         "exposures": " + ".join(Instrument(rig).exposure_of_scan(scan.manifest.record).label for scan in scans),
-        "file": str(target),
+        "file": str(out),
         "points": s.points,
         "coverage_percent": s.coverage_percent,
         "noise_mm": s.noise_mm,

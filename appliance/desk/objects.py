@@ -299,7 +299,13 @@ def placed_scans(root: Path, stored_object: StoredObject, wish: Wish, progress: 
             )
             cloud = replace(cloud, points_mm=points)
         yield PlacedScan(
-            cloud, np.array(place.rotation), np.array(place.translation_mm), _beside_others(places, member.scan.name)
+            cloud,
+            np.array(place.rotation),
+            np.array(place.translation_mm),
+            _beside_others(places, member.scan.name),
+            member.scan.name,
+            np.array(place.covariance),
+            np.array(place.middle_mm),
         )
 
 

@@ -190,11 +190,11 @@ def _times(noise: CameraNoise, variance: float) -> CameraNoise:
 def reconstruct_scan(
     source: SourceScan,
     chosen: Chosen,
-    out: Path | None,
+    out: Path,
     progress: Progress,
     salvaged: Salvaged | None = None,
 ) -> dict[str, Any]:
-    """Make the cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
+    """Make the cloud of a stored scan from its raw frames, written as PLY to ``out``.
 
     The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what
     became of those that the instrument stored. Of a ``salvaged`` scan, which ``source`` is then of, file and report say
@@ -204,15 +204,14 @@ def reconstruct_scan(
     record = scan.manifest.record
     notes = salvaged.notes if salvaged is not None else ()
     cloud, water, faults = cloud_of_scan(scan, rig, calibration, progress, salvaged)
-    target = out if out is not None else Path(f"{scan.folder.name}.ply")
     progress("writing")
     header, body = encode_ply(cloud, "; ".join(notes) or None)
     before = _stored_cloud(scan, header, body)  # compared before it may be written over
-    LocalFileSystem().replace_file(target, header, body)
+    LocalFileSystem().replace_file(out, header, body)
     s = cloud.summary
     return {
         "scan": scan.manifest.scan_id,
-        "file": str(target),
+        "file": str(out),
         "points": s.points,
         "coverage_percent": s.coverage_percent,
         "distance_mm": s.distance_mm,

@@ -26,11 +26,10 @@ def rescue_recording(
     recording: IncompleteRecording,
     source: SourceScan,
     chosen: Chosen,
-    out: Path | None,
+    out: Path,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Make the cloud of ``recording``, which ``source`` is of, written as PLY to ``out`` (``None``:
-    ``incomplete-NUMBER.ply`` here).
+    """Make the cloud of ``recording``, which ``source`` is of, written as PLY to ``out``.
 
     File and report say that it is unchecked, and what is missing. Raises ScanError, also where (nearly) no points are
     left; StorageError.
@@ -51,15 +50,14 @@ def rescue_recording(
         raise ScanError(f"{scan.folder}: {error}") from error
     if cloud.summary.points < FEWEST_POINTS:
         raise ScanError(f"{scan.folder}: {cloud.summary.points} points; nothing can be rescued of it")
-    target = out if out is not None else Path(f"incomplete-{scan.manifest.scan_id}.ply")
     progress("writing")
     # The word itself begins the header's line.
     note = f"{UNCHECKED.removeprefix('unchecked: ')}; {scan.manifest.reason}"
-    LocalFileSystem().replace_file(target, *encode_ply(cloud, unchecked=note))
+    LocalFileSystem().replace_file(out, *encode_ply(cloud, unchecked=note))
     s = cloud.summary
     return {
         "recording": scan.manifest.scan_id,
-        "file": str(target),
+        "file": str(out),
         "unchecked": note,
         "missing": ", ".join(recording.missing),
         "points": s.points,

@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from appliance.desk.export.content import OBJECT_FRAME, About
-from appliance.desk.export.files import write_mesh, write_surface
-from appliance.desk.export.placed import PlacedGrid, write_placed
+from appliance.desk.export.files import write_mesh, write_scans, write_surface
 from appliance.desk.objects import light_of
 from appliance.desk.registration.solve import solve
 from appliance.desk.surface.deviation import deviations
@@ -175,13 +174,11 @@ def _write_meshes(folder: Path, count: int) -> dict[str, float]:
 
 
 def _write_grids(folder: Path, count: int) -> dict[str, float]:
-    def grids() -> Iterator[PlacedGrid]:
+    def grids() -> Iterator[PlacedScan]:
         for number in range(count):
-            cloud, place = _read(folder, number)
-            yield PlacedGrid(
-                f"{number + 1:06}", cloud, place.rotation, place.translation_mm, np.zeros((6, 6)), np.zeros(3)
-            )
+            scan = _placed(folder, number)
+            yield replace(scan, name=f"{number + 1:06}", covariance=np.zeros((6, 6)), middle_mm=np.zeros(3))
 
     path = folder / "grids.npz"
-    write_placed(path, grids(), ABOUT)
+    write_scans(path, grids(), ABOUT)
     return {"MB": path.stat().st_size / 1e6}

@@ -73,6 +73,8 @@ class ExportedPoints:
 
     Site coordinates need more digits than float32 has.
     """
+    rotation: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
+    """(3, 3) float64: a point p lies at rotation · p + ``origin_mm`` in the frame."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.points_mm).all() and np.isfinite(self.origin_mm).all()):

@@ -13,7 +13,7 @@ from __future__ import annotations
 import uuid
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from appliance.base import needed
-from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm
+from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm, points_of_scan
+from appliance.desk.surface.fusion import PlacedScan
 from appliance.store import LocalFileSystem
 
 NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
@@ -37,39 +38,39 @@ _GREY = (0.0, 255.0)
 _INVALID = "cartesianInvalidState"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class E57Scan:
-    """One scan entry: a point p of ``points`` lies at rotation · p + ``points.origin_mm`` in the frame of the file."""
-
-    points: ExportedPoints
-    title: str
-    rotation: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
-    """(3, 3) float64."""
-
-
 def write_points(path: Path, points: ExportedPoints, about: About) -> None:
     """Write one scan or surface.
 
     Raises StorageError, ValueError for one without points, MissingLibraryError where pye57 is absent.
     """
-    scans = [E57Scan(in_mm(points, about), about.title)]
-    # The library wants a name to write to, and gets that of the draft.
-    LocalFileSystem().replace_by(path, partial(write_e57, scans=scans, about=about))
+    _replace(path, [(about.title, in_mm(points, about))], about)
 
 
-def write_e57(path: Path, scans: Iterable[E57Scan], about: About) -> None:
-    """Write the file at ``path``; one scan is held at a time. ``about``: of all of them; each entry has it under its
-    own title.
+def write_scans(path: Path, scans: Iterable[PlacedScan], about: About) -> None:
+    """Write an object's scans, each about its own origin, with its place as its pose; one is held at a time.
 
-    Raises MissingLibraryError where pye57 is absent, ValueError for a scan without points, OSError, and what ``scans``
-    raises.
+    Raises what ``write_points`` and ``scans`` raise.
     """
+    placed = (
+        (one.name, replace(points_of_scan(one.cloud), origin_mm=one.translation_mm, rotation=one.rotation))
+        for one in scans
+    )
+    _replace(path, placed, about)
+
+
+def _replace(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: About) -> None:
+    # The library wants a name to write to, and gets that of the draft.
+    LocalFileSystem().replace_by(path, partial(_write, scans=scans, about=about))
+
+
+def _write(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: About) -> None:
+    """Write the file at ``path``; ``about``: of all scans; each entry has it under its own title."""
     library = needed("pye57", "pye57", "an E57 file").libe57
     try:
         file = library.ImageFile(str(path), "w")
         try:
             entries = _begin(library, file)
-            keys = [_add(library, file, entries, scan, replace(about, title=scan.title)) for scan in scans]
+            keys = [_add(library, file, entries, points, replace(about, title=title)) for title, points in scans]
             file.root().set("guid", library.StringNode(file, _guid(keys)))
         finally:
             file.close()
@@ -123,25 +124,25 @@ def _begin(library: Any, file: Any) -> Any:
     return scans
 
 
-def _add(library: Any, file: Any, scans: Any, one: E57Scan, about: About) -> str:
+def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, about: About) -> str:
     """Write one scan; return a text that is another one for any other content."""
 
     def number(value: float) -> Any:
         return library.FloatNode(file, float(value))
 
-    columns, lines = _columns(one.points), about.lines("metre")
+    columns, lines = _columns(points), about.lines("metre")
     checksum = 0
     for values in columns.values():
         checksum = zlib.crc32(np.ascontiguousarray(values).tobytes(), checksum)
     key = f"{OWN[1]} {checksum:08x} {len(columns['intensity'])} {' '.join(lines)}"
     scan = library.StructureNode(file)
     scan.set("guid", library.StringNode(file, _guid([key], "scan")))
-    scan.set("name", library.StringNode(file, one.title.encode("ascii", "replace").decode("ascii")))
+    scan.set("name", library.StringNode(file, about.title.encode("ascii", "replace").decode("ascii")))
     scan.set("description", library.StringNode(file, "; ".join(lines)))
-    origin_m = one.points.origin_mm / MM_PER_M
-    if origin_m.any() or not np.array_equal(one.rotation, np.eye(3)):
+    origin_m = points.origin_mm / MM_PER_M
+    if origin_m.any() or not np.array_equal(points.rotation, np.eye(3)):
         pose, turn, shift = (library.StructureNode(file) for _ in range(3))
-        quaternion = Rotation.from_matrix(one.rotation).as_quat(canonical=True, scalar_first=True)
+        quaternion = Rotation.from_matrix(points.rotation).as_quat(canonical=True, scalar_first=True)
         for name, value in zip("wxyz", quaternion, strict=True):
             turn.set(name, number(value))
         for name, value in zip("xyz", origin_m, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.export.content import About, points_of_scan, points_of_surface
-from appliance.desk.export.formats import FORMATS, MESH_SUFFIXES, SCAN_SUFFIXES, SURFACE_SUFFIXES, checked_suffix
-from appliance.desk.surface.fusion import FusedCloud
+from appliance.desk.export.formats import (
+    FORMATS,
+    MESH_SUFFIXES,
+    OBJECT_SCANS_SUFFIXES,
+    SCAN_SUFFIXES,
+    SURFACE_SUFFIXES,
+    checked_suffix,
+)
+from appliance.desk.surface.fusion import FusedCloud, PlacedScan
 from appliance.desk.surface.mesh import Mesh
 from appliance.measure import OrganisedCloud
 
@@ -47,6 +54,15 @@ def write_surface(
     if deviation_mm is not None:
         points = replace(points, more={**points.more, "deviation_mm": deviation_mm})
     _writer(suffix, "points")(path, points, about)
+
+
+def write_scans(path: Path, scans: Iterable[PlacedScan], about: About) -> None:
+    """Write an object's single scans, unmoved, with where each lies (``OBJECT_SCANS_SUFFIXES``); one is held at a time.
+
+    Raises ExportError, StorageError, MissingLibraryError where the format's library is absent, and what ``scans``
+    raises.
+    """
+    _writer(checked_suffix(path, OBJECT_SCANS_SUFFIXES, "the scans of an object"), "scans")(path, scans, about)
 
 
 def write_mesh(path: Path, mesh: Mesh, about: About) -> None:

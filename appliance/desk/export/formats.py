@@ -17,7 +17,7 @@ class ExportError(Exception):
 class Format:
     """One kind of file, by its suffix.
 
-    Its module has ``write_points``, ``write_grid`` or ``write_mesh``, each of a path, the content and what is said
+    Its module has ``write_points``, ``write_grid``, ``write_scans`` or ``write_mesh``, each of a path, the content and what is said
     about it, for each of ``contents``.
     """
 
@@ -25,22 +25,47 @@ class Format:
     module: str
     """Name of the module beside this one."""
     contents: tuple[str, ...]
-    """``points``: of a scan or a surface; ``grid``: of a scan, pixel by pixel; ``mesh``."""
+    """``points``: of a scan or a surface; ``grid``: of a scan, pixel by pixel; ``scans``: of an object, each with its place; ``mesh``."""
     library: str | None = None
     """Name of the library that writes it; ``None``: ours."""
 
 
 FORMATS = (
     Format(".ply", "ply", ("points", "mesh")),
-    Format(".e57", "e57", ("points",), "pye57"),
+    Format(".e57", "e57", ("points", "scans"), "pye57"),
     Format(".las", "las", ("points",), "laspy"),
-    Format(".npz", "npz", ("grid",)),
+    Format(".npz", "npz", ("grid", "scans")),
     Format(".stl", "stl", ("mesh",)),
     Format(".obj", "obj", ("mesh",)),
 )
 SCAN_SUFFIXES = tuple(one.suffix for one in FORMATS if one.contents != ("mesh",))
+OBJECT_SCANS_SUFFIXES = tuple(one.suffix for one in FORMATS if "scans" in one.contents)
 SURFACE_SUFFIXES = tuple(one.suffix for one in FORMATS if "points" in one.contents)
 MESH_SUFFIXES = tuple(one.suffix for one in FORMATS if "mesh" in one.contents)
+
+_TRIANGLES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SCAN_SUFFIXES)
+"""Suffixes that only meshes have."""
+WRITTEN = {
+    "a scan": (*SCAN_SUFFIXES, *_TRIANGLES),
+    "a mesh": MESH_SUFFIXES,
+    "a cloud": SCAN_SUFFIXES,
+    "an object": tuple(dict.fromkeys((*SURFACE_SUFFIXES, *_TRIANGLES, *OBJECT_SCANS_SUFFIXES))),
+    "a comparison": (*SURFACE_SUFFIXES, ".html"),
+}
+"""Suffixes by the thing that a verb is asked to write."""
+
+
+def has_triangles(path: Path, wanted: bool = False) -> bool:
+    """Return whether a mesh is written to ``path``; ``wanted``: also where its suffix leaves the choice."""
+    suffix = path.suffix.lower()
+    return suffix in MESH_SUFFIXES if wanted else suffix in _TRIANGLES
+
+
+def check_file(path: Path, what: str) -> None:
+    """Raises ExportError for a suffix that ``what`` (``WRITTEN``) is not written with, and MissingLibraryError where
+    what writes it is absent: before minutes of work."""
+    checked_suffix(path, WRITTEN[what], what)
+    require_library(path)
 
 
 def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:

@@ -1,18 +1,27 @@
-"""Owns the NumPy archive of one scan on its pixel grid: every array (h, w), names with units, and what it is as JSON.
+"""Owns the NumPy archive of scans on their pixel grids: every array (h, w), names with units, and what it is as JSON.
 
     x_mm y_mm z_mm sigma_mm ray_gap_mm modulation_dn   float32, NaN where a pixel has no point
     grey                                               uint8, the left camera's bright image, also without points
     mask                                               bool, the pixel has a point
     about                                              text: JSON with title, frame, unit and notes
 
-``numpy.load`` reads it without pickles.
+An object's scans are unmoved. Each has these arrays under its name (``000003/x_mm``), and
+
+    rotation (3, 3), translation_mm (3,)    float64: a point p of the scan is at rotation · p + translation_mm in the object's frame
+    place_covariance (6, 6)                 float64: of the turn (rad) and the shift (mm) about its own middle, what may bend the object included
+    middle_mm (3,)                          float64: that middle, in the object's frame
+
+and once ``scans``, the names in their order, and ``about``. ``numpy.load`` reads it without pickles, and only what is
+asked for.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import zipfile
+from collections.abc import Iterable, Iterator
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,47 +29,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.export.content import About
+from appliance.desk.surface.fusion import PlacedScan
 from appliance.measure import OrganisedCloud
-from appliance.store import Bytes, LocalFileSystem
+from appliance.store import LocalFileSystem
 
 LEVEL = 1
 """Level of compression: noise has little to be found, and the usual one takes six times as long for a tenth less."""
+Named = tuple[str, NDArray[Any]]
 
 
 def write_grid(path: Path, cloud: OrganisedCloud, about: About) -> None:
-    """Write the archive. Raises StorageError."""
-    LocalFileSystem().replace_file(path, encode_npz(cloud, about))
+    """Write the archive of one scan. Raises StorageError."""
+    _replace(path, _arrays(cloud, about.unit or "mm"), about)
 
 
-def encode_npz(cloud: OrganisedCloud, about: About) -> Bytes:
-    """Return the archive, compressed."""
+def write_scans(path: Path, scans: Iterable[PlacedScan], about: About) -> None:
+    """Write the archive of an object's scans; one is held at a time. Raises StorageError, and what ``scans`` raises."""
+    _replace(path, _arrays_of_all(scans), about)
+
+
+def _arrays_of_all(scans: Iterable[PlacedScan]) -> Iterator[Named]:
+    names = []
+    for scan in scans:
+        names.append(scan.name)
+        placed = {
+            "rotation": scan.rotation,
+            "translation_mm": scan.translation_mm,
+            "place_covariance": scan.covariance,
+            "middle_mm": scan.middle_mm,
+        }
+        known = ((name, values) for name, values in placed.items() if values is not None)
+        yield from ((f"{scan.name}/{name}", values) for name, values in chain(_arrays(scan.cloud), known))
+    yield "scans", np.array(names)
+
+
+def _arrays(cloud: OrganisedCloud, unit: str = "mm") -> Iterator[Named]:
+    """Yield the arrays of a scan, each (h, w), with their names; ``unit``: what its lengths are in."""
+    yield from ((f"{axis}_{unit}", cloud.points_mm[..., k]) for k, axis in enumerate("xyz"))
+    yield f"sigma_{unit}", cloud.sigma_mm
+    yield f"ray_gap_{unit}", cloud.ray_gap_mm
+    yield "modulation_dn", cloud.modulation_dn
+    yield "grey", cloud.grey
+    yield "mask", cloud.mask
+
+
+def _replace(path: Path, arrays: Iterable[Named], about: About) -> None:
+    LocalFileSystem().replace_by(path, partial(_write, arrays=arrays, about=about))
+
+
+def _write(path: Path, arrays: Iterable[Named], about: About) -> None:
     said = {
         "title": about.title,
         "frame": about.frame,
         "unit": about.unit or "mm",
         "notes": [*about.mark_lines(), *about.notes],
     }
-    made = io.BytesIO()
-    whole: dict[str, Any] = {
-        **arrays_of(cloud, about.unit or "mm"),
-        "about": np.array(json.dumps(said, ensure_ascii=False)),
-    }
-    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED, compresslevel=LEVEL) as archive:
-        for name, values in whole.items():
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=LEVEL) as archive:
+        for name, values in chain(arrays, [("about", np.array(json.dumps(said, ensure_ascii=False)))]):
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, values, allow_pickle=False)
-    return made.getbuffer()
-
-
-def arrays_of(cloud: OrganisedCloud, unit: str = "mm") -> dict[str, NDArray[Any]]:
-    """Return the arrays of a scan, each (h, w), by their names; ``unit``: what its lengths are in."""
-    return {
-        f"x_{unit}": cloud.points_mm[..., 0],
-        f"y_{unit}": cloud.points_mm[..., 1],
-        f"z_{unit}": cloud.points_mm[..., 2],
-        f"sigma_{unit}": cloud.sigma_mm,
-        f"ray_gap_{unit}": cloud.ray_gap_mm,
-        "modulation_dn": cloud.modulation_dn,
-        "grey": cloud.grey,
-        "mask": cloud.mask,
-    }
+                # In order C, which a view of one axis is not; a text stays without an axis.
+                np.lib.format.write_array(member, np.asarray(values, order="C"), allow_pickle=False)

@@ -312,6 +312,12 @@ class PlacedScan:
     """(3,) float64."""
     pose_sigma_mm: float = POSE_SIGMA_MM
     """Standard deviation of where the placement puts the scan's points, along their normals."""
+    name: str = ""
+    """The scan's name in its object."""
+    covariance: NDArray[np.float64] | None = None
+    """(6, 6) float64: of the turn (rad) and the shift (mm) about its own middle, what may bend the object included."""
+    middle_mm: NDArray[np.float64] | None = None
+    """(3,) float64: that middle, in the object's frame."""
 
     __repr__ = one_line
 

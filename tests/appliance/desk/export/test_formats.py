@@ -21,9 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from appliance.base.libraries import MissingLibraryError
 from appliance.desk.export.content import CAMERA_FRAME, About
-from appliance.desk.export.files import write_mesh, write_scan, write_surface
+from appliance.desk.export.files import write_mesh, write_scan, write_scans, write_surface
 from appliance.desk.export.formats import ExportError, require_library
-from appliance.desk.export.placed import PlacedGrid, write_placed
 from appliance.desk.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
 from appliance.desk.surface.mesh import Mesh, mesh_of_scan
 from appliance.measure.points.organised import OrganisedCloud
@@ -211,16 +210,23 @@ POSES = tuple(Rotation.from_euler("xyz", angles, degrees=True).as_matrix() for a
 SHIFTS = np.zeros(3), np.array([250.0, -40.0, 12.5])
 
 
-def placed_twice(cloud: OrganisedCloud) -> list[PlacedGrid]:
+def placed_twice(cloud: OrganisedCloud) -> list[PlacedScan]:
     return [
-        PlacedGrid(f"00000{k}", cloud, turn, shift, np.full((6, 6), k + 0.5), np.full(3, k + 0.25))
+        PlacedScan(
+            cloud,
+            turn,
+            shift,
+            name=f"00000{k}",
+            covariance=np.full((6, 6), k + 0.5),
+            middle_mm=np.full(3, k + 0.25),
+        )
         for k, (turn, shift) in enumerate(zip(POSES, SHIFTS, strict=True))
     ]
 
 
 def test_e57_of_an_objects_scans_puts_each_where_it_lies(cloud: OrganisedCloud, tmp_path: Path) -> None:
     pye57 = pytest.importorskip("pye57")
-    write_placed(tmp_path / "scans.e57", iter(placed_twice(cloud)), ABOUT)
+    write_scans(tmp_path / "scans.e57", iter(placed_twice(cloud)), ABOUT)
     file = pye57.E57(str(tmp_path / "scans.e57"))
     assert file.scan_count == 2
     points_mm = cloud.points_mm[cloud.mask].astype(np.float64)
@@ -234,13 +240,13 @@ def test_e57_of_an_objects_scans_puts_each_where_it_lies(cloud: OrganisedCloud, 
         assert [limits[f"intensity{end}"].value() for end in ("Minimum", "Maximum")] == [0.0, 255.0]
     guids = {file.get_header(k)["guid"].value() for k in range(2)} | {file.root["guid"].value()}
     assert len(guids) == 3
-    write_placed(tmp_path / "again.e57", [replace(one, rotation=POSES[1]) for one in placed_twice(cloud)], ABOUT)
+    write_scans(tmp_path / "again.e57", [replace(one, rotation=POSES[1]) for one in placed_twice(cloud)], ABOUT)
     again = pye57.E57(str(tmp_path / "again.e57"))
     assert again.root["guid"].value() not in guids, "the same points lie elsewhere"
 
 
 def test_the_archive_of_an_objects_scans_has_each_grid_and_its_place(cloud: OrganisedCloud, tmp_path: Path) -> None:
-    write_placed(tmp_path / "scans.npz", iter(placed_twice(cloud)), ABOUT)
+    write_scans(tmp_path / "scans.npz", iter(placed_twice(cloud)), ABOUT)
     assert {one.compress_type for one in zipfile.ZipFile(tmp_path / "scans.npz").infolist()} == {zipfile.ZIP_DEFLATED}
     with np.load(tmp_path / "scans.npz") as read:
         assert read["scans"].tolist() == ["000000", "000001"]
@@ -251,8 +257,8 @@ def test_the_archive_of_an_objects_scans_has_each_grid_and_its_place(cloud: Orga
             np.testing.assert_array_equal(read[f"{one.name}/place_covariance"], one.covariance)
             np.testing.assert_array_equal(read[f"{one.name}/z_mm"], cloud.points_mm[..., 2])
         assert len(read.files) == 2 + 2 * (4 + 8)
-    with pytest.raises(ExportError, match=r"the scans of an object is written as \.npz, \.e57, not as \.ply"):
-        write_placed(tmp_path / "scans.ply", [], ABOUT)
+    with pytest.raises(ExportError, match=r"the scans of an object is written as \.e57, \.npz, not as \.ply"):
+        write_scans(tmp_path / "scans.ply", [], ABOUT)
 
 
 def test_site_coordinates_are_held_or_refused(surface: FusedCloud, tmp_path: Path) -> None:

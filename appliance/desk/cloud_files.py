@@ -1,0 +1,153 @@
+"""Owns the files of clouds: of a stored scan, of two as one, of a recording that broke, and of an object; and the
+reports of what is in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from appliance.base import Progress
+from appliance.desk.export.content import CAMERA_FRAME, About
+from appliance.desk.export.files import write_mesh, write_scan, write_scans, write_surface
+from appliance.desk.export.formats import (
+    MESH_SUFFIXES,
+    OBJECT_SCANS_SUFFIXES,
+    SCAN_SUFFIXES,
+    SURFACE_SUFFIXES,
+    checked_suffix,
+    has_triangles,
+)
+from appliance.desk.merging import merge_scans
+from appliance.desk.object_store import StoredObject
+from appliance.desk.objects import about_object, placed_scans, surface_of
+from appliance.desk.organised import organised_scan
+from appliance.desk.reconstruct import reconstruct_scan, salvage
+from appliance.desk.rescue import rescue_recording
+from appliance.desk.surface.mesh import mesh_of_scan
+from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
+from appliance.store import (
+    INCOMPLETE_MANIFEST_FILE,
+    Chosen,
+    SourceScan,
+    Wish,
+    calibration_for,
+    instrument_of,
+    load_incomplete,
+    one_calibration,
+    open_source,
+    refuse_damaged_frames,
+)
+
+
+def write_cloud(
+    folders: Sequence[Path], out: Path, wish: Wish, progress: Progress, *, own: bool, mesh: bool
+) -> dict[str, Any]:
+    """Write the cloud of a stored scan, of two of the same scene as one, or of a recording that broke, and return the
+    report of it.
+
+    ``own``: in the instrument's own form, the only one of the last two; of a damaged scan it says what was made up.
+    ``mesh``: triangles instead of points. Raises ScanError, CalibrationError, ExportError, StorageError,
+    MissingLibraryError.
+    """
+    folder = folders[0]
+    if (folder / INCOMPLETE_MANIFEST_FILE).is_file():
+        recording = load_incomplete(folder)
+        source = open_source(folder, wish, recording.scan)
+        return rescue_recording(recording, source, calibration_for(source, wish), out, progress)
+    if own and len(folders) == 1:
+        salvaged = salvage(folder)
+        source = open_source(folder, wish, salvaged.scan)
+        return reconstruct_scan(source, calibration_for(source, wish), out, progress, salvaged)
+    for one in folders:
+        refuse_damaged_frames(one)
+    sources = [open_source(one, wish) for one in folders]
+    if len(sources) == 1:
+        return _export(sources[0], calibration_for(sources[0], wish), out, progress, mesh=mesh)
+    instrument_of(sources, wish)  # refuses two
+    return merge_scans((sources[0], sources[1]), one_calibration(sources, wish), out, progress)
+
+
+def write_object(
+    root: Path,
+    solved: StoredObject,
+    wish: Wish,
+    outs: Sequence[Path],
+    progress: Progress,
+    writing: Callable[[Path], AbstractContextManager[None]],
+    *,
+    spacing_mm: float,
+    mesh: bool,
+    single_scans: bool,
+    close_holes_mm: float,
+) -> None:
+    """Write the files of a solved object; its surface, a point about every ``spacing_mm``, and the mesh of that are
+    made once, when they are first wanted. ``writing``: entered while a file is written.
+
+    ``mesh``: triangles where the suffix leaves the choice, holes up to ``close_holes_mm`` closed; ``single_scans``:
+    scans with their places likewise. Raises ScanError, CalibrationError, ExportError, StorageError,
+    MissingLibraryError.
+    """
+    about = about_object(solved)
+    surface = triangles = None
+    for out in outs:
+        suffix = out.suffix.lower()
+        if suffix in OBJECT_SCANS_SUFFIXES and (single_scans or suffix not in SURFACE_SUFFIXES):
+            with writing(out):
+                write_scans(out, placed_scans(root, solved, wish, progress), about)
+            continue
+        surface = surface_of(root, solved, wish, progress, spacing_mm) if surface is None else surface
+        progress(f"writing {out.name}")
+        meshed = has_triangles(out, mesh)
+        if meshed and triangles is None:
+            # It takes as long as everything before.
+            triangles = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm), close_holes_mm)
+        with writing(out):
+            if triangles is not None and meshed:
+                write_mesh(out, triangles, about)
+            else:
+                write_surface(out, surface, about)
+
+
+def _export(source: SourceScan, chosen: Chosen, out: Path, progress: Progress, *, mesh: bool) -> dict[str, Any]:
+    """Write the points of a stored scan, or with ``mesh`` its triangles, to ``out``; the suffix says how.
+
+    Raises ExportError for a suffix that is not allowed, MissingLibraryError, ScanError, StorageError.
+    """
+    suffix = checked_suffix(out, MESH_SUFFIXES if mesh else SCAN_SUFFIXES, "a mesh" if mesh else "a scan")
+    made = organised_scan(source, chosen, progress)
+    record, calibration = source.scan.manifest.record, chosen.calibration
+    warnings = [f"{fault.code.value}: {fault.detail}" for fault in made.faults]
+    about = About(
+        title=f"scan {source.scan.manifest.scan_id}",
+        frame=CAMERA_FRAME,
+        notes=(
+            f"calibration {calibration.hash[:12]} ({calibration.method}), water index {made.water.index:.5f}",
+            f"recorded {record.wall_time or 'at an unknown time'}, software {record.software_version}",
+            *(f"warning {warning}" for warning in warnings),
+        ),
+    )
+    faces = None
+    if mesh:
+        progress("meshing")
+        triangles = mesh_of_scan(made.cloud)
+        points, faces = len(triangles.grey), len(triangles.faces)
+        progress("writing")
+        write_mesh(out, triangles, about)
+    else:
+        points = int(made.cloud.mask.sum())
+        progress("writing")
+        write_scan(out, made.cloud, about)
+    return {
+        "scan": source.scan.manifest.scan_id,
+        "file": str(out),
+        "format": suffix.removeprefix("."),
+        "unit": "m" if suffix in (".e57", ".las") else "mm",
+        "points": points,
+        "faces": faces,
+        "calibration": calibration.hash,
+        "calibration_from": chosen.whose,
+        "water_index": made.water.index,
+        "warnings": warnings,
+    }
