@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 WIDTH_PX, HEIGHT_PX = 900, 340
-_LEFT, _RIGHT, _TOP, _FOOT = 70, 20, 16, 44
+_LEFT, _RIGHT, _TOP, _FOOT = 70, 20, 30, 44
 _INK, _LINE = (51, 39, 28), (229, 221, 213)
 _COLOURS = ((158, 105, 17), (30, 38, 179), (82, 127, 26), (0, 106, 178), (120, 60, 120), (90, 90, 90))
 TICKS = 5

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import Progress
-from appliance.desk.reconstruct import cloud_of_scan
+from appliance.desk.reconstruct import work_through
 from appliance.measure import Fault, OrganisedCloud, Water, organised
 from appliance.store import Chosen, SourceScan, sequence_of_scan
 
@@ -49,7 +49,7 @@ def organised_scan(source: SourceScan, chosen: Chosen, progress: Progress) -> Or
     Raises ScanError, also where no points are left.
     """
     scan = source.scan
-    cloud, water, faults = cloud_of_scan(scan, source.rig, chosen.calibration, progress)
+    worked = work_through(scan, source.rig, chosen.calibration, progress)
     # A copy: the frames may be a file that is mapped, and the cloud outlives it.
     bright = np.array(scan.frames["left"][sequence_of_scan(scan).bright])
-    return OrganisedScan(organised(cloud, bright), water, faults)
+    return OrganisedScan(organised(worked.cloud, bright), worked.water, worked.faults)

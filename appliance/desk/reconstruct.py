@@ -32,20 +32,13 @@ from appliance.base import Progress
 from appliance.measure import (
     PHASE_STEPS,
     SIDES,
-    SPOILS_SCAN,
     Calibration,
     CameraNoise,
-    Cloud,
     Direction,
-    Fault,
-    Grade,
-    Judgement,
     Kind,
     PatternSequence,
     StereoNoise,
-    Water,
     build_sequence,
-    grade,
     of_side,
 )
 from appliance.store import (
@@ -55,6 +48,7 @@ from appliance.store import (
     Chosen,
     Instrument,
     LocalFileSystem,
+    ReprocessedScan,
     Rig,
     ScanError,
     SourceScan,
@@ -203,12 +197,12 @@ def reconstruct_scan(
     scan, rig, calibration = source.scan, source.rig, chosen.calibration
     record = scan.manifest.record
     notes = salvaged.notes if salvaged is not None else ()
-    cloud, water, faults = cloud_of_scan(scan, rig, calibration, progress, salvaged)
+    worked = work_through(scan, rig, calibration, progress, salvaged)
     progress("writing")
-    header, body = encode_ply(cloud, "; ".join(notes) or None)
+    header, body = encode_ply(worked.cloud, "; ".join(notes) or None)
     before = _stored_cloud(scan, header, body)  # compared before it may be written over
     LocalFileSystem().replace_file(out, header, body)
-    s = cloud.summary
+    s = worked.cloud.summary
     return {
         "scan": scan.manifest.scan_id,
         "file": str(out),
@@ -225,8 +219,8 @@ def reconstruct_scan(
         "calibration_from": chosen.whose,
         "calibration_method": calibration.method,
         "same_calibration": calibration.hash == record.calibration_hash,
-        "water_index": water.index,
-        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in faults],
+        "water_index": worked.water.index,
+        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in worked.faults],
     }
 
 
@@ -246,47 +240,13 @@ def _stored_cloud(scan: StoredScan, *parts: Bytes) -> str:
     return f"{CLOUD_FILE}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WorkedThrough:
-    """One sequence, or both that a scan has, as the instrument would have worked them through."""
-
-    cloud: Cloud
-    water: Water
-    faults: tuple[Fault, ...]
-    """Warnings about the scan."""
-    judgements: tuple[Judgement, ...]
-
-    @property
-    def grade(self) -> Grade:
-        """The grade that the instrument gives such a scan; BAD where it would not keep it."""
-        codes = {fault.code for fault in self.faults}
-        if not SPOILS_SCAN.isdisjoint(codes):
-            return Grade.BAD
-        return grade(self.cloud.summary.coverage_percent, self.cloud.summary.noise_mm, codes)
-
-
-def cloud_of_scan(
-    scan: StoredScan,
-    rig: Rig,
-    calibration: Calibration,
-    progress: Progress,
-    salvaged: Salvaged | None = None,
-) -> tuple[Cloud, Water, tuple[Fault, ...]]:
-    """Return the cloud of one sequence, or of both that the scan has, its water, and warnings.
-
-    Raises ScanError, also where no points are left.
-    """
-    worked = work_through(scan, rig, calibration, progress, salvaged)
-    return worked.cloud, worked.water, worked.faults
-
-
 def work_through(
     scan: StoredScan,
     rig: Rig,
     calibration: Calibration,
     progress: Progress,
     salvaged: Salvaged | None = None,
-) -> WorkedThrough:
+) -> ReprocessedScan:
     """Reconstruct and judge a scan, one sequence or both. Raises ScanError, also where no points are left."""
     record = scan.manifest.record
     settings = Instrument(rig).settings_of_scan(record)
@@ -294,13 +254,10 @@ def work_through(
         # A made-up frame is noisier than a recorded one, and the points' sigmas must say so.
         settings = replace(settings, noise=salvaged.noise(settings.noise))
     if scan.second is None or record.second is None:
-        reprocessed = reprocess_scan(scan, calibration, settings, progress)
-        # No file for a cloud without points: it would look like a result.
-        refuse_empty(scan.folder, reprocessed.empty)
-        return WorkedThrough(reprocessed.cloud, reprocessed.water, reprocessed.faults, reprocessed.judgements)
-    both = (settings, Instrument(rig).settings(record.second.exposure))
-    pair = reprocess_bracket(scan, scan.second, both, calibration, progress)
-    if pair.cloud is None:
-        raise ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
-    refuse_empty(scan.folder, pair.empty)
-    return WorkedThrough(pair.cloud, pair.water, pair.faults, (*pair.first, *pair.second, pair.pair))
+        worked = reprocess_scan(scan, calibration, settings, progress)
+    else:
+        both = (settings, Instrument(rig).settings(record.second.exposure))
+        worked = reprocess_bracket(scan, scan.second, both, calibration, progress)
+    # No file for a cloud without points: it would look like a result.
+    refuse_empty(scan.folder, worked.empty)
+    return worked

@@ -25,6 +25,7 @@ from appliance.measure import (
     Fault,
     FaultCode,
     FullCloud,
+    Grade,
     Judgement,
     Mask,
     PatternSequence,
@@ -32,11 +33,12 @@ from appliance.measure import (
     ProcessedSequence,
     QualityLimits,
     SequenceProcessor,
+    Verdict,
     Verdicts,
     Water,
     build_sequence,
-    faults_in,
     faults_of_both,
+    grade,
 )
 from appliance.store import scan as stored
 
@@ -117,18 +119,30 @@ class ReprocessedScan:
     """A stored scan after everything the instrument does with one."""
 
     pipeline: Pipeline
-    """Closed; it keeps the decoded maps of both cameras, but for a pair."""
+    """Closed; it keeps the decoded maps of both cameras, of the second exposure where there are two."""
     cloud: Cloud
     water: Water
     """Water in which it was reconstructed."""
     judgements: tuple[Judgement, ...]
+    """Those of the first exposure, of the second, and ``bracket``."""
     empty: Empty | None = None
     """Reason why there are (nearly) no points, and what to do; ``None`` where there are some."""
+    bracket: Verdict | None = None
+    """Verdict on two exposures as one cloud; ``None``: there is one."""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
         """The faults that are held against the scan."""
-        return tuple(judgement.fault for judgement in self.judgements if judgement.fault is not None)
+        found = tuple(judgement.fault for judgement in self.judgements if judgement.fault is not None)
+        return found if self.bracket is None else faults_of_both(found)
+
+    @property
+    def grade(self) -> Grade:
+        """The grade that the instrument gives such a scan; BAD where it would not keep it."""
+        codes = {fault.code for fault in self.faults}
+        if not SPOILS_SCAN.isdisjoint(codes):
+            return Grade.BAD
+        return grade(self.cloud.summary.coverage_percent, self.cloud.summary.noise_mm, codes)
 
     @property
     def unfit(self) -> Fault | None:
@@ -164,56 +178,43 @@ def reprocess_scan(
         return ReprocessedScan(pipeline, cloud, water, judgements, why_empty(pipeline, cloud, judgements))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReprocessedBracket:
-    """Two sequences after everything the instrument does with a pair."""
-
-    cloud: Cloud | None
-    """Cloud of both; ``None``: ``pair`` says why not."""
-    water: Water
-    first: tuple[Judgement, ...]
-    second: tuple[Judgement, ...]
-    pair: Judgement
-    empty: Empty | None = None
-    """Reason for (nearly) no points, as ``ReprocessedScan.empty``."""
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """The faults that are held against the pair."""
-        return faults_of_both(faults_in((*self.first, *self.second, self.pair)))
-
-
 def reprocess_bracket(
     first: stored.StoredScan,
     second: Mapping[str, NDArray[np.uint8]],
     both: tuple[AcquisitionSettings, AcquisitionSettings],
     calibration: Calibration,
     progress: Progress,
-) -> ReprocessedBracket:
+) -> ReprocessedScan:
     """Reconstruct and judge ``first`` and the frames of a ``second`` sequence as one, as the instrument does.
 
-    ``both``: how either was taken. Raises ScanError where frames are not what they should be.
+    ``both``: how either was taken. Raises ScanError where frames are not what they should be, or both do not show the
+    same.
     """
     water = water_of_scan(first, calibration)
     with Pipeline(calibration, water, sequence_of_scan(first), noise=both[0].noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
-        judged = []
+        judgements: list[Judgement] = []
         held: list[ProcessedSequence] = []
         for name, frames, settings in (("first", first.frames, both[0]), ("second", second, both[1])):
-            judgements = _work_through(processor, frames, settings, len(pipeline.sequence), progress).judgements
+            judged = _work_through(processor, frames, settings, len(pipeline.sequence), progress).judgements
             # The identity of the patterns comes first in what was said.
-            spoiled = judgements[0].fault
+            spoiled = judged[0].fault
             if spoiled is not None:
                 raise stored.ScanError(f"{name} sequence: {spoiled.code.value}: {spoiled.detail}")
-            judged.append(judgements)
+            judgements += judged
             if not held:
                 # The pipeline keeps one sequence only: the first is copied out before the second is pushed over it.
                 held.append(processor.hold())
         progress("merging")
         merged = processor.merge_with(held[0])
-        cloud = None if merged.found is None else pipeline.table.cloud(merged.found)
-        empty = None if cloud is None else why_empty(pipeline, cloud, judged[1])
-        return ReprocessedBracket(cloud, water, judged[0], judged[1], merged.pair, empty)
+        verdict = merged.pair.verdict
+        if merged.found is None:
+            raise stored.ScanError(
+                f"{first.folder}: {verdict.text}; two exposures make one cloud where they were taken from one place"
+            )
+        cloud = pipeline.table.cloud(merged.found)
+        empty = why_empty(pipeline, cloud, judged)
+        return ReprocessedScan(pipeline, cloud, water, (*judgements, merged.pair), empty, verdict)
 
 
 def _work_through(
