@@ -18,6 +18,7 @@ from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.verdicts.motion.judge import MotionJudgement, judge_motion
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
 from tests.support.moved import FRAME_S
+from tests.support.synthetic import push_all
 from tests.support.truth import WATER
 
 Frames = Mapping[str, NDArray[np.uint8]]
@@ -55,9 +56,7 @@ def as_judged(
     exposure = Exposure(round(1e6 * exposure_s), gain_db)
     pipeline.expect(noise)
     pipeline.reset()
-    for side, stack in frames.items():
-        for k in range(len(stack)):
-            pipeline.push(side, stack, k)
+    push_all(pipeline, frames)
     cloud = pipeline.coarse()
     decoded = {side: pipeline.decoded(side) for side in frames}
     return ScanImages(pipeline.sequence, frames, decoded, AcquisitionSettings(exposure, FRAME_S, noise)), cloud

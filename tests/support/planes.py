@@ -36,17 +36,9 @@ def store_plane(rig: Rig, nearer_mm: float = 0.0) -> tuple[Path, np.ndarray]:
     """Return its folder and its points. ``nearer_mm``: than the middle of the volume."""
     cal = Instrument(rig).design()
     sequence = build_sequence(16)
-    beamer = synthetic.projector(cal)
-    index = cal.water.index
-    offset = float(NORMAL @ cal.rig.volume_centre_mm(index)) - nearer_mm
-    frames = {}
-    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
-        pq = beamer.project(synthetic.plane_points(camera, NORMAL, offset), index)
-        frames[side] = np.rint(synthetic.frames(sequence, pq)).astype(np.uint8)
+    frames = synthetic.wall(cal, sequence, NORMAL, nearer_mm)
     pipeline = Pipeline(cal, cal.water, sequence)
-    for k in range(len(sequence)):
-        for side, stack in frames.items():
-            pipeline.push(side, stack, k)
+    synthetic.push_all(pipeline, frames)
     pipeline.coarse()
     cloud = pipeline.full()
     record = ScanRecord(

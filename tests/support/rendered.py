@@ -17,6 +17,7 @@ from appliance.measure.points.pipeline import Cloud, Pipeline
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
+from tests.support.synthetic import push_all
 from tests.support.truth import WATER, left_to_rig, true_calibration
 
 EXPOSURE_S = 0.012
@@ -88,9 +89,7 @@ def render_scan(
 def reconstruct(scan: RenderedScan, calibration: Calibration | None = None) -> tuple[Pipeline, Cloud]:
     """Coarse and full; with the calibration that states the truth unless another is given."""
     pipeline = Pipeline(calibration or true_calibration(scan.renderer.truth), WATER, scan.sequence)
-    for k in range(len(scan.sequence)):
-        for side, frames in scan.frames.items():
-            pipeline.push(side, frames, k)
+    push_all(pipeline, scan.frames)
     pipeline.coarse()
     return pipeline, pipeline.full()
 

@@ -7,6 +7,7 @@ decoding, matching and triangulation can be held against closed forms.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,10 @@ from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.port import Port
 from appliance.measure.light.water import Water
+from appliance.measure.points.pipeline import Pipeline
 
 WATER = Water(20.0, 0.0, 530.0)
+LEANING = np.array([0.1, 0.0, 1.0]) / np.hypot(0.1, 1.0)
 
 
 def calibration(width_px: int = 400, height_px: int = 300) -> Calibration:
@@ -71,12 +74,28 @@ def frames(
     return out
 
 
-def wall(cal: Calibration, sequence: PatternSequence) -> dict[str, NDArray[np.uint8]]:
-    """Both cameras' frames (n, h, w) of a wall that leans, in the middle of the volume."""
-    normal = np.array([0.1, 0.0, 1.0]) / np.hypot(0.1, 1.0)
-    offset_mm = float(normal @ cal.rig.volume_centre_mm(WATER.index))
-    made = {}
-    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
-        pq = projector(cal).project(plane_points(camera, normal, offset_mm), WATER.index)
-        made[side] = np.rint(frames(sequence, pq)).astype(np.uint8)
-    return made
+def wall_px(
+    cal: Calibration, normal: NDArray[np.float64] = LEANING, nearer_mm: float = 0.0
+) -> dict[str, NDArray[np.float64]]:
+    """Pattern coordinates (h, w, 2) that each camera sees on a wall in the middle of the volume, or so much nearer."""
+    offset_mm = float(normal @ cal.rig.volume_centre_mm(WATER.index)) - nearer_mm
+    return {
+        side: projector(cal).project(plane_points(camera, normal, offset_mm), WATER.index)
+        for side, camera in (("left", cal.rig.left), ("right", cal.rig.right))
+    }
+
+
+def wall(
+    cal: Calibration, sequence: PatternSequence, normal: NDArray[np.float64] = LEANING, nearer_mm: float = 0.0
+) -> dict[str, NDArray[np.uint8]]:
+    """Both cameras' frames (n, h, w) of such a wall; rounding is their only noise."""
+    return {
+        side: np.rint(frames(sequence, pq)).astype(np.uint8) for side, pq in wall_px(cal, normal, nearer_mm).items()
+    }
+
+
+def push_all(pipeline: Pipeline, seen: Mapping[str, NDArray[np.uint8]]) -> None:
+    """Push both cameras' frames as they come from an instrument."""
+    for k in range(len(pipeline.sequence)):
+        for side, stack in seen.items():
+            pipeline.push(side, stack, k)

@@ -15,6 +15,7 @@ from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, judge_at, recorded, true_motion_mm
 from tests.support.rendered import RenderedScan, render_scan
+from tests.support.synthetic import push_all
 from tests.support.truth import WATER, true_calibration
 
 
@@ -32,9 +33,7 @@ def corrected(motion: Motion) -> Corrected:
     scan = render_scan(Scene("frustum", texture="strong", motion=motion), "modelled", 10_007, 400, 16, frame_s=FRAME_S)
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
-        for side, frames in scan.frames.items():
-            for k in range(len(scan.sequence)):
-                pipeline.push(side, frames, k)
+        push_all(pipeline, scan.frames)
         pipeline.find_coarse()
         found = pipeline.find_full(straightened=False)
         plain, taken = pipeline.table.cloud(found), recorded(scan, pipeline)

@@ -21,9 +21,7 @@ NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])
 def noisy_scan(period_px: int, width_px: int, height_px: int) -> np.ndarray:
     """Left frames of a plane."""
     cal, sequence = synthetic.calibration(width_px, height_px), build_sequence(period_px)
-    offset = float(NORMAL @ cal.rig.volume_centre_mm(synthetic.WATER.index))
-    points = synthetic.plane_points(cal.rig.left, NORMAL, offset)
-    image = synthetic.frames(sequence, synthetic.projector(cal).project(points, synthetic.WATER.index))
+    image = synthetic.frames(sequence, synthetic.wall_px(cal, NORMAL)["left"])
     noise = 1.6 * np.random.default_rng(period_px).standard_normal(image.shape)
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
 

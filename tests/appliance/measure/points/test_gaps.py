@@ -13,7 +13,6 @@ from appliance.measure.calibration.file import Calibration
 from appliance.measure.calibration.gaps import signed_gap_mm
 from appliance.measure.calibration.patches import PATCH_COUNT
 from appliance.measure.light.patterns import build_sequence
-from appliance.measure.light.sides import SIDES
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from tests.support import synthetic
 
@@ -26,12 +25,7 @@ OFFSET = float(NORMAL @ CALIBRATION.rig.volume_centre_mm(INDEX))
 
 @pytest.fixture(scope="module")
 def images() -> dict[str, np.ndarray]:
-    """A plane, rendered exactly; quantisation is the only noise."""
-    made = {}
-    for side, camera in (("left", CALIBRATION.rig.left), ("right", CALIBRATION.rig.right)):
-        pq = synthetic.projector(CALIBRATION).project(synthetic.plane_points(camera, NORMAL, OFFSET), INDEX)
-        made[side] = np.rint(synthetic.frames(SEQUENCE, pq)).astype(np.uint8)
-    return made
+    return synthetic.wall(CALIBRATION, SEQUENCE, NORMAL)
 
 
 def turned(pitch_deg: float, roll_deg: float) -> Calibration:
@@ -43,9 +37,7 @@ def turned(pitch_deg: float, roll_deg: float) -> Calibration:
 
 def cloud(images: dict[str, np.ndarray], calibration: Calibration) -> Cloud:
     with Pipeline(calibration, CALIBRATION.water, SEQUENCE) as pipeline:
-        for k in range(len(SEQUENCE)):
-            for side in SIDES:
-                pipeline.push(side, images[side], k)
+        synthetic.push_all(pipeline, images)
         assert pipeline.coarse().gaps is None
         return pipeline.full()
 

@@ -17,18 +17,11 @@ NORMAL = np.array([0.25, -0.1, 1.0]) / np.linalg.norm([0.25, -0.1, 1.0])
 
 def record(period_px: int) -> tuple[Pipeline, np.ndarray, float]:
     """A pipeline that has had the exact images of a plane, the plane's coordinates (h, w, 2) in the left one, and its offset."""
-    cal, sequence = synthetic.calibration(), build_sequence(period_px)
-    index = synthetic.WATER.index
-    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
-    pipeline = Pipeline(cal, synthetic.WATER, sequence)
-    seen = {}
-    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
-        points = synthetic.plane_points(camera, NORMAL, offset)
-        seen[side] = synthetic.projector(cal).project(points, index)
-        stack = np.rint(synthetic.frames(sequence, seen[side])).astype(np.uint8)
-        for k in range(len(sequence)):
-            pipeline.push(side, stack, k)
-    return pipeline, seen["left"], offset
+    cal = synthetic.calibration()
+    pipeline = Pipeline(cal, synthetic.WATER, build_sequence(period_px))
+    synthetic.push_all(pipeline, synthetic.wall(cal, pipeline.sequence, NORMAL))
+    offset = float(NORMAL @ cal.rig.volume_centre_mm(synthetic.WATER.index))
+    return pipeline, synthetic.wall_px(cal, NORMAL)["left"], offset
 
 
 @pytest.mark.parametrize("period_px", [16, 64])
@@ -51,9 +44,7 @@ def test_a_plane_is_measured_as_a_plane(period_px: int) -> None:
 def test_without_projector_light_there_is_no_point() -> None:
     pipeline = Pipeline(synthetic.calibration(), synthetic.WATER, build_sequence(16))
     dark = np.random.default_rng(3).integers(10, 14, (24, 300, 400)).astype(np.uint8)
-    for k in range(24):
-        pipeline.push("left", dark, k)
-        pipeline.push("right", dark, k)
+    synthetic.push_all(pipeline, {"left": dark, "right": dark})
     assert len(pipeline.coarse().points_mm) == 0
     cloud = pipeline.full()
     assert (len(cloud.points_mm), cloud.summary.noise_mm) == (0, None)

@@ -38,12 +38,7 @@ LIMITS = PointLimits(f(0.5), f(5.0), f(300.0), f(800.0), f(30.0), f(5.0))
 @cache
 def _plane() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Pattern coordinates (2, h, w) that either camera sees on the plane."""
-    projector = synthetic.projector(CAL)
-    offset = float(NORMAL @ CENTRE_MM)
-    left, right = (
-        np.moveaxis(projector.project(synthetic.plane_points(camera, NORMAL, offset), INDEX), -1, 0).astype(np.float32)
-        for camera in (CAL.rig.left, CAL.rig.right)
-    )
+    left, right = (np.moveaxis(pq, -1, 0).astype(np.float32) for pq in synthetic.wall_px(CAL, NORMAL).values())
     return left, right
 
 
