@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import ContentError, SealedFile
-from appliance.measure import DOUBTS, MODES, PATCH_COUNT, PATCHES, PatchGaps
+from appliance.measure import MODES, PatchGaps
 from appliance.store import FileSystem, LocalFileSystem, StorageError
 
 Array = NDArray[np.float64]
@@ -125,16 +125,16 @@ class TrendPoint:
 class Reference:
     """Gaps of each patch of the left image in the first normal scans; zeros where no scan has shown the patch yet."""
 
-    gap_um: tuple[float, ...] = (0.0,) * PATCH_COUNT
-    variance_um2: tuple[float, ...] = (0.0,) * PATCH_COUNT
-    scans: tuple[int, ...] = (0,) * PATCH_COUNT
+    gap_um: tuple[float, ...] = (0.0,) * PatchGaps.COUNT
+    variance_um2: tuple[float, ...] = (0.0,) * PatchGaps.COUNT
+    scans: tuple[int, ...] = (0,) * PatchGaps.COUNT
     rests_um: tuple[float, ...] = ()
     """RMS rests in µm of the scans that taught the reference."""
     water_index: float | None = None
     """Mean refractive index of the scans that taught."""
     offset_um: Four = (0.0, 0.0, 0.0, 0.0)
     """Amplitudes that a length check found harmless: they are normal, too."""
-    doubts_um: tuple[float, ...] = (0.0,) * (PATCH_COUNT * (DOUBTS + 1))
+    doubts_um: tuple[float, ...] = (0.0,) * (PatchGaps.COUNT * (PatchGaps.DOUBTS + 1))
     """Standard deviations of what backscatter did to the gaps, patch after patch: mean of the scans that taught it of
     ``PatchGaps.doubts_um`` and ``PatchGaps.shape_um``. The same causes are wrong in the same way in later scans."""
 
@@ -199,7 +199,7 @@ class HealthJudgement:
 def judge_health(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple[HealthTrend, HealthJudgement]:
     """Return the trend after one more scan (its number, where it has one already), and what is to be said about it."""
     if len(gaps.patch) < FEWEST_PATCHES:
-        text = f"not judged: {len(gaps.patch)} of {PATCH_COUNT} patches seen, {FEWEST_PATCHES} are needed"
+        text = f"not judged: {len(gaps.patch)} of {PatchGaps.COUNT} patches seen, {FEWEST_PATCHES} are needed"
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
@@ -323,9 +323,9 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     white = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
     # What backscatter may do wrongly it does to the reference, too: only the difference counts.
     causes, shape = _doubts(gaps)
-    known_causes = np.array(reference.doubts_um).reshape(PATCH_COUNT, DOUBTS + 1)[gaps.patch]
+    known_causes = np.array(reference.doubts_um).reshape(PatchGaps.COUNT, PatchGaps.DOUBTS + 1)[gaps.patch]
     doubted_um = _size(causes)
-    causes, shape = causes - known_causes[:, :DOUBTS], shape - known_causes[:, DOUBTS]
+    causes, shape = causes - known_causes[:, : PatchGaps.DOUBTS], shape - known_causes[:, PatchGaps.DOUBTS]
     share_new = min(_size(causes) / max(doubted_um, 1e-9), 1.0)
     # Generalised least squares: a cause moves all patches together, so that its pattern is told from that of a knock by
     # the scan itself. What is left over counts as if patches were independent, and its covariance as they are: it is
@@ -368,7 +368,7 @@ def _misfit(gaps: PatchGaps, expected: Array, amplitudes: Array, weight: Array) 
 def _doubts(gaps: PatchGaps) -> tuple[Array, Array]:
     """Return the standard deviations of what backscatter does wrongly: of each cause (k, DOUBTS), and smooth ones (k,)."""
     if gaps.doubts_um is None or gaps.shape_um is None:
-        return np.zeros((len(gaps.patch), DOUBTS)), np.zeros(len(gaps.patch))
+        return np.zeros((len(gaps.patch), PatchGaps.DOUBTS)), np.zeros(len(gaps.patch))
     return LASTING * gaps.doubts_um, LASTING * gaps.shape_um
 
 
@@ -385,7 +385,8 @@ def _size(causes: Array) -> float:
 
 def _alike(patch: NDArray[np.intp]) -> Array:
     """Compute the correlation (k, k) between the rests of patches: lenses are smooth."""
-    across, down = (patch % PATCHES[0]) / PATCHES[0], (patch // PATCHES[0]) / PATCHES[1] * IMAGE_HEIGHT
+    columns, rows = PatchGaps.GRID
+    across, down = (patch % columns) / columns, (patch // columns) / rows * IMAGE_HEIGHT
     far2 = np.subtract.outer(across, across) ** 2 + np.subtract.outer(down, down) ** 2
     return np.asarray(np.exp(-0.5 * far2 / SMOOTH_OVER**2))
 
@@ -427,7 +428,7 @@ def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
     # Running mean of n + 1 scans, and the variance of that mean: (n² v + σ²) / (n + 1)².
     mean[learning] = (n * mean[learning] + seen) / (n + 1.0)
     variance[learning] = (n**2 * variance[learning] + gaps.noise_um[at] ** 2) / (n + 1.0) ** 2
-    doubts = np.array(reference.doubts_um).reshape(PATCH_COUNT, DOUBTS + 1)
+    doubts = np.array(reference.doubts_um).reshape(PatchGaps.COUNT, PatchGaps.DOUBTS + 1)
     causes, shape = _doubts(gaps)
     doubts[learning] = (n[:, None] * doubts[learning] + np.column_stack([causes, shape])[at]) / (n[:, None] + 1.0)
     scans[learning] += 1.0
@@ -508,10 +509,10 @@ def _refuse_impossible(stored: _StoredHealth) -> None:
     reference = stored.trend.reference
     if stored.trend.judged < 0:
         raise ValueError(f"trend.judged is {stored.trend.judged}; allowed: whole numbers from 0")
-    if any(len(of) != PATCH_COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
-        raise ValueError(f"its reference has not {PATCH_COUNT} patches")
-    if len(reference.doubts_um) != PATCH_COUNT * (DOUBTS + 1):
-        raise ValueError(f"its reference has not {DOUBTS + 1} doubts of {PATCH_COUNT} patches")
+    if any(len(of) != PatchGaps.COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
+        raise ValueError(f"its reference has not {PatchGaps.COUNT} patches")
+    if len(reference.doubts_um) != PatchGaps.COUNT * (PatchGaps.DOUBTS + 1):
+        raise ValueError(f"its reference has not {PatchGaps.DOUBTS + 1} doubts of {PatchGaps.COUNT} patches")
 
 
 HEALTH = SealedFile(_StoredHealth, schema=1, max_bytes=1_000_000, indent=None, check=_refuse_impossible)

@@ -37,9 +37,8 @@ from appliance.calibrate.air.pictures import coverage_picture, residual_picture
 from appliance.calibrate.pictures import Pair, common_size, named_pictures, pairs_of, read_grey, read_pair
 from appliance.calibrate.water.start import start_from_air
 from appliance.measure import (
-    AIR,
     IN_AIR,
-    PARAMETER_NAMES,
+    RIG_PARAMETERS,
     SIDES,
     Calibration,
     CalibrationError,
@@ -275,7 +274,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
 
 def _report(air: AirCalibration, looked: Looked, design: BoardDesign, seen: Coverage) -> dict[str, Any]:
     left, right = air.rig.left, air.rig.right
-    sd = dict(zip(PARAMETER_NAMES[AIR], np.sqrt(np.diag(air.covariance)), strict=True))
+    sd = dict(zip(RIG_PARAMETERS.names[RIG_PARAMETERS.air], np.sqrt(np.diag(air.covariance)), strict=True))
     baseline = np.array(right.translation_mm)
     baseline_mm = float(np.linalg.norm(baseline))
     # Error of the length along the baseline alone: √(eᵀ Σ e), with its unit vector e.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure import MAD_TO_SIGMA, QUANTISATION_DN2, CameraFigures, Direction, PatternSequence
+from appliance.measure import FULL_DN, MAD_TO_SIGMA, CameraFigures, Direction, PatternSequence
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,6 @@ BRIGHTEST_DN = 235.0
 BIN_DN = 8.0
 FEWEST_IN_BIN = 2_000
 FEWEST_BINS = 3
-LEVELS = 255.0
 
 
 SHORTEST_FRINGE_PX = 5.0
@@ -54,19 +53,12 @@ class MeasuredNoise:
     @property
     def full_well_e(self) -> float:
         """Electrons at 255 grey values, at the gain of the scan."""
-        return LEVELS / self.dn_per_e
+        return FULL_DN / self.dn_per_e
 
     def figures(self, serial: str, gain_db: float) -> CameraFigures:
         """Return what the camera with this ``serial`` number has at 0 dB, as a data sheet says it; ``gain_db``: of the
-        scan.
-
-        The line through the variances is kept exactly: where the darkest parts have ambient light, black is stated too
-        high and read noise with it, and the variance of every grey value is the same.
-        """
-        light_dn, variance_dn2 = self.variance_at_dn2
-        read_dn2 = variance_dn2 - self.dn_per_e * (light_dn - self.darkest_dn) - QUANTISATION_DN2
-        full_well_e = self.full_well_e * 10.0 ** (gain_db / 20.0)
-        return CameraFigures(serial, full_well_e, math.sqrt(max(read_dn2, 0.0)) / self.dn_per_e, self.darkest_dn)
+        scan."""
+        return CameraFigures.of_line(serial, gain_db, self.dn_per_e, self.variance_at_dn2, self.darkest_dn)
 
 
 def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> MeasuredNoise:

@@ -10,19 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure import (
-    AMPLITUDE_CODE,
-    CODES,
-    MEAN_CODE,
-    PHASE_STEPS,
-    Direction,
-    PatternSequence,
-    Response,
-    UndeterminedError,
-    fringe,
-    phase_error_rad,
-    solved,
-)
+from appliance.calibrate.determined import UndeterminedError, solved
+from appliance.measure import PHASE_STEPS, Direction, PatternSequence, Response, phase_error_rad
 
 ORDER = 9
 """Highest harmonic: those beyond are below 1e-4 of the first in any response without kinks."""
@@ -88,12 +77,18 @@ def measure_response(
             # one period is the true coordinate of a smooth surface.
             smooth = _smooth(coordinate, direction, sequence.period_px)
             for step, light, at in _lights(sequence, one, direction, smooth):
-                drawn = _drawn(sequence, direction, step, drawn_for)
-                x = np.interp(at, np.arange(len(drawn)), (drawn - MEAN_CODE) / AMPLITUDE_CODE)
+                pixels = np.arange(sequence.axis(direction).size_px)
+                # Without rounding, where nothing was compensated.
+                drawn = (
+                    np.cos(_phase_rad(pixels, sequence, step))
+                    if drawn_for is None
+                    else drawn_for.drawn(len(pixels), sequence.period_px, step)
+                )
+                x = np.interp(at, pixels, drawn)
                 codes.add(np.arccos(np.clip(x, -1.0, 1.0)), light)
                 # The same light against the phase as it was drawn: where the patterns were compensated, these are the
                 # harmonics that remain.
-                phases.add(2.0 * np.pi * (at + 0.5) / sequence.period_px + step * np.pi / 2.0, light)
+                phases.add(_phase_rad(at, sequence, step), light)
     if codes.count < FEWEST_PIXELS * PHASE_STEPS:
         raise ResponseError(
             f"{codes.count // PHASE_STEPS} pixels see a smooth surface over a whole fringe period; needed are "
@@ -142,19 +137,16 @@ def _lights(
     return [(step, (seen.frames[k].reshape(-1)[use] - black) / span, at) for step, k in enumerate(sines)]
 
 
-def _drawn(
-    sequence: PatternSequence, direction: Direction, step: int, response: Response | None
+def _phase_rad(
+    at_px: NDArray[np.floating] | NDArray[np.integer], sequence: PatternSequence, step: int
 ) -> NDArray[np.float64]:
-    """Return the codes along the direction before they were rounded, or as they were drawn for a response."""
-    size_px = sequence.axis(direction).size_px
-    if response is None:
-        return np.asarray(MEAN_CODE + AMPLITUDE_CODE * fringe(size_px, sequence.period_px, step))
-    return response.sine_codes(size_px, sequence.period_px, step).astype(np.float64)
+    """Return the phase that a sine image draws at pattern coordinates."""
+    return np.asarray(2.0 * np.pi * (at_px + 0.5) / sequence.period_px + step * np.pi / 2.0)
 
 
 def _normalised(harmonics: NDArray[np.float64]) -> tuple[float, ...]:
     """Return light 0 at the first and 1 at the last code of fringes."""
-    ends = np.polynomial.chebyshev.chebval((np.array(CODES) - MEAN_CODE) / AMPLITUDE_CODE, harmonics)
+    ends = np.polynomial.chebyshev.chebval([-1.0, 1.0], harmonics)
     scaled = harmonics / (ends[1] - ends[0])
     scaled[0] -= ends[0] / (ends[1] - ends[0])
     return tuple(float(b) for b in scaled)

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
         Symbol,  # Quantities by the letters of the guideline
     )
     from .accept.ball_bar import (
-        Ball,  # One ball: the sphere and the points it rests on
         BallBar,  # Two balls, the one with the smaller x first
         find_ball_bar,  # Return the two balls of nearly equal radius that most of a cloud's points agree on
     )
@@ -42,9 +41,6 @@ if TYPE_CHECKING:
         Artefact,  # Artefacts that can be evaluated
         evaluate,  # Find an artefact in a cloud and compare it with its calibrated lengths
     )
-    from .accept.sphere import (
-        STEEPEST_COS,  # Least cosine between the view and the sphere's normal
-    )
     from .bracket import (
         ProcessedSequence,  # One of the two sequences after its full cloud
     )
@@ -54,7 +50,6 @@ if TYPE_CHECKING:
         DISTANCE_MM,  # Distance in the standard housing at which coefficients are mm
         POWERS,  # Exponents i, j, k of u, v and w. What is constant or tilts only moves or turns a scan
         along_ray,  # Return the vectors (…, 3) by which points move per mm of depth
-        coefficients_of,  # Return the coefficients (COUNT, …) of depth errors (n, …) at points (n, 3)
         shapes,  # Return φ (…, COUNT) at points (…, 3) of a scan's own frame
     )
     from .calibration.design import (
@@ -62,15 +57,8 @@ if TYPE_CHECKING:
         Design,  # The optical design: two equal cameras, toed in symmetrically
         design_calibration,  # Return the calibration of an instrument built exactly to the drawing
     )
-    from .calibration.determined import (
-        UndeterminedError,  # Observations leave a combination of unknowns free; names has those that take part in it
-        solved,  # Return x (n, …) with matrix (n, n), symmetric, times x = right (n, …)
-    )
     from .calibration.field import (
-        EYES,  # Blocks of nodes of a rig: left across, left down, right across, right down
-        FIELD_CELLS,  # Intervals across and down the image
         AirField,  # The lenses' fields as boards in air tell of them, together with all else
-        FieldPrior,  # Mean and covariance of unknowns of which the last EYES blocks are nodes of fields
     )
     from .calibration.file import (
         CALIBRATION,  # File of a calibration
@@ -81,18 +69,10 @@ if TYPE_CHECKING:
         encode_calibration,  # Return the file's bytes
     )
     from .calibration.gaps import (
-        DOUBTS,  # Causes for which what backscatter adds may be wrong everywhere at once
         MODES,  # Names of the patterns of ray gaps that a calibration cannot tell from water or pose
         TURNS,  # Names of the right camera's turns, as changes
         GapModes,  # The four patterns of ray gaps of one calibration in one water
         in_words,  # Return a turn of the right camera in a technician's words
-    )
-    from .calibration.judgement import (
-        PATCHES,  # Patches across and down the left image over which residuals are averaged
-        Estimate,  # One parameter: its change and what is known about it
-        judged,  # Return one estimate per parameter
-        systematic_px,  # Return the RMS per coordinate of the patches' mean residuals
-        warnings_about,  # Return the systematic rest in px, and warnings in words
     )
     from .calibration.noise_file import (
         LIMITS,  # Range of each figure, within that of the rig file's key of the same name
@@ -108,15 +88,7 @@ if TYPE_CHECKING:
         owner_misfit,  # Return why calibration is not of owner; None where it is, as far as is known
     )
     from .calibration.parameters import (
-        AIR,  # Places of the parameters that a calibration in air tells
-        PARAMETER_COUNT,  # Number of parameters of a rig
-        PARAMETER_NAMES,  # All parameters: the ports' six, then the twenty-two that a calibration in air delivers
-        PARAMETER_STEPS,  # Increments for difference quotients
-        PORT_PARAMETERS,  # Places of the ports' parameters
-        rig_with,  # Return rig changed by the increments x (28,), in the order of NAMES
-    )
-    from .calibration.patches import (
-        PATCH_COUNT,  # Number of patches of the left image
+        RIG_PARAMETERS,
     )
     from .calibration.response_file import (
         RESPONSE,  # File of the projector's measured response
@@ -151,11 +123,7 @@ if TYPE_CHECKING:
         AcquisitionSettings,  # Settings that a sequence is taken with
     )
     from .light.correction import (
-        CORRECTION_INTERVALS,  # Intervals across and down the image
-        ImageCorrection,  # A shift of pixels as a bicubic B-spline, in px
-        basis_entries,  # Return the sixteen nodes (n, 16) that touch pixels (n, 2), and their weights (n, 16)
-        basis_matrix,  # Return the weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row
-        node_count,  # Return the number of nodes of a bicubic B-spline with intervals (across, down)
+        SplineGrid,  # The nodes of a bicubic B-spline over an image; they count row by row
     )
     from .light.draw import (
         draw_sequence,  # Return every pattern of a sequence in the order of projection, (height, width) uint8 each
@@ -171,14 +139,12 @@ if TYPE_CHECKING:
         ladder,  # Return all steps from dark to bright for a projector's vertical period
     )
     from .light.model import (
-        IDENTITY,  # Rotation that turns nothing
         HousedCamera,  # A camera in its housing, at its place in the left camera frame
         StereoRig,  # Both cameras; the left one's frame is the frame of everything measured
     )
     from .light.noise import (
         FULL_DN,  # Largest grey value of a camera's eight bits
         MAD_TO_SIGMA,  # Standard deviation over the median distance from the mean, of normal values
-        QUANTISATION_DN2,  # Variance of rounding to whole grey values
         TYPICAL_PAIR,  # Noise of two cameras of which nothing is known
         CameraNoise,  # One camera's temporal noise: variance = read_dn² + dn_per_e · (grey value − black_dn)
         StereoNoise,  # The temporal noise of both cameras
@@ -197,13 +163,11 @@ if TYPE_CHECKING:
     from .light.pinhole import (
         FoldingLens,  # A lens of others, whose distortion may fold over within the image
         Lens,  # A pinhole with distortion. Normalised coordinates are x = X/Z, y = Y/Z in the camera frame
-        distort,  # Return the distorted normalised coordinates (..., 2) of ideal ones (..., 2)
     )
     from .light.port import (
         Port,  # A plane-parallel window in front of a camera
     )
     from .light.response import (
-        CODES,  # First and last code of sine fringes
         Response,  # One projector's response. Raises ValueError where light does not grow with the code
         phase_error_rad,  # Return the largest error of a four-step phase on fringes with these harmonics, in radians
     )
@@ -217,10 +181,7 @@ if TYPE_CHECKING:
         of_side,  # Return the part of both that belongs to the camera side
     )
     from .light.sine import (
-        AMPLITUDE_CODE,  # Codes run from 8 to 247: clear of the ends of the scale, where projectors clip
-        MEAN_CODE,  # Mean code of sine fringes
         PHASE_STEPS,  # Number of phase steps, 90° apart; PatternSequence says what relies on it
-        fringe,  # Return cos(φ + step·90°) at the pixels' centres: shape (size_px,), −1 … 1
     )
     from .light.volume import (
         STANDARD,  # The volume of the standard housing: of rig files and calibrations that say nothing else

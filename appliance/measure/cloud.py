@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:  # carried as they are by whoever decides: no array is looked at to do that
     import numpy as np
@@ -29,6 +29,13 @@ class CloudSummary:
 class PatchGaps:
     """Mean signed ray gaps of one scan, before any limit of quality. Arrays have one row per patch that was seen."""
 
+    GRID: ClassVar = (8, 6)
+    """Patches across and down the left image."""
+    COUNT: ClassVar = 48
+    DOUBTS: ClassVar = 3
+    """Causes for which what backscatter adds may be wrong everywhere at once: its strength, and two directions in which
+    the projector may stand elsewhere."""
+
     patch: NDArray[np.intp]
     """(k,) row·8 + column of the patch in the left image."""
     gap_um: NDArray[np.float64]
@@ -52,6 +59,15 @@ class PatchGaps:
     """(k,) standard deviation of what is left of it, smooth over the image."""
     turns_um: NDArray[np.float64] | None = None
     """(3, 4) amplitudes per degree that the right camera is turned by, about x, y, z; ``None``: nobody asked."""
+
+    @staticmethod
+    def patch_of(left_px: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.intp]:
+        """Return the patches (n,) that pixels (n, 2) of a left image of ``size_px`` lie in."""
+        across, down = PatchGaps.GRID
+        column = (left_px[:, 0] / size_px[0] * across).clip(0, across - 1).astype("intp")
+        row = (left_px[:, 1] / size_px[1] * down).clip(0, down - 1).astype("intp")
+        patch: NDArray[np.intp] = row * across + column
+        return patch
 
 
 @dataclass(frozen=True, slots=True)

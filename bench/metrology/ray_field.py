@@ -22,6 +22,7 @@ from appliance.calibrate.water.bundle import (
 )
 from appliance.calibrate.water.method import Method
 from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.correction import SplineGrid
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.ray_shift import INTERVALS, RayShift
 
@@ -77,13 +78,10 @@ class FieldProblem(Problem):
         index_more: float,
     ) -> Slopes:
         """Return one recording's residuals and their slopes by all unknowns."""
-        size_px = rig.left.width_px, rig.left.height_px
-        bases = [NodeBasis.at(uv, size_px, INTERVALS) for uv in (recording.left_px, recording.right_px)]
+        grid = SplineGrid((rig.left.width_px, rig.left.height_px), INTERVALS)
+        bases = [NodeBasis.at(uv, grid) for uv in (recording.left_px, recording.right_px)]
         # The right shift is looked up at the matched pixel, not where the point falls: they are coarse.
-        left_mm, right_mm = (
-            np.stack([basis.times(part) for part in np.split(x[where], 2)], -1)
-            for basis, where in zip(bases, self.shifts, strict=True)
-        )
+        left_mm, right_mm = (basis.surface(x[where]) for basis, where in zip(bases, self.shifts, strict=True))
 
         def shifted(rig: StereoRig, left_mm: Array = left_mm, right_mm: Array = right_mm) -> StereoRig:
             return replace(rig, left=_shifted(rig.left, left_mm), right=_shifted(rig.right, right_mm))

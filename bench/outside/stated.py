@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.correction import ImageCorrection, basis_matrix
+from appliance.measure.light.correction import SplineGrid
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.ray_shift import RayShift
 from appliance.measure.light.water import Water
@@ -71,11 +71,12 @@ def _followed(rig: TrueRig, side: str, camera: HousedCamera, index: float) -> Ho
     uv = _grid(size_px, FITTED_AT)
     origin, direction = _true_rays(rig, side, uv)
     shift_px = uv - camera.project(origin + direction * FAR_MM, index)
-    weights = basis_matrix(uv, size_px, INTERVALS)
+    grid = SplineGrid(size_px, INTERVALS)
+    weights = grid.matrix(uv)
     # By the normal equations: every node is seen by many points, so that they are as good as a decomposition and quicker.
     square = weights.T @ weights
     turn = np.linalg.solve(square, weights.T @ shift_px)
-    turned = replace(camera, correction=ImageCorrection(*size_px, INTERVALS, tuple(turn.ravel().tolist())))
+    turned = replace(camera, correction=grid.correction(turn))
     beside_mm = _beside(turned, uv, origin, direction, index)
     move = np.linalg.solve(square, weights.T @ beside_mm)
     return replace(turned, ray_shift=RayShift(*size_px, INTERVALS, tuple(move.ravel().tolist())))

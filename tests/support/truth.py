@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.correction import ImageCorrection, basis_matrix
+from appliance.measure.light.correction import SplineGrid
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.port import Port
@@ -64,9 +64,10 @@ def _corrected(truth: TrueRig, side: str, camera: HousedCamera) -> HousedCamera:
     origin, direction = ray(truth, side, uv)
     points = rig_to_left(truth, origin + direction * ((MIDDLE_MM - origin[:, 2:]) / direction[:, 2:]))
     shift = uv - camera.project(points, truth.n_water)
-    weights = basis_matrix(uv, size_px, INTERVALS)
+    grid = SplineGrid(size_px, INTERVALS)
+    weights = grid.matrix(uv)
     coefficients, *_ = np.linalg.lstsq(weights, shift, rcond=None)
-    return replace(camera, correction=ImageCorrection(*size_px, INTERVALS, tuple(coefficients.ravel().tolist())))
+    return replace(camera, correction=grid.correction(coefficients))
 
 
 def _camera(eye: TrueEye, left: TrueEye) -> HousedCamera:

@@ -37,25 +37,14 @@ from appliance.calibrate.air.linearised import (
     moved,
     slopes,
 )
-from appliance.measure import (
-    AIR,
-    EYES,
-    FIELD_CELLS,
-    PARAMETER_COUNT,
-    PARAMETER_NAMES,
-    AirField,
-    FieldPrior,
-    StereoRig,
-    basis_matrix,
-    node_count,
-    rig_with,
-    solved,
-)
+from appliance.calibrate.determined import solved
+from appliance.calibrate.field import FIELD_CELLS, FieldPrior
+from appliance.measure import RIG_PARAMETERS, AirField, SplineGrid, StereoRig
 
 Array = NDArray[np.float64]
 
 UNKNOWNS = (
-    *PARAMETER_NAMES[AIR],
+    *RIG_PARAMETERS.names[RIG_PARAMETERS.air],
     *(f"the board's {shape}" for shape in ("bow", "saddle", "twist", "S across", "S down")),
 )
 STEPS_AT_MOST = 30
@@ -87,7 +76,7 @@ class Adjusted:
     shapes_mm: Array
     """(``SHAPES``,): amounts of the board's shapes."""
     information: Array
-    """(22 + ``SHAPES``)² for unit noise: the 22 parameters of ``NAMES[AIR]``, then the shapes."""
+    """(22 + ``SHAPES``)² for unit noise: the 22 parameters of ``RIG_PARAMETERS.air``, then the shapes."""
     by_scale: Array
     """(22,): what the parameters change by with the scale of the board, which no picture of it can tell."""
     residuals: list[Array]
@@ -139,9 +128,7 @@ def adjust(
         information[VALUES:, VALUES:] += prior
         gradient[VALUES:] -= prior @ shapes
         step = solved(information, gradient, UNKNOWNS)
-        full = np.zeros(PARAMETER_COUNT)
-        full[AIR] = step[:VALUES]
-        rig = rig_with(rig, full)
+        rig = RIG_PARAMETERS.changed(rig, step[:VALUES], RIG_PARAMETERS.air)
         shapes = shapes + step[VALUES:]
         boards = [moved(board, place[:, m] - place[:, :m] @ step) for board, place in zip(boards, blocks, strict=True)]
         # Converged in standard deviations, not in units: a step that is small against what is known changes nothing.
@@ -183,16 +170,16 @@ def adjust_with_field(
     Gauss–Newton over the 22 values, the board's shapes and both cameras' nodes; boards' places are eliminated.
     ``noise_px`` is where the estimate of the corners' usual noise begins; ``weights`` are those of ``adjust``.
     """
-    size_px = rig.left.width_px, rig.left.height_px
-    nodes = node_count(FIELD_CELLS)
+    grid = SplineGrid((rig.left.width_px, rig.left.height_px), FIELD_CELLS)
+    nodes = grid.count
     first = VALUES + SHAPES
-    m = first + EYES * nodes
-    sd = np.concatenate([FREE, np.full(SHAPES, shape_sd_mm), np.zeros(EYES * nodes)])
-    prior = FieldPrior(np.diag(sd**2), np.zeros(m), size_px, FIELD_CELLS)
+    m = first + AirField.EYES * nodes
+    sd = np.concatenate([FREE, np.full(SHAPES, shape_sd_mm), np.zeros(AirField.EYES * nodes)])
+    prior = FieldPrior(np.diag(sd**2), np.zeros(m), grid)
     bases = [
         (
-            _basis(v.left_px, weight[: len(weight) // 2 : 2], size_px),
-            _basis(v.right_px, weight[len(weight) // 2 :: 2], size_px),
+            _basis(v.left_px, weight[: len(weight) // 2 : 2], grid),
+            _basis(v.right_px, weight[len(weight) // 2 :: 2], grid),
         )
         for v, weight in zip(views, weights, strict=True)
     ]
@@ -203,7 +190,7 @@ def adjust_with_field(
     x[VALUES:first] = shapes_mm
     hessian, by_scale = np.zeros((m, m)), np.zeros(m)
     for _ in range(STEPS):
-        now = _with(rig, x[:VALUES])
+        now = RIG_PARAMETERS.changed(rig, x[:VALUES], RIG_PARAMETERS.air)
         changed = each_changed(rig, x[:VALUES])
         hessian, gradient, by_scale = np.zeros((m, m)), np.zeros(m), np.zeros(m)
         hessian[first:, first:] = nodes_alone
@@ -248,15 +235,9 @@ def adjust_with_field(
     return AirField.of(FIELD_CELLS, x[kept], covariance[np.ix_(kept, kept)])
 
 
-def _basis(seen_px: Array, weights: Array, size_px: tuple[int, int]) -> Array:
+def _basis(seen_px: Array, weights: Array, grid: SplineGrid) -> Array:
     """Return the basis at corners (n, 2), each row times its weight (n,), zero where the corner was not seen."""
-    return basis_matrix(np.nan_to_num(seen_px), size_px, FIELD_CELLS) * weights[:, None]
-
-
-def _with(rig: StereoRig, values: Array) -> StereoRig:
-    x = np.zeros(PARAMETER_COUNT)
-    x[AIR] = values
-    return rig_with(rig, x)
+    return grid.matrix(np.nan_to_num(seen_px)) * weights[:, None]
 
 
 def _rows(n: int, block: int) -> slice:
@@ -270,7 +251,7 @@ def _times(basis: tuple[Array, Array], nodes: Array) -> Array:
     linear in the nodes."""
     n = len(basis[0])
     found = np.empty(4 * n)
-    for block, part in enumerate(np.split(nodes, EYES)):
+    for block, part in enumerate(np.split(nodes, AirField.EYES)):
         found[_rows(n, block)] = basis[block // 2] @ part
     return found
 
@@ -278,7 +259,7 @@ def _times(basis: tuple[Array, Array], nodes: Array) -> Array:
 def _across(rows: Array, by_rig: Array, basis: tuple[Array, Array]) -> Array:
     """Return rowsᵀ J (k, m) of rows (4 n, k), with J the slopes by rig, shapes and all nodes."""
     n = len(basis[0])
-    return np.concatenate([rows.T @ by_rig, *(rows[_rows(n, k)].T @ basis[k // 2] for k in range(EYES))], 1)
+    return np.concatenate([rows.T @ by_rig, *(rows[_rows(n, k)].T @ basis[k // 2] for k in range(AirField.EYES))], 1)
 
 
 def _squares(bases: Sequence[tuple[Array, Array]]) -> Array:
@@ -288,7 +269,7 @@ def _squares(bases: Sequence[tuple[Array, Array]]) -> Array:
         every = np.concatenate([basis[eye] for basis in bases])
         parts += [every.T @ every] * 2
     nodes = len(parts[0])
-    found = np.zeros((EYES * nodes,) * 2)
+    found = np.zeros((AirField.EYES * nodes,) * 2)
     for k, part in enumerate(parts):
         found[k * nodes : (k + 1) * nodes, k * nodes : (k + 1) * nodes] = part
     return found

@@ -28,16 +28,15 @@ from numpy.typing import NDArray
 from appliance.calibrate.air.adjustment import Adjusted, BoardTolerance, adjust, adjust_with_field
 from appliance.calibrate.air.coverage import check_tilts
 from appliance.calibrate.air.linearised import VALUES, BoardView, bend_of, each_changed, slopes
+from appliance.calibrate.determined import UndeterminedError
 from appliance.measure import (
-    AIR,
-    PARAMETER_NAMES,
+    RIG_PARAMETERS,
     SIDES,
     AirField,
     HousedCamera,
     Lens,
     Port,
     StereoRig,
-    UndeterminedError,
     matrix3,
     rotation_matrix,
 )
@@ -233,7 +232,7 @@ def check_certain(rig: StereoRig, covariance: Array) -> None:
     base_mm = float(np.linalg.norm(rig.right.translation_mm))
     known = {0: rig.left.lens.f_px[0], 8: rig.right.lens.f_px[0], **dict.fromkeys((19, 20, 21), base_mm)}
     vague = [
-        f"{PARAMETER_NAMES[AIR][k]} better than ± {np.sqrt(covariance[k, k]):.3g} of {of:.4g}"
+        f"{RIG_PARAMETERS.names[RIG_PARAMETERS.air][k]} better than ± {np.sqrt(covariance[k, k]):.3g} of {of:.4g}"
         for k, of in known.items()
         if not np.sqrt(covariance[k, k]) < VAGUE * abs(of)
     ]
@@ -272,7 +271,7 @@ class AirCalibration:
     rig: StereoRig
     """Rig whose ports have no thickness and no distance: air."""
     covariance: Array
-    """(22, 22), in the units and order of ``parameters.NAMES[AIR]``: noise of the corners, tolerance of the board.
+    """(22, 22), in the units and order of ``RIG_PARAMETERS.air``: noise of the corners, tolerance of the board.
 
     What a lens does beyond the model is not in it.
     """

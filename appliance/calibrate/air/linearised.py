@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure import AIR, PARAMETER_COUNT, PARAMETER_STEPS, HousedCamera, StereoRig, rig_with, rotation_matrix
+from appliance.measure import RIG_PARAMETERS, HousedCamera, StereoRig, rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -137,7 +137,10 @@ def slopes(
         more[:, 2] += SHAPE_STEP_MM * rise[:, k]
         return (seen(rig, board, more) - now) / SHAPE_STEP_MM
 
-    by_rig = [(seen(r, board, corners) - now) / s for r, s in zip(changed, PARAMETER_STEPS[AIR], strict=True)]
+    by_rig = [
+        (seen(r, board, corners) - now) / s
+        for r, s in zip(changed, RIG_PARAMETERS.steps[RIG_PARAMETERS.air], strict=True)
+    ]
     by_place = [(seen(rig, moved(board, step), corners) - now) / float(step.sum()) for step in np.diag(_BOARD_STEPS)]
     return ViewSlopes(
         np.concatenate([view.left_px.ravel(), view.right_px.ravel()]) - now,
@@ -160,14 +163,9 @@ def moved(board: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
 
 def each_changed(rig: StereoRig, at: Array | None = None) -> list[StereoRig]:
     """Return ``rig`` changed by ``at`` (22,), and by each of the 22 values a step more."""
-    found = []
-    for k in range(AIR.start, AIR.stop):
-        x = np.zeros(PARAMETER_COUNT)
-        if at is not None:
-            x[AIR] = at
-        x[k] += PARAMETER_STEPS[k]
-        found.append(rig_with(rig, x))
-    return found
+    start = np.zeros(VALUES) if at is None else at
+    steps = np.diag(RIG_PARAMETERS.steps[RIG_PARAMETERS.air])
+    return [RIG_PARAMETERS.changed(rig, start + step, RIG_PARAMETERS.air) for step in steps]
 
 
 def _in_air(camera: HousedCamera, points: Array) -> Array:

@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibrate.determined import UndeterminedError, solved
+from appliance.calibrate.field import FieldPrior
 from appliance.calibrate.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
 from appliance.calibrate.water.artefact import Place, first_place
 from appliance.calibrate.water.expected import (
@@ -27,29 +29,9 @@ from appliance.calibrate.water.expected import (
     expected_depth_error_mm2,
     warnings_about_expected,
 )
+from appliance.calibrate.water.judgement import judged, systematic_px, warnings_about
 from appliance.calibrate.water.method import Method, WaterResult
-from appliance.measure import (
-    CORRECTION_INTERVALS,
-    PARAMETER_COUNT,
-    PARAMETER_NAMES,
-    PARAMETER_STEPS,
-    PORT_PARAMETERS,
-    SIDES,
-    Calibration,
-    FieldPrior,
-    HousedCamera,
-    ImageCorrection,
-    StereoRig,
-    UndeterminedError,
-    Water,
-    basis_entries,
-    judged,
-    node_count,
-    rig_with,
-    solved,
-    systematic_px,
-    warnings_about,
-)
+from appliance.measure import RIG_PARAMETERS, SIDES, Calibration, HousedCamera, SplineGrid, StereoRig, Water
 
 Array = NDArray[np.float64]
 
@@ -66,13 +48,13 @@ class NodeBasis:
     """All nodes of one component of the surface."""
 
     @classmethod
-    def at(cls, uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> NodeBasis:
+    def at(cls, uv_px: Array, grid: SplineGrid) -> NodeBasis:
         """Return that of pixels (n, 2)."""
-        return cls(*basis_entries(uv_px, size_px, intervals), node_count(intervals))
+        return cls(*grid.entries(uv_px), grid.count)
 
-    def times(self, nodes: Array) -> Array:
-        """Return the values (n,) of one component with these nodes (count,)."""
-        return np.asarray(np.sum(self.weights * nodes[self.nodes], axis=1))
+    def surface(self, nodes: Array) -> Array:
+        """Return values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
+        return np.stack([np.sum(self.weights * part[self.nodes], axis=1) for part in np.split(nodes, 2)], -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +221,7 @@ def _adjusted(problem: Problem) -> WaterResult:
     rig = problem.rig(x)
     counts = problem.active
     estimates = judged(
-        [PARAMETER_NAMES[k] for k in counts],
+        [RIG_PARAMETERS.names[k] for k in counts],
         x[: len(counts)] - problem.mean[: len(counts)],
         problem.prior_sd,
         np.sqrt(np.diag(covariance))[: len(counts)],
@@ -318,7 +300,7 @@ class Problem:
         self.method = method
         self.settings = settings
         rig, air_field = start.rig, start.air_field
-        self.active = list(range(PORT_PARAMETERS.stop if method is Method.PORTS else PARAMETER_COUNT))
+        self.active = list(range(RIG_PARAMETERS.ports.stop if method is Method.PORTS else RIG_PARAMETERS.count))
         count = len(self.active)
         tilt = math.radians(settings.tilt_deg)
         # Priors as an information matrix, that is the inverse of a covariance: independent for the ports, which only
@@ -330,8 +312,9 @@ class Problem:
             information[6:, 6:] = np.linalg.inv(_widened(np.array(start.air_covariance), rig, settings))
         self.prior_sd = np.sqrt(np.diag(np.linalg.inv(information)))
         self.has_nodes = method is Method.SPLINE and settings.spline_px > 0.0
-        self._intervals = CORRECTION_INTERVALS if air_field is None else air_field.intervals
-        nodes = 2 * node_count(self._intervals) if self.has_nodes else 0
+        size_px = rig.left.width_px, rig.left.height_px
+        self._grid = SplineGrid(size_px) if air_field is None else SplineGrid(size_px, air_field.intervals)
+        nodes = 2 * self._grid.count if self.has_nodes else 0
         # Order of the unknowns x: rig parameters, nodes of the left and right image correction, then each artefact's
         # pose.
         self._left_nodes, self._right_nodes = slice(count, count + nodes), slice(count + nodes, count + 2 * nodes)
@@ -354,12 +337,12 @@ class Problem:
             known[:6, :6] = np.linalg.inv(information[:6, :6])
             known[6:, 6:] = _widened(air_field.covariance, rig, settings)
             mean = np.concatenate([np.zeros(6), air_field.mean])
-            self.windows = FieldPrior(known, mean, (rig.left.width_px, rig.left.height_px), self._intervals)
+            self.windows = FieldPrior(known, mean, self._grid)
             self.mean[: len(mean)] = mean
             self.prior[: len(mean), : len(mean)] = self.windows.information
             self.prior_sd = np.sqrt(np.diag(known)[:count])
         elif self.has_nodes:
-            smooth = smoothness(self._intervals, settings.spline_px, settings.spline_bend_px)
+            smooth = smoothness(self._grid.intervals, settings.spline_px, settings.spline_bend_px)
             self.prior[self._left_nodes, self._left_nodes] = smooth
             self.prior[self._right_nodes, self._right_nodes] = smooth
 
@@ -377,7 +360,7 @@ class Problem:
     @property
     def names(self) -> list[str]:
         """Names of all unknowns, in order."""
-        named = [PARAMETER_NAMES[k] for k in self.active]
+        named = [RIG_PARAMETERS.names[k] for k in self.active]
         for side, at in zip(SIDES, (self._left_nodes, self._right_nodes), strict=True):
             named += [f"{side} image correction"] * (at.stop - at.start)
         for recording, at in zip(self.recordings, self._slices, strict=True):
@@ -418,7 +401,7 @@ class Problem:
         residuals = []
         rig = self.bare(x)
         changed = []
-        for k, step in enumerate(PARAMETER_STEPS[self.active]):
+        for k, step in enumerate(RIG_PARAMETERS.steps[self.active]):
             y = x.copy()
             y[k] += step
             changed.append((self.bare(y), step))
@@ -455,10 +438,9 @@ class Problem:
         index = recording.water.index + index_more
         left, right = recording.left_px, recording.right_px
         if self.has_nodes:
-            left_basis = _basis(rig.left, left, self._intervals)
-            right_basis = _basis(rig.right, right, self._intervals)
-            left = left - _surface(left_basis, x[self._left_nodes])
-            right = right - _surface(right_basis, x[self._right_nodes])
+            left_basis, right_basis = NodeBasis.at(left, self._grid), NodeBasis.at(right, self._grid)
+            left = left - left_basis.surface(x[self._left_nodes])
+            right = right - right_basis.surface(x[self._right_nodes])
 
         def predicted(rig: StereoRig, uv: Array = left, q: Array = x[at]) -> Array:
             # Transfer error: left pixel → refracted ray → point on the artefact → refracted projection into the right
@@ -480,15 +462,11 @@ class Problem:
         return Slopes(now - right, np.concatenate(parts, -1), columns, nodes)
 
     def _corrected(self, camera: HousedCamera, nodes: Array) -> HousedCamera:
-        by_node = nodes.reshape(2, -1).T.ravel()
-        correction = ImageCorrection(camera.width_px, camera.height_px, self._intervals, tuple(by_node.tolist()))
-        return replace(camera, correction=correction)
+        return replace(camera, correction=self._grid.correction(nodes.reshape(2, -1).T))
 
     def bare(self, x: Array) -> StereoRig:
         """Return the rig at ``x``, without its corrections."""
-        full = np.zeros(PARAMETER_COUNT)
-        full[self.active] = x[: len(self.active)]
-        return rig_with(self.start.rig, full)
+        return RIG_PARAMETERS.changed(self.start.rig, x[: len(self.active)], self.active)
 
 
 def _index_sd(water: Water, led_nm: float) -> float:
@@ -507,15 +485,6 @@ def _widened(covariance: Array, rig: StereoRig, settings: BundleSettings) -> Arr
     for k, camera in ((0, rig.left), (8, rig.right)):
         widened[k, k] += (settings.refocus * camera.lens.f_px[0]) ** 2
     return widened
-
-
-def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> NodeBasis:
-    return NodeBasis.at(uv_px, (camera.width_px, camera.height_px), intervals)
-
-
-def _surface(basis: NodeBasis, nodes: Array) -> Array:
-    """Return values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
-    return np.stack([basis.times(part) for part in np.split(nodes, 2)], -1)
 
 
 def smoothness(intervals: tuple[int, int], value_sd: float, bend_sd: float) -> Array:

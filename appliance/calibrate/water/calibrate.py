@@ -11,10 +11,11 @@ from appliance.base import Progress, silent
 from appliance.calibrate.recordings import Recording
 from appliance.calibrate.water.artefact import Residuals, residuals_of
 from appliance.calibrate.water.bundle import BundleSettings, adjust
+from appliance.calibrate.water.judgement import warnings_about
 from appliance.calibrate.water.method import Method, WaterResult
 from appliance.calibrate.water.paper import calibrate_as_published
 from appliance.calibrate.water.start import check_start
-from appliance.measure import Calibration, warnings_about
+from appliance.measure import Calibration
 
 
 def calibrate(

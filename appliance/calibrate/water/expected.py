@@ -13,13 +13,13 @@ from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.artefact import nearest_points
 from appliance.measure import (
     BORDER,
+    DEPTH_ERROR_TERMS,
     DISTANCE_MM,
-    PARAMETER_COUNT,
-    PARAMETER_STEPS,
+    RIG_PARAMETERS,
+    SplineGrid,
     StereoRig,
-    basis_matrix,
-    coefficients_of,
-    rig_with,
+    WorkingVolume,
+    shapes,
 )
 
 Array = NDArray[np.float64]
@@ -123,6 +123,19 @@ def expected_depth_error_mm2(rig: StereoRig, water_index: float, doubt: Doubt, c
     )
 
 
+def coefficients_of(points_mm: Array, depth_error_mm: Array, volume: WorkingVolume) -> Array:
+    """Return the coefficients (COUNT, …) of depth errors (n, …) at points (n, 3), by least squares.
+
+    What shifts along the view, tilts or scales is taken away beside them: overlaps absorb it.
+    """
+    z = points_mm[:, 2]
+    u, v = points_mm[:, 0] / z / BORDER, points_mm[:, 1] / z / BORDER
+    far = z / volume.scaled(DISTANCE_MM)
+    others = np.stack([np.ones_like(z), u * far, v * far, far], axis=1)
+    design = np.concatenate([shapes(points_mm, volume), others], axis=1)
+    return np.asarray(np.linalg.lstsq(design, depth_error_mm, rcond=None)[0][:DEPTH_ERROR_TERMS])
+
+
 def warnings_about_expected(
     found: Expected, recordings: Sequence[Recording], rest_px: float, fields_known: bool
 ) -> tuple[str, ...]:
@@ -154,7 +167,7 @@ def warnings_about_expected(
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Places of an adjustment's unknowns: rig parameters (of ``parameters.NAMES``), then nodes of surfaces."""
+    """Places of an adjustment's unknowns: rig parameters (of ``RIG_PARAMETERS``), then nodes of surfaces."""
 
     active: tuple[int, ...]
     nodes: tuple[slice, slice]
@@ -216,9 +229,8 @@ def _slopes(
     now = met(rig)
     found = np.zeros((len(points), 3, size))
     for column, k in enumerate(columns.active):
-        x = np.zeros(PARAMETER_COUNT)
-        x[k] = PARAMETER_STEPS[k]
-        found[:, :, column] = (met(rig_with(rig, x)) - now) / PARAMETER_STEPS[k]
+        step = RIG_PARAMETERS.steps[k]
+        found[:, :, column] = (met(RIG_PARAMETERS.changed(rig, step, k)) - now) / step
     by_pixel = (met(rig, right=right + np.array([PIXEL_STEP, 0.0])) - now) / PIXEL_STEP
     by_water = (met(rig, water_index=water_index + INDEX_STEP) - now) / INDEX_STEP
     by_nodes: list[Callable[[Array], Array]] = [
@@ -229,7 +241,7 @@ def _slopes(
         if camera.correction is None or nodes.start == nodes.stop:
             continue
         # Slopes by a surface's nodes: those by its two components, times its basis.
-        basis = basis_matrix(uv, (camera.width_px, camera.height_px), camera.correction.intervals)
+        basis = SplineGrid((camera.width_px, camera.height_px), camera.correction.intervals).matrix(uv)
         count = basis.shape[1]
         for k, step in enumerate(PIXEL_STEP * np.eye(2)):
             first = nodes.start + k * count

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import MIN_POINTS, ArtefactKind, Recording
 from appliance.measure import (
-    STEEPEST_COS,
-    Ball,
     BallBar,
     Calibration,
     NotFound,
@@ -231,7 +229,7 @@ def extract(
             return found
         bar = found
         surfaces = {
-            f"{which} ball": _well_seen(ball, cloud, start)
+            f"{which} ball": ball.seen_from(np.asarray(start.rig.right.translation_mm), cloud)
             for which, ball in (("first", bar.first), ("second", bar.second))
         }
     width_px = left.p_px.shape[1]
@@ -277,15 +275,6 @@ def extract(
         radius_mm=radius_mm,
         radius_sd_mm=certificate.radius_sd_mm if stated is not None else UNSTATED_RADIUS_SD_MM,
     )
-
-
-def _well_seen(ball: Ball, cloud: PointSource, start: Calibration) -> Pixels:
-    """Return rows of a ball's used points that the right camera, too, does not see flatter than 55°; in order."""
-    rows = np.sort(ball.used.indices)
-    points = cloud.points_mm[rows].astype(np.float64)
-    outward = (points - np.array(ball.sphere.centre_mm)) / ball.sphere.radius_mm
-    sight = np.asarray(start.rig.right.translation_mm) - points
-    return np.asarray(rows[np.sum(outward * sight, 1) > STEEPEST_COS * np.linalg.norm(sight, axis=1)])
 
 
 def _clean(image: DecodedImage) -> Flags:

@@ -13,7 +13,7 @@ from appliance.measure import Calibration
 if TYPE_CHECKING:
     from appliance.calibrate.water.artefact import Residuals
     from appliance.calibrate.water.expected import Expected
-    from appliance.measure import Calibration, Estimate
+    from appliance.calibrate.water.judgement import Estimate
 
 
 class Method(Enum):

@@ -22,20 +22,7 @@ from numpy.typing import NDArray
 from appliance.calibrate.recordings import ArtefactKind, Recording, RecordingError, thinned
 from appliance.calibrate.water.artefact import fit_plane, fit_sphere, nearest_points, triangulate
 from appliance.calibrate.water.method import BEFORE_OPERATOR, Method, WaterResult
-from appliance.measure import (
-    CORRECTION_INTERVALS,
-    IDENTITY,
-    SIDES,
-    Calibration,
-    HousedCamera,
-    ImageCorrection,
-    Lens,
-    StereoRig,
-    Water,
-    WorkingVolume,
-    basis_matrix,
-    distort,
-)
+from appliance.measure import SIDES, Calibration, HousedCamera, Lens, SplineGrid, StereoRig, Water, WorkingVolume
 
 Array = NDArray[np.float64]
 
@@ -198,15 +185,12 @@ def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> Hous
             "start, and record again"
         )
     coefficients = np.linalg.lstsq(cubic(_unit(camera, uv)), missing, rcond=None)[0]
-    grid = _grid(camera, 4 * CORRECTION_INTERVALS[0] + 1, 4 * CORRECTION_INTERVALS[1] + 1)
-    matrix = basis_matrix(grid, (camera.width_px, camera.height_px), CORRECTION_INTERVALS)
+    spline = SplineGrid((camera.width_px, camera.height_px))
+    at = _grid(camera, *(4 * n + 1 for n in spline.intervals))
     # The spline's nodes follow from the cubic on a grid four times finer than the intervals: exact but for rounding, as
     # a cubic is a spline.
-    nodes = np.linalg.lstsq(matrix, cubic(_unit(camera, grid)) @ coefficients, rcond=None)[0]
-    correction = ImageCorrection(
-        camera.width_px, camera.height_px, CORRECTION_INTERVALS, tuple(float(c) for c in nodes.ravel())
-    )
-    return replace(camera, correction=correction)
+    nodes = np.linalg.lstsq(spline.matrix(at), cubic(_unit(camera, at)) @ coefficients, rcond=None)[0]
+    return replace(camera, correction=spline.correction(nodes))
 
 
 def _unit(camera: HousedCamera, uv_px: Array) -> Array:
@@ -236,9 +220,8 @@ def mapped_through_ports(start: Calibration, water: Water) -> Calibration:
 
 
 def _mapped(camera: HousedCamera, volume: WorkingVolume, water: Water) -> HousedCamera:
-    bare = replace(camera, rotation=IDENTITY, translation_mm=(0.0, 0.0, 0.0))
     uv = _grid(camera, *GRID)
-    origin, direction = bare.rays(uv, water.index)
+    origin, direction = camera.at_origin().rays(uv, water.index)
     points = np.concatenate([origin + volume.scaled(s) * direction for s in DEPTHS_MM])
     wanted = np.tile(uv, (len(DEPTHS_MM), 1))
     f_px, ratio = camera.lens.f_px[0], camera.lens.f_px[1] / camera.lens.f_px[0]
@@ -252,9 +235,7 @@ def _mapped(camera: HousedCamera, volume: WorkingVolume, water: Water) -> Housed
         lens, back_mm = lens_of(x)
         # Seen from the middle of the volume, refracted rays seem to come from a centre behind the true one, and the
         # focal length is longer by the index: both are the start of the search.
-        xy = points[:, :2] / (points[:, 2:] + back_mm)
-        seen = distort(xy, lens.distortion) * np.asarray(lens.f_px) + np.asarray(lens.c_px)
-        return np.asarray((seen - wanted).ravel())
+        return np.asarray((lens.to_pixels(points[:, :2] / (points[:, 2:] + back_mm)) - wanted).ravel())
 
     import scipy.optimize  # half a second that a start of the service does not need
 

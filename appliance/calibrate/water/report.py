@@ -11,8 +11,9 @@ import numpy as np
 
 from appliance.base import Page, bars, draw_curves
 from appliance.calibrate.water.artefact import Residuals
+from appliance.calibrate.water.judgement import Estimate
 from appliance.calibrate.water.method import WaterResult
-from appliance.measure import Calibration, Estimate, HousedCamera
+from appliance.measure import Calibration, HousedCamera
 
 WIDTH = 480
 CELLS = (20, 15)

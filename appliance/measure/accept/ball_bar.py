@@ -36,6 +36,14 @@ class Ball:
     sphere: Sphere
     used: Used
 
+    def seen_from(self, eye_mm: Array, cloud: PointSource) -> Indices:
+        """Return the rows of the used points, in order, that an eye there does not see flatter than 55°, either."""
+        rows = np.sort(self.used.indices)
+        points = cloud.points_mm[rows].astype(np.float64)
+        outward = (points - np.array(self.sphere.centre_mm)) / self.sphere.radius_mm
+        sight = eye_mm - points
+        return np.asarray(rows[np.sum(outward * sight, 1) > STEEPEST_COS * np.linalg.norm(sight, axis=1)])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BallBar:

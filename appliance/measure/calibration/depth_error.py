@@ -44,16 +44,3 @@ def shapes(points_mm: Array, volume: WorkingVolume = STANDARD) -> Array:
 def along_ray(points_mm: Array) -> Array:
     """Return the vectors (…, 3) by which points move per mm of depth."""
     return np.asarray(points_mm / points_mm[..., 2:])
-
-
-def coefficients_of(points_mm: Array, depth_error_mm: Array, volume: WorkingVolume = STANDARD) -> Array:
-    """Return the coefficients (COUNT, …) of depth errors (n, …) at points (n, 3), by least squares.
-
-    What shifts along the view, tilts or scales is taken away beside them: overlaps absorb it.
-    """
-    z = points_mm[:, 2]
-    u, v = points_mm[:, 0] / z / BORDER, points_mm[:, 1] / z / BORDER
-    far = z / volume.scaled(DISTANCE_MM)
-    others = np.stack([np.ones_like(z), u * far, v * far, far], axis=1)
-    design = np.concatenate([shapes(points_mm, volume), others], axis=1)
-    return np.asarray(np.linalg.lstsq(design, depth_error_mm, rcond=None)[0][:DEPTH_ERROR_TERMS])

@@ -18,7 +18,7 @@ import numpy as np
 from appliance.base import LEFT_OUT, Among, ContentError, SealedFile, Within, digest, one_line
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS as DEPTH_ERRORS
 from appliance.measure.calibration.depth_error import Rows
-from appliance.measure.calibration.field import AIR_VALUES, EYES, AirField
+from appliance.measure.calibration.field import AIR_VALUES, AirField
 from appliance.measure.light.correction import ImageCorrection, node_count
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
@@ -56,7 +56,7 @@ class Calibration:
     residual_px: float | None = None
     """RMS residual of the adjustment, ``None`` where there was none."""
     air_covariance: Matrix22 | None = None
-    """Covariance of the values from air (``parameters.NAMES[AIR]``): the prior of an adjustment in water that starts
+    """Covariance of the values from air (``RIG_PARAMETERS.air``): the prior of an adjustment in water that starts
     here."""
     air_field: AirField | None = None
     """The lenses' fields as boards in air tell of them: with it, the prior of an adjustment with an image correction.
@@ -227,7 +227,7 @@ class _WrittenField:
     def field(self) -> AirField:
         """Return the lenses' fields from air. Raises ValueError for numbers or a text of another length."""
         intervals = _whole(self.intervals)
-        size = AIR_VALUES + EYES * node_count(intervals)
+        size = AIR_VALUES + AirField.EYES * node_count(intervals)
         if len(self.mean) != size:
             raise ValueError(f"air_field.mean has {len(self.mean)} numbers; allowed: {size}")
         try:

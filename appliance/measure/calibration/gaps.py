@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration import parameters
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
 from appliance.measure.light.model import StereoRig
 
 Array = NDArray[np.float64]
@@ -55,11 +55,6 @@ class VeilGaps:
     """(n, DOUBTS) by how much that may be wrong, one standard deviation of each cause; all places together."""
     shape_um: Array
     """(n,) the standard deviation of what is left of it, smooth over the image."""
-
-
-DOUBTS = 3
-"""Causes for which what backscatter adds may be wrong everywhere at once: its strength, and two directions in which the
-projector may stand elsewhere."""
 
 
 def signed_gap_mm(rig: StereoRig, water_index: float, left_px: Array, right_px: Array) -> Array:
@@ -99,8 +94,8 @@ class GapModes:
         """Matched pixels, (n, 2) of each camera, over which amplitudes are normalised."""
         if len(self.field_px[0]) < 4 * len(MODES):
             raise ValueError("the cameras share too little of the measuring volume; check the relative orientation")
-        steps = [parameters.PARAMETER_NAMES.index(name) for name in _PRIMARIES]
-        self._changed = [self._with(k, parameters.PARAMETER_STEPS[k]) for k in steps]
+        steps = [RIG_PARAMETERS.names.index(name) for name in _PRIMARIES]
+        self._changed = [RIG_PARAMETERS.changed(rig, RIG_PARAMETERS.steps[k], k) for k in steps]
         self._mix = np.eye(len(MODES))
         raw = self.at(*self.field_px)
         r = np.linalg.qr(raw / np.sqrt(len(raw)), mode="r")
@@ -111,7 +106,7 @@ class GapModes:
         # A primary's own amplitudes are its column of R, mm of one step.
         of_step = 1000.0 * signs[:, None] * r
         per_deg = {
-            name: np.radians(of_step[:, k] / parameters.PARAMETER_STEPS[steps[k]]) for k, name in enumerate(_PRIMARIES)
+            name: np.radians(of_step[:, k] / RIG_PARAMETERS.steps[steps[k]]) for k, name in enumerate(_PRIMARIES)
         }
         self.turns_um = np.stack([per_deg[name] for name in TURNS])
         """Amplitudes (3, 4) per degree that the right camera is turned by, about x, y, z."""
@@ -124,17 +119,20 @@ class GapModes:
         return np.asarray(np.stack(columns, -1) @ self._mix)
 
     def of_parameters(
-        self, names: Sequence[str] = (*parameters.PARAMETER_NAMES, WATER_INDEX)
+        self, names: Sequence[str] = (*RIG_PARAMETERS.names, WATER_INDEX)
     ) -> dict[str, tuple[Array, float]]:
         """Compute the amplitudes (4,) that a change of each named calibration number, or of the water's index, causes,
         and the RMS of what the patterns do not hold, in µm per unit of that number."""
         modes = self.at(*self.field_px)
         found = {}
-        for k, name in enumerate(parameters.PARAMETER_NAMES):
+        for k, name in enumerate(RIG_PARAMETERS.names):
             if name not in names:
                 continue
-            step = float(parameters.PARAMETER_STEPS[k])
-            plus, minus = (signed_gap_mm(self._with(k, s), self.water_index, *self.field_px) for s in (step, -step))
+            step = float(RIG_PARAMETERS.steps[k])
+            plus, minus = (
+                signed_gap_mm(RIG_PARAMETERS.changed(self._rig, s, k), self.water_index, *self.field_px)
+                for s in (step, -step)
+            )
             found[name] = _split(modes, 1000.0 * (plus - minus) / (2.0 * step))
         if WATER_INDEX in names:
             plus, minus = (
@@ -142,11 +140,6 @@ class GapModes:
             )
             found[WATER_INDEX] = _split(modes, 1000.0 * (plus - minus) / (2.0 * INDEX_STEP))
         return found
-
-    def _with(self, parameter: int, change: float) -> StereoRig:
-        x = np.zeros(parameters.PARAMETER_COUNT)
-        x[parameter] = change
-        return parameters.rig_with(self._rig, x)
 
 
 def in_words(parameter: str, change: float) -> str:

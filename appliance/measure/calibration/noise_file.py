@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
 from appliance.base import SealedFile, Within
+from appliance.measure.light.noise import FULL_DN, QUANTISATION_DN2
 
 LIMITS = {"full_well_e": Within(500.0, 9e5), "read_noise_e": Within(0.0, 900.0), "black_level_dn": Within(0.0, 63.0)}
 """Range of each figure, within that of the rig file's key of the same name."""
@@ -23,6 +25,21 @@ class CameraFigures:
     """All noise that does not depend on light, but rounding to grey values."""
     black_level_dn: Annotated[float, LIMITS["black_level_dn"]]
     """Grey value of no light."""
+
+    @classmethod
+    def of_line(
+        cls, serial: str, gain_db: float, dn_per_e: float, variance_at_dn2: tuple[float, float], black_dn: float
+    ) -> CameraFigures:
+        """Return the figures at 0 dB of a camera whose variance was a line over light at ``gain_db``.
+
+        The line grows by ``dn_per_e`` per grey value through the variance ``variance_at_dn2`` (light, variance), and is
+        kept exactly: where ``black_dn`` has ambient light, black is stated too high and read noise with it, and the
+        variance of every grey value is the same.
+        """
+        light_dn, variance_dn2 = variance_at_dn2
+        read_dn2 = variance_dn2 - dn_per_e * (light_dn - black_dn) - QUANTISATION_DN2
+        full_well_e = FULL_DN / dn_per_e * 10.0 ** (gain_db / 20.0)
+        return cls(serial, full_well_e, math.sqrt(max(read_dn2, 0.0)) / dn_per_e, black_dn)
 
 
 @dataclass(frozen=True, slots=True)

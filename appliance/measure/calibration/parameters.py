@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,35 +20,48 @@ _PORT = ("port tilt x (rad)", "port tilt y (rad)", "interface distance (mm)")
 _LENS = ("principal distance (px)", "principal point u (px)", "principal point v (px)", "k1", "k2", "p1", "p2", "k3")
 _POSE = ("turn x (rad)", "turn y (rad)", "turn z (rad)", "shift x (mm)", "shift y (mm)", "shift z (mm)")
 
-PARAMETER_NAMES = (
-    *(f"{side} {name}" for side in ("left", "right") for name in _PORT),
-    *(f"{side} {name}" for side in ("left", "right") for name in _LENS),
-    *(f"right camera's {name}" for name in _POSE),
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigParameters:
+    """The numbers of a rig that a calibration may change: the ports' six, then the twenty-two that boards in air tell."""
+
+    names: tuple[str, ...]
+    steps: Array
+    """(n,): increments for difference quotients, hundredths of a pixel at the image's edge, where the model is
+    straight."""
+    ports = slice(0, 6)
+    air = slice(6, 28)
+
+    @property
+    def count(self) -> int:
+        """All parameters."""
+        return len(self.names)
+
+    def changed(self, rig: StereoRig, x: Array | float, which: slice | int | Sequence[int] = slice(None)) -> StereoRig:
+        """Return ``rig`` changed by the increments ``x`` of the parameters ``which``, in the order of ``names``.
+
+        Tilts lean the port's normal towards the camera's x and y; turns are about the right camera's own axes.
+        """
+        full = np.zeros(self.count)
+        full[which] = x
+        turned = np.asarray(rig.right.rotation) @ rotation_matrix(full[22:25])
+        shifted = np.asarray(rig.right.translation_mm) + full[25:28]
+        right = _camera_with(rig.right, full[3:6], full[14:22])
+        return replace(
+            rig,
+            left=_camera_with(rig.left, full[0:3], full[6:14]),
+            right=replace(right, rotation=matrix3(turned), translation_mm=_triple(shifted)),
+        )
+
+
+RIG_PARAMETERS = RigParameters(
+    (
+        *(f"{side} {name}" for side in ("left", "right") for name in _PORT),
+        *(f"{side} {name}" for side in ("left", "right") for name in _LENS),
+        *(f"right camera's {name}" for name in _POSE),
+    ),
+    np.array([1e-5, 1e-5, 1e-3] * 2 + [1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5] * 2 + [1e-6] * 3 + [1e-3] * 3),
 )
-"""All parameters: the ports' six, then the twenty-two that a calibration in air delivers."""
-PORT_PARAMETERS = slice(0, 6)
-AIR = slice(6, 28)
-POSE = slice(22, 28)
-PARAMETER_COUNT = 28
-PARAMETER_STEPS = np.array(
-    [1e-5, 1e-5, 1e-3] * 2 + [1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5] * 2 + [1e-6] * 3 + [1e-3] * 3
-)
-"""Increments for difference quotients: hundredths of a pixel at the image's edge, where the model is straight."""
-
-
-def rig_with(rig: StereoRig, x: Array) -> StereoRig:
-    """Return ``rig`` changed by the increments ``x`` (28,), in the order of ``NAMES``.
-
-    Tilts lean the port's normal towards the camera's x and y; turns are about the right camera's own axes.
-    """
-    turned = np.asarray(rig.right.rotation) @ rotation_matrix(x[22:25])
-    shifted = np.asarray(rig.right.translation_mm) + x[25:28]
-    right = _camera_with(rig.right, x[3:6], x[14:22])
-    return replace(
-        rig,
-        left=_camera_with(rig.left, x[0:3], x[6:14]),
-        right=replace(right, rotation=matrix3(turned), translation_mm=_triple(shifted)),
-    )
 
 
 def _camera_with(camera: HousedCamera, port: Array, lens: Array) -> HousedCamera:

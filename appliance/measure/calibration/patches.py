@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration.gaps import DOUBTS, MODES, GapModes, VeilGaps
-from appliance.measure.calibration.judgement import PATCHES
+from appliance.measure.calibration.gaps import MODES, GapModes, VeilGaps
 from appliance.measure.cloud import PatchGaps
 from appliance.measure.light.noise import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
-PATCH_COUNT = PATCHES[0] * PATCHES[1]
 FEWEST_IN_PATCH = 20
 OUTLIER_SIGMAS = 3.0
 """Distance from the median in robust standard deviations beyond which a match is false and says nothing about the
@@ -26,33 +24,33 @@ def without_veil(gaps: PatchGaps, veil: VeilGaps, size_px: tuple[int, int]) -> P
 
     ``size_px`` is the image's.
     """
-    patch = _patch_of(veil.left_px, size_px)
-    counts = np.bincount(patch, minlength=PATCH_COUNT)
+    patch = PatchGaps.patch_of(veil.left_px, size_px)
+    counts = np.bincount(patch, minlength=PatchGaps.COUNT)
 
     def mean(values: Array) -> Array:
         # A patch without a sample is like the mean of all.
-        sums = np.bincount(patch, values, minlength=PATCH_COUNT)
+        sums = np.bincount(patch, values, minlength=PatchGaps.COUNT)
         return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.mean(values))[gaps.patch])
 
     moved = mean(veil.gap_um)
-    doubts = np.stack([mean(veil.doubts_um[:, k]) for k in range(DOUBTS)], -1)
+    doubts = np.stack([mean(veil.doubts_um[:, k]) for k in range(PatchGaps.DOUBTS)], -1)
     return replace(gaps, gap_um=gaps.gap_um - moved, veil_um=moved, doubts_um=doubts, shape_um=mean(veil.shape_um))
 
 
 def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> PatchGaps:
     """Return the means over patches of the left image of gaps (n,) of matched pixels (n, 2)."""
-    patch = _patch_of(left_px, modes.size_px)
+    patch = PatchGaps.patch_of(left_px, modes.size_px)
     # Median and MAD first, the mean after: the median of few samples is noisier by a quarter, and a mean alone follows
     # false matches.
     middle = _medians(patch, gap_um)
     away = np.abs(gap_um - middle[patch])
     sigma = MAD_TO_SIGMA * _medians(patch, away)
     kept = away <= OUTLIER_SIGMAS * sigma[patch]
-    counts = np.bincount(patch[kept], minlength=PATCH_COUNT)
+    counts = np.bincount(patch[kept], minlength=PatchGaps.COUNT)
     good = np.flatnonzero(counts >= FEWEST_IN_PATCH)
 
     def mean(values: Array) -> Array:
-        return np.asarray(np.bincount(patch[kept], values[kept], minlength=PATCH_COUNT)[good] / counts[good])
+        return np.asarray(np.bincount(patch[kept], values[kept], minlength=PatchGaps.COUNT)[good] / counts[good])
 
     seen_px = [np.stack([mean(px[:, k]) for k in (0, 1)], -1) for px in (left_px, right_px)]
     return PatchGaps(
@@ -66,20 +64,14 @@ def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> 
     )
 
 
-def _patch_of(left_px: Array, size_px: tuple[int, int]) -> NDArray[np.intp]:
-    column = np.clip(left_px[:, 0] / size_px[0] * PATCHES[0], 0, PATCHES[0] - 1).astype(np.intp)
-    row = np.clip(left_px[:, 1] / size_px[1] * PATCHES[1], 0, PATCHES[1] - 1).astype(np.intp)
-    return np.asarray(row * PATCHES[0] + column)
-
-
 def _medians(patch: NDArray[np.intp], values: Array) -> Array:
     """Return the median of each patch, (48,); zero where it is empty."""
     order = np.argsort(values)
     order = order[np.argsort(patch[order].astype(np.uint8), kind="stable")]  # six times as fast as lexsort
-    counts = np.bincount(patch, minlength=PATCH_COUNT)
+    counts = np.bincount(patch, minlength=PatchGaps.COUNT)
     first = np.cumsum(counts) - counts
     ordered = values[order]
-    medians = np.zeros(PATCH_COUNT)
+    medians = np.zeros(PatchGaps.COUNT)
     seen = counts > 0
     low, high = first + (counts - 1) // 2, first + counts // 2
     medians[seen] = 0.5 * (ordered[low[seen]] + ordered[high[seen]])

@@ -107,20 +107,37 @@ def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp],
     return first, weights / 6.0
 
 
-def basis_entries(uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> tuple[NDArray[np.intp], Array]:
-    """Return the sixteen nodes (n, 16) that touch pixels (n, 2), and their weights (n, 16); nodes count row by row."""
-    columns, rows = intervals
-    iu, wu = basis(uv_px[:, 0], size_px[0], columns)
-    iv, wv = basis(uv_px[:, 1], size_px[1], rows)
-    across, down = np.arange(4), np.arange(4)[:, None] * (columns + 3)
-    nodes = (iv * (columns + 3) + iu)[:, None, None] + down + across
-    weights = wv[:, :, None] * wu[:, None, :]
-    return nodes.reshape(-1, 16), weights.reshape(-1, 16)
+@dataclass(frozen=True, slots=True)
+class SplineGrid:
+    """The nodes of a bicubic B-spline over an image; they count row by row."""
 
+    size_px: tuple[int, int]
+    """Width and height of the image."""
+    intervals: tuple[int, int] = CORRECTION_INTERVALS
+    """Intervals across, down."""
 
-def basis_matrix(uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> Array:
-    """Return the weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row; ``size_px`` is width, height."""
-    nodes, weights = basis_entries(uv_px, size_px, intervals)
-    matrix = np.zeros((len(uv_px), node_count(intervals)))
-    np.put_along_axis(matrix, nodes, weights, axis=1)
-    return matrix
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return node_count(self.intervals)
+
+    def entries(self, uv_px: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the sixteen nodes (n, 16) that touch pixels (n, 2), and their weights (n, 16)."""
+        columns, rows = self.intervals
+        iu, wu = basis(uv_px[:, 0], self.size_px[0], columns)
+        iv, wv = basis(uv_px[:, 1], self.size_px[1], rows)
+        across, down = np.arange(4), np.arange(4)[:, None] * (columns + 3)
+        nodes = (iv * (columns + 3) + iu)[:, None, None] + down + across
+        weights = wv[:, :, None] * wu[:, None, :]
+        return nodes.reshape(-1, 16), weights.reshape(-1, 16)
+
+    def matrix(self, uv_px: Array) -> Array:
+        """Return the weights (n, nodes) of all nodes at pixels (n, 2)."""
+        nodes, weights = self.entries(uv_px)
+        matrix = np.zeros((len(uv_px), self.count))
+        np.put_along_axis(matrix, nodes, weights, axis=1)
+        return matrix
+
+    def correction(self, nodes_px: NDArray[np.floating]) -> ImageCorrection:
+        """Return the image correction with nodes (n, 2), in px."""
+        return ImageCorrection(*self.size_px, self.intervals, tuple(nodes_px.ravel().tolist()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,10 @@ class HousedCamera:
     lens_in_water: bool = False
     """True if the lens was calibrated in water, as a pinhole: rays leave the projection centre straight, the port means
     nothing, and in other water the calibration is wrong."""
+
+    def at_origin(self) -> HousedCamera:
+        """Return the camera in its own frame."""
+        return replace(self, rotation=IDENTITY, translation_mm=(0.0, 0.0, 0.0))
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
         """Return the water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera

@@ -50,6 +50,10 @@ class Response:
         wanted = 0.5 * (light[0] + light[-1]) + 0.5 * (light[-1] - light[0]) * fringe(size_px, period_px, step)
         return np.asarray(np.rint(np.interp(wanted, light, fine)), np.uint8)
 
+    def drawn(self, size_px: int, period_px: int, step: int) -> NDArray[np.float64]:
+        """Return x of the codes that ``sine_codes`` draws: shape (size_px,), −1 … 1."""
+        return np.asarray((self.sine_codes(size_px, period_px, step) - MEAN_CODE) / AMPLITUDE_CODE)
+
     @property
     def hash(self) -> str:
         """SHA-256 of the content, hexadecimal."""

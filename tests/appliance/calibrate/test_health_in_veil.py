@@ -9,25 +9,25 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibrate.health import LEARNT_SCANS, MATTERS_DEG, MOST_VEIL_UM, SCANS_TO_FIND, HealthTrend, judge_health
-from appliance.measure.calibration.judgement import PATCHES
-from appliance.measure.calibration.patches import PATCH_COUNT
 from appliance.measure.cloud import PatchGaps
 
 Array = NDArray[np.float64]
-Y, X = np.divmod(np.arange(PATCH_COUNT), PATCHES[0])
-X, Y = 2.0 * X / (PATCHES[0] - 1.0) - 1.0, 2.0 * Y / (PATCHES[1] - 1.0) - 1.0
-PATTERNS = np.stack([np.ones(PATCH_COUNT), 1.5 * X, 1.5 * Y, 2.4 * X * Y], -1)
+Y, X = np.divmod(np.arange(PatchGaps.COUNT), PatchGaps.GRID[0])
+X, Y = 2.0 * X / (PatchGaps.GRID[0] - 1.0) - 1.0, 2.0 * Y / (PatchGaps.GRID[1] - 1.0) - 1.0
+PATTERNS = np.stack([np.ones(PatchGaps.COUNT), 1.5 * X, 1.5 * Y, 2.4 * X * Y], -1)
 CAUSES = np.stack([0.5 * X + Y * Y, X + 0.5, X * Y - 0.3], -1)
 """Shapes of what a wrong strength and a wrong place of the projector do, µm."""
 
 
 def gaps(rng: np.random.Generator, moved_um: Array, doubts_um: float | None) -> PatchGaps:
     """Return a scan whose gaps are moved by ``moved_um`` (48,), with ``doubts_um`` rms of each cause."""
-    noise = np.full(PATCH_COUNT, 0.8)
+    noise = np.full(PatchGaps.COUNT, 0.8)
     known = {} if doubts_um is None else {
-        "veil_um": np.zeros(PATCH_COUNT), "doubts_um": doubts_um * CAUSES, "shape_um": np.full(PATCH_COUNT, 0.1 * doubts_um)
+        "veil_um": np.zeros(PatchGaps.COUNT), "doubts_um": doubts_um * CAUSES, "shape_um": np.full(PatchGaps.COUNT, 0.1 * doubts_um)
     }  # fmt: skip
-    return PatchGaps(np.arange(PATCH_COUNT), moved_um + rng.normal(0.0, noise), noise, PATTERNS, 5_000, 1.33, **known)
+    return PatchGaps(
+        np.arange(PatchGaps.COUNT), moved_um + rng.normal(0.0, noise), noise, PATTERNS, 5_000, 1.33, **known
+    )
 
 
 def learnt(rng: np.random.Generator, moved_um: Array, doubts_um: float | None) -> HealthTrend:
@@ -47,10 +47,10 @@ def alarms(rng: np.random.Generator, trend: HealthTrend, moved_um: Array, doubts
 def test_other_water_than_that_of_the_reference_is_no_alarm() -> None:
     rng = np.random.default_rng(10_001)
     veiled = 5.0 * CAUSES @ np.array([0.8, -1.0, 0.9])
-    assert not alarms(rng, learnt(rng, np.zeros(PATCH_COUNT), None), veiled, 5.0, 10), "turbid after clear water"
-    assert not alarms(rng, learnt(rng, veiled, 5.0), np.zeros(PATCH_COUNT), None, 10), "clear after turbid water"
+    assert not alarms(rng, learnt(rng, np.zeros(PatchGaps.COUNT), None), veiled, 5.0, 10), "turbid after clear water"
+    assert not alarms(rng, learnt(rng, veiled, 5.0), np.zeros(PatchGaps.COUNT), None, 10), "clear after turbid water"
     # The same without the doubt is what the alarm is for.
-    assert alarms(rng, learnt(rng, np.zeros(PATCH_COUNT), None), veiled, None, 2)
+    assert alarms(rng, learnt(rng, np.zeros(PatchGaps.COUNT), None), veiled, None, 2)
 
 
 def test_a_reference_of_the_same_water_sees_a_knock_that_one_of_other_water_does_not() -> None:
@@ -60,7 +60,7 @@ def test_a_reference_of_the_same_water_sees_a_knock_that_one_of_other_water_does
     # A turn about y: for those about x and z the drift of mounts is allowed for as well.
     yaw = PATTERNS @ np.array([0.0, 0.0, 0.0, 10.0])
     _, same = judge_health(learnt(rng, veiled, 8.0), gaps(rng, veiled + yaw, 8.0))
-    _, other = judge_health(learnt(rng, np.zeros(PATCH_COUNT), None), gaps(rng, yaw, 8.0))
+    _, other = judge_health(learnt(rng, np.zeros(PatchGaps.COUNT), None), gaps(rng, yaw, 8.0))
     assert same.point is not None
     assert other.point is not None
     assert same.alarm
@@ -72,7 +72,7 @@ def test_a_scan_in_which_backscatter_could_hide_a_knock_is_not_judged() -> None:
     rng = np.random.default_rng(10_004)
     rms = float(np.sqrt(np.mean(np.sum(CAUSES**2, axis=1) + 0.01)))
     for doubts_um, judged in ((0.9 * MOST_VEIL_UM / rms, True), (1.1 * MOST_VEIL_UM / rms, False)):
-        trend, said = judge_health(HealthTrend(), gaps(rng, np.zeros(PATCH_COUNT), doubts_um))
+        trend, said = judge_health(HealthTrend(), gaps(rng, np.zeros(PatchGaps.COUNT), doubts_um))
         assert (said.point is not None) == judged
         assert trend.judged == int(judged)
     assert "backscatter" in said.text
@@ -86,7 +86,7 @@ TURNS_UM = np.array([[9_300.0, 0.0, 0.0, 0.0], [0.0, 0.0, 225.0, 107.0], [150.0,
 def test_a_roll_is_told_from_backscatter_whose_shape_is_known_by_the_scan_itself() -> None:
     """A turn about z by 0.02° gives 22 µm of twist; that the projector may stand elsewhere, 12, and bends besides."""
     rng = np.random.default_rng(10_006)
-    trend = learnt(rng, np.zeros(PATCH_COUNT), None)
+    trend = learnt(rng, np.zeros(PatchGaps.COUNT), None)
     bent = 6.0 * (CAUSES + np.stack([X * X * Y, 2.0 * X * Y * Y, X**3 - Y * Y], -1))
     veiled = bent @ np.array([0.9, -1.2, 0.8])
     roll = PATTERNS @ (MATTERS_DEG * TURNS_UM[2])
@@ -101,9 +101,9 @@ def test_a_roll_is_told_from_backscatter_whose_shape_is_known_by_the_scan_itself
 def test_the_turns_that_a_scan_says_it_finds_are_found_by_three_like_it() -> None:
     rng = np.random.default_rng(10_007)
     # As if the reference were complete: what a scan finds grows while it is learnt.
-    trend = learnt(rng, np.zeros(PATCH_COUNT), None)
+    trend = learnt(rng, np.zeros(PatchGaps.COUNT), None)
     for doubts_um in (None, 6.0):
-        one = replace(gaps(rng, np.zeros(PATCH_COUNT), doubts_um), turns_um=TURNS_UM)
+        one = replace(gaps(rng, np.zeros(PatchGaps.COUNT), doubts_um), turns_um=TURNS_UM)
         _, said = judge_health(trend, one)
         for axis, turn_um in zip("xyz", TURNS_UM, strict=True):
             least = said.numbers[f"found_{axis}_deg"]
@@ -119,10 +119,10 @@ def test_the_turns_that_a_scan_says_it_finds_are_found_by_three_like_it() -> Non
 
 def test_a_scan_that_would_miss_a_turn_says_which_and_a_keen_one_says_nothing() -> None:
     rng = np.random.default_rng(10_008)
-    trend = learnt(rng, np.zeros(PATCH_COUNT), None)
-    _, keen = judge_health(trend, replace(gaps(rng, np.zeros(PATCH_COUNT), None), turns_um=4.0 * TURNS_UM))
+    trend = learnt(rng, np.zeros(PatchGaps.COUNT), None)
+    _, keen = judge_health(trend, replace(gaps(rng, np.zeros(PatchGaps.COUNT), None), turns_um=4.0 * TURNS_UM))
     assert "do not find" not in keen.text
-    _, blind = judge_health(trend, replace(gaps(rng, np.zeros(PATCH_COUNT), 9.0), turns_um=TURNS_UM))
+    _, blind = judge_health(trend, replace(gaps(rng, np.zeros(PatchGaps.COUNT), 9.0), turns_um=TURNS_UM))
     assert "3 such scans do not find turns of a camera about z below" in blind.text
     assert "backscatter may move the gaps by" in blind.text
     x_deg, z_deg = blind.numbers["found_x_deg"], blind.numbers["found_z_deg"]
@@ -133,9 +133,11 @@ def test_a_scan_that_would_miss_a_turn_says_which_and_a_keen_one_says_nothing() 
 
 def test_water_that_is_not_as_the_model_says_makes_amplitudes_less_certain() -> None:
     rng = np.random.default_rng(10_009)
-    trend = learnt(rng, np.zeros(PATCH_COUNT), None)
+    trend = learnt(rng, np.zeros(PatchGaps.COUNT), None)
     odd = 12.0 * np.cos(3.0 * X) * np.cos(4.0 * Y)
-    expected, other = (judge_health(trend, gaps(rng, moved, 3.0))[1].point for moved in (np.zeros(PATCH_COUNT), odd))
+    expected, other = (
+        judge_health(trend, gaps(rng, moved, 3.0))[1].point for moved in (np.zeros(PatchGaps.COUNT), odd)
+    )
     assert expected is not None
     assert other is not None
     assert other.sigma_um[3] > 1.5 * expected.sigma_um[3]
@@ -143,9 +145,9 @@ def test_water_that_is_not_as_the_model_says_makes_amplitudes_less_certain() -> 
 
 def test_of_what_backscatter_did_a_share_may_be_wrong_unless_the_reference_had_it_too() -> None:
     rng = np.random.default_rng(10_010)
-    plain = gaps(rng, np.zeros(PATCH_COUNT), 4.0)
+    plain = gaps(rng, np.zeros(PatchGaps.COUNT), 4.0)
     taken = replace(plain, veil_um=PATTERNS @ np.array([0.0, 0.0, 0.0, 20.0]))
-    clear, veiled = learnt(rng, np.zeros(PATCH_COUNT), None), learnt(rng, np.zeros(PATCH_COUNT), 4.0)
+    clear, veiled = learnt(rng, np.zeros(PatchGaps.COUNT), None), learnt(rng, np.zeros(PatchGaps.COUNT), 4.0)
 
     def shear_um(trend: HealthTrend, seen: PatchGaps) -> float:
         point = judge_health(trend, seen)[1].point

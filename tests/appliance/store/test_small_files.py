@@ -21,7 +21,7 @@ from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
 from appliance.instrument.service.beams import BeamsFile
 from appliance.instrument.service.choices import FILE, ChoicesFile
-from appliance.measure.calibration.patches import PATCH_COUNT
+from appliance.measure.cloud import PatchGaps
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.store import label, names
@@ -111,7 +111,7 @@ def test_a_trend_is_read_as_it_was_written_and_each_calibration_has_its_own(heal
 
 def test_a_trend_says_nothing_that_cannot_be(health: HealthFile) -> None:
     wrong = (
-        Reference(gap_um=(1.0,) * (PATCH_COUNT - 1)), Reference(variance_um2=(1.0,) * (PATCH_COUNT + 1)), Reference(scans=(1,) * (PATCH_COUNT + 1)),
+        Reference(gap_um=(1.0,) * (PatchGaps.COUNT - 1)), Reference(variance_um2=(1.0,) * (PatchGaps.COUNT + 1)), Reference(scans=(1,) * (PatchGaps.COUNT + 1)),
         Reference(doubts_um=(0.0,) * 7),
     )  # fmt: skip
     for stored in (HealthTrend(judged=-1, alarm="turned"), *(HealthTrend(reference=one) for one in wrong)):
@@ -119,7 +119,7 @@ def test_a_trend_says_nothing_that_cannot_be(health: HealthFile) -> None:
         assert health.read() == HealthTrend()
     for stored in (
         HealthTrend(judged=0, alarm="turned"),
-        HealthTrend(reference=Reference(gap_um=(1.0,) * PATCH_COUNT)),
+        HealthTrend(reference=Reference(gap_um=(1.0,) * PatchGaps.COUNT)),
     ):
         health.write(stored)
         assert health.read() == stored

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from appliance.calibrate.air.adjustment import adjust_with_field
 from appliance.calibrate.air.calibrate import NO_PORT
 from appliance.calibrate.air.linearised import SHAPES, BoardView, bend_of, each_changed, slopes
-from appliance.measure.calibration.field import AIR_VALUES, FIELD_CELLS, AirField
-from appliance.measure.calibration.parameters import AIR, PARAMETER_COUNT, rig_with
-from appliance.measure.light.correction import basis_matrix, node_count
+from appliance.calibrate.field import FIELD_CELLS
+from appliance.measure.calibration.field import AIR_VALUES, AirField
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
+from appliance.measure.light.correction import SplineGrid, node_count
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.rotation import matrix3
@@ -83,21 +84,21 @@ def of_boards_not_used(field: AirField | None) -> tuple[float, float]:
     """RMS by which flat boards that were not used are seen elsewhere than computed, in px, and what the covariance makes expect of
     it. Each board's place is fitted."""
     mean = np.zeros(AIR_VALUES + 4 * NODES) if field is None else np.array(field.mean)
-    values = np.zeros(PARAMETER_COUNT)
-    values[AIR] = mean[:AIR_VALUES]
+    values = np.zeros(RIG_PARAMETERS.count)
+    values[RIG_PARAMETERS.air] = mean[:AIR_VALUES]
     squares, variances, count = 0.0, 0.0, 0
     rng = np.random.default_rng(20_002)
     for _ in range(4):
         view, place = board(rng, 0.0, 0.0)
-        changed = each_changed(RIG, values[AIR])
-        now = slopes(rig_with(RIG, values), changed, place, view, bend_of([view]), np.zeros(SHAPES))
+        changed = each_changed(RIG, values[RIG_PARAMETERS.air])
+        now = slopes(RIG_PARAMETERS.changed(RIG, values), changed, place, view, bend_of([view]), np.zeros(SHAPES))
         by_nodes = np.zeros((len(now.residual), 4 * NODES))
         for block in range(4):  # left across, left down, right across, right down
             eye, component = divmod(block, 2)
             half = len(now.residual) // 2
             rows = slice(half * eye + component, half * (eye + 1), 2)
             seen = (view.left_px, view.right_px)[eye]
-            by_nodes[rows, block * NODES : (block + 1) * NODES] = basis_matrix(seen, SIZE_PX, FIELD_CELLS)
+            by_nodes[rows, block * NODES : (block + 1) * NODES] = SplineGrid(SIZE_PX, FIELD_CELLS).matrix(seen)
         aside = np.eye(len(now.residual)) - now.by_place @ np.linalg.pinv(now.by_place)
         squares += float(np.sum((aside @ (now.residual - by_nodes @ mean[AIR_VALUES:])) ** 2))
         count += len(now.residual) - 6

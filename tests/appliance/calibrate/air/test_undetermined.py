@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.air.calibrate import AirCalibrationError, calibrate_air, check_pairs
 from appliance.calibrate.air.linearised import BoardView
-from appliance.measure.calibration.determined import UndeterminedError, solved
-from appliance.measure.calibration.parameters import AIR, PARAMETER_NAMES
+from appliance.calibrate.determined import UndeterminedError, solved
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, poses
 from tests.support.calibrating import Pose
 
@@ -105,7 +105,7 @@ def test_one_pair_of_two_moments_costs_itself_alone() -> None:
     (said,) = found.left_out
     assert said.startswith("v4: the left and the right picture show the board at different places, ")
     assert found.pairs == tuple(f"v{k}" for k in range(10) if k != 4)
-    k = PARAMETER_NAMES[AIR].index("left principal distance (px)")
+    k = RIG_PARAMETERS.names[RIG_PARAMETERS.air].index("left principal distance (px)")
     assert abs(found.rig.left.lens.f_px[0] - F_PX) < 5.0 * np.sqrt(found.covariance[k, k])
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.calibrate.air.adjustment import BoardTolerance
 from appliance.calibrate.air.calibrate import AirCalibration, AirCalibrationError, calibrate_air
 from appliance.calibrate.air.linearised import BoardView
-from appliance.measure.calibration.parameters import AIR, PARAMETER_NAMES
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
 from hw_sim.truth import TrueRig, in_air
 from tests.support.calibrating import HEIGHT_PX, WIDTH_PX, board_views, hidden_rig
 
@@ -53,7 +53,7 @@ def calibrated(views: list[BoardView]) -> AirCalibration:
 
 
 def sd_of(found: AirCalibration, name: str) -> float:
-    k = PARAMETER_NAMES[AIR].index(name)
+    k = RIG_PARAMETERS.names[RIG_PARAMETERS.air].index(name)
     return float(np.sqrt(found.covariance[k, k]))
 
 

@@ -11,8 +11,8 @@ import pytest
 from appliance.calibrate.recordings import ArtefactKind, Recording, RecordingError
 from appliance.calibrate.water.bundle import BundleSettings, Problem, adjust
 from appliance.calibrate.water.method import Method
-from appliance.measure.calibration import parameters
 from appliance.measure.calibration.design import design_calibration
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.water import Water
 from tests.support.calibrating import SMALL
@@ -57,9 +57,7 @@ def corrected() -> tuple[Problem, np.ndarray, StereoRig]:
     problem = problem_of(Method.SPLINE, recordings(START.rig))
     rng = np.random.default_rng(6)
     x = np.zeros(problem.size)
-    x[: parameters.PARAMETER_COUNT] = (
-        5.0 * parameters.PARAMETER_STEPS * rng.normal(0.0, 1.0, parameters.PARAMETER_COUNT)
-    )
+    x[: RIG_PARAMETERS.count] = 5.0 * RIG_PARAMETERS.steps * rng.normal(0.0, 1.0, RIG_PARAMETERS.count)
     for nodes in (problem._left_nodes, problem._right_nodes):
         x[nodes] = 0.2 * rng.normal(0.0, 1.0, nodes.stop - nodes.start)
     return problem, x, problem.rig(x)
@@ -80,7 +78,7 @@ def test_the_gradient_is_the_slope_of_the_cost_in_every_group_of_unknowns(method
         way = np.zeros(problem.size)
         way[group] = rng.normal(0.0, 1.0, group.stop - group.start)
         if name in {"ports", "lenses", "pose"}:
-            way[group] *= parameters.PARAMETER_STEPS[group]
+            way[group] *= RIG_PARAMETERS.steps[group]
         elif name == "places":
             way[group] *= np.concatenate([place.steps for place in problem._places])
         else:

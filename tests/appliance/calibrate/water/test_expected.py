@@ -16,15 +16,17 @@ from appliance.calibrate.water.expected import (
     Columns,
     Doubt,
     Expected,
+    coefficients_of,
     expected,
     expected_depth_error_mm2,
     warnings_about_expected,
 )
-from appliance.measure.calibration import parameters
-from appliance.measure.calibration.depth_error import BORDER, DEPTH_ERROR_TERMS, along_ray, coefficients_of, shapes
+from appliance.measure.calibration.depth_error import BORDER, DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.calibration.design import design_calibration
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
 from appliance.measure.light.correction import ImageCorrection
 from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.volume import STANDARD
 from tests.support.calibrating import SMALL
 from tests.support.golden_texts import Says
 from tests.support.truth import WATER
@@ -67,9 +69,9 @@ RIG = with_surfaces(START, np.zeros(SIZE))
 
 
 def changed(x: Array) -> StereoRig:
-    values = np.zeros(parameters.PARAMETER_COUNT)
+    values = np.zeros(RIG_PARAMETERS.count)
     values[list(ACTIVE)] = x[: len(ACTIVE)]
-    return with_surfaces(parameters.rig_with(START, values), x)
+    return with_surfaces(RIG_PARAMETERS.changed(START, values), x)
 
 
 def met(rig: StereoRig, seen: tuple[Array, Array], index: float) -> Array:
@@ -156,7 +158,7 @@ def some(group: str, seed: int = 31) -> Array:
     x = np.zeros(SIZE)
     rng = np.random.default_rng(seed)
     if group == "rig":
-        x[: len(ACTIVE)] = 3.0 * rng.normal(size=len(ACTIVE)) * parameters.PARAMETER_STEPS[list(ACTIVE)]
+        x[: len(ACTIVE)] = 3.0 * rng.normal(size=len(ACTIVE)) * RIG_PARAMETERS.steps[list(ACTIVE)]
     else:
         where = GROUPS[["left nodes", "right nodes"].index(group)]
         x[where] = 0.05 * rng.normal(size=where.stop - where.start)
@@ -220,9 +222,9 @@ def test_coefficients_are_those_that_made_a_depth_error_whatever_overlaps_absorb
     points = z[:, None] * np.column_stack([rng.uniform(-BORDER, BORDER, (400, 2)), np.ones(400)])
     true = rng.normal(size=DEPTH_ERROR_TERMS) * 0.02
     error = shapes(points) @ true
-    np.testing.assert_allclose(coefficients_of(points, error), true, atol=1e-10)
+    np.testing.assert_allclose(coefficients_of(points, error, STANDARD), true, atol=1e-10)
     absorbed = 0.3 + 0.002 * points[:, 0] - 0.001 * points[:, 1] + 0.002 * (z - 525.0)
-    np.testing.assert_allclose(coefficients_of(points, error + absorbed), true, atol=1e-10)
+    np.testing.assert_allclose(coefficients_of(points, error + absorbed, STANDARD), true, atol=1e-10)
     assert along_ray(points)[:, 2] == pytest.approx(1.0)
 
 
@@ -242,7 +244,7 @@ def test_the_shared_depth_error_is_that_of_triangulating_with_another_rig(column
     x = np.zeros(SIZE)
     x[column] = sd
     off = met(changed(x), seen, WATER.index) - met(changed(np.zeros(SIZE)), seen, WATER.index)
-    expected_mm = coefficients_of(points[both], off[:, 2])
+    expected_mm = coefficients_of(points[both], off[:, 2], STANDARD)
     covariance = np.zeros((SIZE, SIZE))
     covariance[column, column] = sd**2
     stated = expected_depth_error_mm2(RIG, WATER.index, Doubt(covariance, np.zeros(SIZE), 0.0, 0.0), COLUMNS)

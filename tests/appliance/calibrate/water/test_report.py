@@ -13,10 +13,10 @@ import pytest
 
 from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.artefact import Residuals, residuals_of
+from appliance.calibrate.water.judgement import Estimate
 from appliance.calibrate.water.method import Method, WaterResult
 from appliance.calibrate.water.report import as_html, as_json, residual_svg
 from appliance.measure.calibration.design import design_calibration
-from appliance.measure.calibration.judgement import Estimate
 from appliance.measure.light.model import StereoRig
 from tests.support.calibrating import SMALL
 from tests.support.truth import WATER

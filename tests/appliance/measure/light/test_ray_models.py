@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from appliance.measure.calibration.design import design_calibration
-from appliance.measure.calibration.field import FIELD_CELLS as AIR_INTERVALS
 from appliance.measure.light import pinhole
-from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrection, basis_matrix, node_count
+from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrection, SplineGrid, node_count
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.ray_shift import INTERVALS as SHIFT_INTERVALS
@@ -128,7 +127,7 @@ def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has
     (across, down), (shift_across, shift_down) = CORRECTION_INTERVALS, SHIFT_INTERVALS
     said = (Path(__file__).parents[4] / "docs" / "calibration.md").read_text(encoding="utf-8")
     assert f"of {across} × {down} from a start that has none" in said
-    assert f"of {AIR_INTERVALS[0]} × {AIR_INTERVALS[1]} intervals about the lenses' fields from air" in said
+    assert f"of {(16, 12)[0]} × {(16, 12)[1]} intervals about the lenses' fields from air" in said
     assert 1600 / shift_across == 1200 / shift_down, "square on a sensor of 4 : 3"
     assert 1 / 3 < shift_across * shift_down / (across * down) < 2 / 3
 
@@ -168,7 +167,7 @@ def test_one_node_acts_where_it_is_and_on_the_component_that_is_its_own() -> Non
 
 def test_the_matrix_of_weights_is_the_surface_and_sums_to_one_also_beyond_the_image() -> None:
     uv = np.random.default_rng(5).uniform([-3, -3], [1602, 1202], (200, 2))
-    matrix = basis_matrix(uv, (1600, 1200), (6, 5))
+    matrix = SplineGrid((1600, 1200), (6, 5)).matrix(uv)
     nodes = np.reshape(CORRECTION.coefficients_px, (-1, 2))
     assert len(nodes) == node_count((6, 5))
     np.testing.assert_allclose(matrix @ nodes, CORRECTION.shift_px(uv), atol=1e-12)

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.measure.calibration import parameters
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.calibration.gaps import signed_gap_mm
-from appliance.measure.calibration.patches import PATCH_COUNT
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
+from appliance.measure.cloud import PatchGaps
 from appliance.measure.light.patterns import build_sequence
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from tests.support import synthetic
@@ -30,9 +30,9 @@ def images() -> dict[str, np.ndarray]:
 
 def turned(pitch_deg: float, roll_deg: float) -> Calibration:
     """A calibration whose right camera is elsewhere than the one that took the images."""
-    x = np.zeros(parameters.PARAMETER_COUNT)
+    x = np.zeros(RIG_PARAMETERS.count)
     x[22], x[24] = math.radians(pitch_deg), math.radians(roll_deg)
-    return replace(CALIBRATION, rig=parameters.rig_with(CALIBRATION.rig, x))
+    return replace(CALIBRATION, rig=RIG_PARAMETERS.changed(CALIBRATION.rig, x))
 
 
 def cloud(images: dict[str, np.ndarray], calibration: Calibration) -> Cloud:
@@ -54,7 +54,7 @@ def test_every_patch_has_the_gap_of_the_exact_rays(images: dict[str, np.ndarray]
     other = turned(pitch_deg=0.02, roll_deg=0.03)
     gaps = cloud(images, other).gaps
     assert gaps is not None
-    assert len(gaps.patch) > 0.6 * PATCH_COUNT
+    assert len(gaps.patch) > 0.6 * PatchGaps.COUNT
     inner = [k for k, p in enumerate(gaps.patch) if 0 < p % 8 < 7 and 0 < p // 8 < 5]
     assert len(inner) >= 20
     for k in inner:
@@ -68,7 +68,7 @@ def test_a_knock_that_leaves_no_point_is_still_measured(images: dict[str, np.nda
     found = cloud(images, other)
     assert found.summary.points == 0
     assert found.gaps is not None
-    assert len(found.gaps.patch) > 0.6 * PATCH_COUNT
+    assert len(found.gaps.patch) > 0.6 * PatchGaps.COUNT
     assert float(np.median(np.abs(found.gaps.gap_um))) == pytest.approx(460.0, rel=0.05)
     # Far beyond noise, the length of the rays' common normal shows; in a corner most.
     exact = [exact_um(other, patch) for patch in found.gaps.patch]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.model import HousedCamera
+from appliance.measure import HousedCamera, PatchGaps
 
 Array = NDArray[np.float64]
 
@@ -16,8 +16,6 @@ STILL_PRIOR = 0.9
 """A parameter whose standard deviation shrank to no less than this share of the prior's was not observed."""
 FAR_FROM_PRIOR = 3.5
 TOO_NOISY = 1.5
-PATCHES = (8, 6)
-"""Patches across and down the left image over which residuals are averaged."""
 FEWEST_IN_PATCH = 10
 _COUPLED = (" k1", " k2", " k3", " p1", " p2")
 """Distortion coefficients follow what a lens does beyond them, and each other: alone they mean nothing.
@@ -57,11 +55,9 @@ def systematic_px(
 
     ``recording`` (n,), the recording of each point: means of each recording for itself; ``None``: over all together.
     """
-    column = np.clip(left_px[:, 0] / camera.width_px * PATCHES[0], 0, PATCHES[0] - 1).astype(np.intp)
-    row = np.clip(left_px[:, 1] / camera.height_px * PATCHES[1], 0, PATCHES[1] - 1).astype(np.intp)
-    patch = row * PATCHES[0] + column
+    patch = PatchGaps.patch_of(left_px, (camera.width_px, camera.height_px))
     if recording is not None:
-        patch = patch + recording * (PATCHES[0] * PATCHES[1])
+        patch = patch + recording * PatchGaps.COUNT
     excess, count = 0.0, 0
     for k in np.unique(patch):
         inside = residual_px[patch == k]
