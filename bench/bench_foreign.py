@@ -13,9 +13,9 @@ import numpy as np
 from appliance.base import silent
 from appliance.desk.foreign.folder import guessed_text
 from appliance.desk.foreign.guess import guess_sequence
-from appliance.desk.foreign.points import find_points
+from appliance.desk.foreign.importing import read_foreign
+from appliance.desk.foreign.points import ForeignScan, find_points
 from appliance.desk.foreign.problem import ForeignError
-from appliance.desk.foreign.reading import ForeignScan, read_foreign
 from bench.result import Measured
 from tests.support.foreign_sets import CONVENTIONS, Convention, ForeignSet, make_set
 from tests.support.truth import left_to_rig

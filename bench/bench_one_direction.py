@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from appliance.base import silent
+from appliance.desk.foreign.importing import read_foreign
 from appliance.desk.foreign.points import find_points
-from appliance.desk.foreign.reading import read_foreign
 from appliance.measure.light.sides import SIDES
 from appliance.measure.points.first_direction import first_direction_cloud
 from appliance.measure.points.one_direction import NoPoint

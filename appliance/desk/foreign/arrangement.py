@@ -1,5 +1,5 @@
-"""Owns the tests of what is said of the cameras and, where one is a projector, of the pattern on it: hypotheses, and
-what each explains.
+"""Owns the tests of all that is said: by each camera's images (``assumptions``), and by rays what is said of the cameras
+and, where one is a projector, of the pattern on it: hypotheses, and what each explains.
 
 Points of every so many pixels are made along epipolar curves, as described and otherwise. Three things can contradict them.
 *Share*: cameras that look elsewhere have few points in common.
@@ -20,14 +20,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome, beyond, told, wrong
+from appliance.desk.foreign.assumptions import (
+    ExaminedAssumption,
+    Outcome,
+    beyond,
+    examine_axis,
+    examine_references,
+    told,
+    wrong,
+)
 from appliance.desk.foreign.camera import DecodedCamera, placed_again
 from appliance.desk.foreign.cameras import ForeignRig
 from appliance.desk.foreign.decode import Reason, place
 from appliance.desk.foreign.description import AxisConvention, Description
 from appliance.desk.foreign.phase import Floats
 from appliance.desk.foreign.points import depths_of, own_px
-from appliance.desk.foreign.texture import Offset, Texture
+from appliance.desk.foreign.texture import Offset, Textures, texture_offset, textures_of
 from appliance.measure import (
     CurveError,
     HousedCamera,
@@ -75,7 +83,7 @@ class _Setting:
     left_px: Maps
     right_px: Maps
     """A projector has its own coordinates."""
-    texture: Texture | None
+    textures: Textures | None
     """``None`` where the other direction tells, or there is no second picture."""
     projector: bool
 
@@ -120,6 +128,42 @@ class _Found:
         return ", ".join([*said, str(self.aside)] if self.aside.asked else said)
 
 
+def examine(
+    description: Description, cameras: Mapping[str, DecodedCamera], rig: ForeignRig | None
+) -> tuple[ExaminedAssumption, ...]:
+    """Test all that is said of decoded images, and of ``rig`` where it is known; images may be thinned by a whole
+    number.
+
+    A word that one test leaves open does not fit because of another one.
+    """
+    tested = [one for side, camera in cameras.items() for one in examine_images(side, camera, description)]
+    return examine_rays(description, cameras, rig, tested)
+
+
+def examine_images(side: str, camera: DecodedCamera, description: Description) -> list[ExaminedAssumption]:
+    """Return what one camera's images say of the description."""
+    found = examine_references(camera)
+    for axis in description.axes:
+        found += examine_axis(camera, axis)
+    return [replace(one, about=f"{side}: {one.about}") for one in found]
+
+
+def examine_rays(
+    description: Description,
+    cameras: Mapping[str, DecodedCamera],
+    rig: ForeignRig | None,
+    tested: list[ExaminedAssumption],
+) -> tuple[ExaminedAssumption, ...]:
+    """Return what the images say of themselves, ``tested``, and what rays say of the cameras."""
+    if any(one.outcome is Outcome.WRONG for one in tested):
+        # Of coordinates that are wrong, nothing could be told about the cameras.
+        tested.append(ExaminedAssumption("cameras", Outcome.UNCHECKED, "what the images show is described wrongly"))
+    elif rig is not None:
+        tested += examine_cameras(description, rig, cameras)
+    open_ = {one.about.split(": ")[-1] for one in tested if one.outcome is not Outcome.FITS}
+    return tuple(one for one in tested if one.outcome is not Outcome.FITS or one.about.split(": ")[-1] not in open_)
+
+
 def examine_cameras(
     description: Description, rig: ForeignRig, cameras: Mapping[str, DecodedCamera]
 ) -> list[ExaminedAssumption]:
@@ -128,9 +172,9 @@ def examine_cameras(
     size = _size(rig.rig, right is None)
     if size.outcome is Outcome.WRONG:
         return [size]
-    texture = Texture.of(left.grey, right.grey) if right is not None and description.one_direction else None
+    textures = textures_of(left.grey, right.grey) if right is not None and description.one_direction else None
     right_px = own_px(rig.rig.right) if right is None else _maps(right)
-    setting = _Setting(rig.rig.left, rig.rig.right, rig.index, _maps(left), right_px, texture, right is None)
+    setting = _Setting(rig.rig.left, rig.rig.right, rig.index, _maps(left), right_px, textures, right is None)
     here = _found(setting, description)
     hypotheses = _standing(setting, rig)
     hypotheses += _exchanged(setting) if right is not None else _patterns(setting, description, left)
@@ -215,8 +259,8 @@ def _exchanged(setting: _Setting) -> list[_Hypothesis]:
     """Return left for right, where the lenses of one fit images of the other's size."""
     if next(iter(setting.left_px.values())).shape != next(iter(setting.right_px.values())).shape:
         return []
-    texture = setting.texture and setting.texture.exchanged()
-    changed = {"left_px": setting.right_px, "right_px": setting.left_px, "texture": texture}
+    textures = setting.textures and (setting.textures[1], setting.textures[0], setting.textures[2])
+    changed = {"left_px": setting.right_px, "right_px": setting.left_px, "textures": textures}
     return [_Hypothesis(WHICH_IS_LEFT, "left and right are exchanged", changed)]
 
 
@@ -323,9 +367,9 @@ def _found(setting: _Setting, description: Description) -> _Found:
         places_px = right_step * second.project(points.points_mm[y, x].astype(np.float64), setting.index)
         left_at = step * np.stack([x, y], axis=1)
         aside = NOTHING
-        if setting.texture is not None:
+        if setting.textures is not None:
             along, down = _slopes(right_px)
-            aside = setting.texture.offset(left_at, places_px, along >= down)
+            aside = texture_offset(setting.textures, left_at, places_px, along >= down)
         for other in description.axes:
             if other.name != axis.name:
                 aside = _by_other(setting, other, left_at, places_px, right_step)

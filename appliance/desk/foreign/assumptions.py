@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from appliance.desk.foreign.camera import DecodedCamera
 from appliance.desk.foreign.code import LEAST_BITS, numbered_stripes, stripe_numbers
 from appliance.desk.foreign.decode import Measured, by_periods, chance_misfit
-from appliance.desk.foreign.description import AxisConvention, equal_steps
+from appliance.desk.foreign.description import AxisConvention, equal_steps, toml_value, word_for
 from appliance.desk.foreign.order import Shows
 from appliance.desk.foreign.phase import Floats, some_pixels, step_columns
 
@@ -62,14 +62,6 @@ does."""
 SAME_TURNS = 0.02
 """Difference of phases that come back, by how exactly periods are written."""
 CODE = ("fine_first", "inverted", "plain_binary")
-WORDS: Mapping[str, tuple[str, Mapping[Any, str]]] = {
-    "fine_first": ("code_order", {False: '"coarse-first"', True: '"fine-first"'}),
-    "inverted": ("code_inverted", {False: "false", True: "true"}),
-    "plain_binary": ("code", {False: '"gray"', True: '"binary"'}),
-    "sign": ("sign", {1: '"+"', -1: '"-"'}),
-    "periods_px": ("period_px", {}),
-}
-"""Words of a description for fields of a convention and for their values, where these are called otherwise."""
 
 
 class Outcome(Enum):
@@ -114,10 +106,8 @@ def corrected(axis: AxisConvention, text: str, **instead: Any) -> ExaminedAssump
     said = []
     for name, value in instead.items():
         if value != getattr(axis, name):
-            word, values = WORDS.get(name, (name, {}))
-            listed = [f"{one:g}" for one in (value if isinstance(value, tuple) else (value,))]
-            number = f"[{', '.join(listed)}]" if isinstance(value, tuple) else listed[0]
-            said.append(f"{axis.name}.{word} = {values.get(value, number)}")
+            word, written = word_for(name, value)
+            said.append(f"{axis.name}.{word} = {toml_value(written, 6)}")
     return wrong(said[0].split(" ")[0], f"{text} {' and '.join(said)}", **instead)
 
 
@@ -169,7 +159,7 @@ def _wide_enough(bits: NDArray[np.bool_], both: NDArray[np.bool_]) -> NDArray[np
 
 def _code(all_bits: NDArray[np.bool_], both: NDArray[np.bool_], axis: AxisConvention) -> list[ExaminedAssumption]:
     """Test in which order the bits of lines are, where ``both`` a pixel and the next one are usable."""
-    names = [f"{axis.name}.{WORDS[word][0]}" for word in CODE]
+    names = [f"{axis.name}.{word_for(word, True)[0]}" for word in CODE]
     said = tuple(getattr(axis, word) for word in CODE)
     bits, changes = _wide_enough(all_bits, both), 0
     shares: dict[tuple[bool, ...], float] = {}
@@ -193,7 +183,8 @@ def _code(all_bits: NDArray[np.bool_], both: NDArray[np.bool_], axis: AxisConven
     found = []
     for k, word in enumerate(CODE):
         rival = max(shares[one] for one in shares if one[k] != said[k])
-        text = f"{here}, {100 * rival:.0f} % with {WORDS[word][0]} = {WORDS[word][1][not said[k]]}"
+        name, written = word_for(word, not said[k])
+        text = f"{here}, {100 * rival:.0f} % with {name} = {toml_value(written)}"
         found.append(told(names[k], rival <= share - CLEARLY_BETTER, text))
     return found
 

@@ -8,9 +8,10 @@ offset + i · stripe to offset + (i + 1) · stripe. ``docs/foreign.md`` has the 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from appliance.base import parse_toml, read_text
 from appliance.desk.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order, words_in
@@ -36,6 +37,18 @@ HALVES = {
     "right above left": ("lower half", "upper half"),
 }
 """Words for pictures that show both cameras, with the left one's half and the right one's."""
+
+
+WORDS: Mapping[str, tuple[str, Mapping[Any, str]]] = {
+    "periods_px": ("period_px", {}),
+    "sign": ("sign", {1: "+", -1: "-"}),
+    "from_middle": ("start_at", {False: "edge", True: "middle"}),
+    "plain_binary": ("code", {False: "gray", True: "binary"}),
+    "fine_first": ("code_order", {False: "coarse-first", True: "fine-first"}),
+    "inverted": ("code_inverted", {}),
+}
+"""Words of a direction for fields of its convention, and for their values, the usual one first, where these are called
+otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +200,22 @@ class Description:
     def with_axis(self, axis: AxisConvention) -> Description:
         """Return the description with another convention for that direction."""
         return replace(self, axes=tuple(axis if one.name == axis.name else one for one in self.axes))
+
+
+def word_for(field: str, value: Any) -> tuple[str, Any]:
+    """Return the word of a direction for a field of its convention, and what is written for ``value``."""
+    word, written = WORDS.get(field, (field, {}))
+    return word, written.get(value, value)
+
+
+def toml_value(value: Any, digits: int = 8) -> str:
+    """Return a value as TOML has it; a list of one is that one."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, Sequence):
+        said = [toml_value(one, digits) for one in value]
+        return said[0] if len(said) == 1 else f"[{', '.join(said)}]"
+    return str(value).lower() if isinstance(value, bool) else f"{value:.{digits}g}"
 
 
 def equal_steps(count: int) -> tuple[float, ...]:
@@ -346,21 +375,23 @@ def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> Ax
             raise table.wrong(
                 "stripe_px", f"up to the coarsest period, {max(periods_px):g} px", "wider stripes do not number fringes"
             )
+    chosen: dict[str, Any] = {}
+    for field, (word, written) in WORDS.items():
+        if written:
+            choice = table.choice(word, tuple(written.values()), next(iter(written.values())))
+            chosen[field] = next(value for value, text in written.items() if text == choice)
     return AxisConvention(
         name,
         size_px,
         periods_px,
         _steps(table, len(periods_px), micro) if fringed else (),
-        1 if table.choice("sign", ("+", "-"), "+") == "+" else -1,
         start_deg=common[0],
         starts_deg=common[1],
-        from_middle=table.choice("start_at", ("edge", "middle"), "edge") == "middle",
         stripe_px=stripe_px,
         code_offset_px=table.number("code_offset_px", -MOST_PX, MOST_PX, offset * stripe_px),
-        plain_binary=table.choice("code", ("gray", "binary"), "gray") == "binary",
-        fine_first=table.choice("code_order", ("coarse-first", "fine-first"), "coarse-first") == "fine-first",
         inverted=table.flag("code_inverted"),
         wraps=gray == "shifted",
+        **chosen,
     )
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.base import Progress
 from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome
-from appliance.desk.foreign.description import AxisConvention, equal_steps
+from appliance.desk.foreign.description import AxisConvention, equal_steps, toml_value
 from appliance.desk.foreign.guess import TriedSequence, guess_sequence
 from appliance.desk.foreign.importing import import_described
 from appliance.desk.foreign.order import joined
@@ -99,17 +99,17 @@ def guessed_text(candidate: TriedSequence, beside: Path) -> str:
             (description.folder / one).absolute() for one in ([patterns] if isinstance(patterns, str) else patterns)
         ]
         own = beside.absolute()
-        return _value([str(one.relative_to(own) if one.is_relative_to(own) else one) for one in paths])
+        return toml_value([str(one.relative_to(own) if one.is_relative_to(own) else one) for one in paths])
 
     two, left = "right" in description.files, description.files["left"]
     said = ["# Guessed from the images. Behind each line stands what checked it; docs/foreign.md explains every word."]
     said += [*(f"# {note}" for note in (explained, *candidate.notes)), "", "[images]"]
     if left.sides:
-        said += [f"both = {names(left.patterns)}", f"sides = {_value(left.sides)}"]
+        said += [f"both = {names(left.patterns)}", f"sides = {toml_value(left.sides)}"]
     else:
         said += [f"{side} = {names(found.patterns)}" for side, found in description.files.items()]
-    said.append(f"order = {_value(joined(candidate.words))}")
-    said += [f"channel = {_value(description.channel)}"] if description.channel != "grey" else []
+    said.append(f"order = {toml_value(joined(candidate.words))}")
+    said += [f"channel = {toml_value(description.channel)}"] if description.channel != "grey" else []
     said += ["", "[projector]"]
     for word, px in zip(("width_px", "height_px"), description.projector_px, strict=True):
         told = MOVES_NOTHING if two else _confidence(tested, f"projector.{word}", NOTHING_TELLS)
@@ -119,27 +119,18 @@ def guessed_text(candidate: TriedSequence, beside: Path) -> str:
         for word, value in _words(axis):
             about = f"{axis.name}.{'steps' if word == 'steps_deg' else word}"
             told = _confidence(tested, about, MOVES_NOTHING if two else NOTHING_TELLS)
-            said.append(f"{f'{word} = {_value(value)}':{WIDTH}} # {told}")
+            said.append(f"{f'{word} = {toml_value(value)}':{WIDTH}} # {told}")
     said += ["", "[cameras]"]
     table = description.cameras.content
     if not table:
         said += ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; nothing was found here', 'unit = "mm"']
     for key, value in table.items():
         if not isinstance(value, Mapping):
-            said.append(f"{key} = {names(value) if key in ('files', 'calibration') else _value(value)}")
+            said.append(f"{key} = {names(value) if key in ('files', 'calibration') else toml_value(value)}")
     for key, value in table.items():
         if isinstance(value, Mapping):
-            said += [f"[cameras.{key}]", *(f"{word} = {_value(one)}" for word, one in value.items())]
+            said += [f"[cameras.{key}]", *(f"{word} = {toml_value(one)}" for word, one in value.items())]
     return "\n".join([*said, "", "# [water]", "# index = 1.335", ""])
-
-
-def _value(value: Any) -> str:
-    """Return a value as TOML has it; a list of one is that one."""
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, Sequence):
-        return _value(value[0]) if len(value) == 1 else f"[{', '.join(map(_value, value))}]"
-    return str(value).lower() if isinstance(value, bool) else f"{value:.8g}"
 
 
 def _confidence(tested: Sequence[ExaminedAssumption], about: str, usual: str) -> str:

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from appliance.base import Progress
 from appliance.desk.foreign.appearance import Looks, agreement, look_at, share_of_range, words_by_looks
-from appliance.desk.foreign.arrangement import WHICH_IS_LEFT
+from appliance.desk.foreign.arrangement import WHICH_IS_LEFT, examine
 from appliance.desk.foreign.assumptions import (
     MOST_MISFIT,
     ExaminedAssumption,
@@ -55,7 +55,6 @@ from appliance.desk.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet,
 from appliance.desk.foreign.order import FRINGES, ProjectedSequence, ShownImage, Shows, hypotheses, joined, numbered
 from appliance.desk.foreign.phase import Floats, fit_sine
 from appliance.desk.foreign.problem import ForeignError, Table
-from appliance.desk.foreign.reading import examine
 
 SMOOTHED_PX = 5
 LEAST_PIXELS = 500

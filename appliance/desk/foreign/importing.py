@@ -7,6 +7,7 @@ one, what the camera saw.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,16 @@ from appliance.base import Progress
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
 from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
-from appliance.desk.foreign.assumptions import Outcome
+from appliance.desk.foreign.arrangement import examine_images, examine_rays
+from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome
+from appliance.desk.foreign.camera import clean_camera, decode_camera
 from appliance.desk.foreign.decode import Reason
+from appliance.desk.foreign.description import load_description
+from appliance.desk.foreign.first_look import checked
+from appliance.desk.foreign.images import read_side
 from appliance.desk.foreign.own_form import own_sequence, settled_sequence, write_own
-from appliance.desk.foreign.points import ForeignCloud, find_points
+from appliance.desk.foreign.points import ForeignCloud, ForeignScan, find_points
 from appliance.desk.foreign.problem import ForeignError
-from appliance.desk.foreign.reading import ForeignScan, read_foreign
 from appliance.desk.report.still import picture_of_scan
 from appliance.measure import JUDGES
 from appliance.store import LocalFileSystem
@@ -83,6 +88,29 @@ def import_described(
         LocalFileSystem().replace_file(picture, drawn)
     unit = about.unit or ("m" if suffix in (".e57", ".las") else "mm")
     return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **report}
+
+
+def read_foreign(path: Path, progress: Progress) -> ForeignScan:
+    """Read what the description at ``path`` describes, decode it and test it. Raises ForeignError."""
+    said = load_description(path)
+    read = {}
+    for side in said.files:
+        progress(f"reading {side}")
+        read[side] = read_side(said, side)
+    description, sets, rig = checked(path, said, read)
+    cameras, tested = {}, list[ExaminedAssumption]()
+    for side, images in sets.items():
+        progress(f"decoding {side}")
+        cameras[side] = decode_camera(images, description)
+        tested += examine_images(side, cameras[side], description)
+        if len(sets) > 1:
+            # Beside a projector other conventions are tried on the phases; those of two cameras would need much room.
+            cameras[side] = replace(cameras[side], measured={})
+    progress("testing the description")
+    said_of_all = examine_rays(description, cameras, rig, tested)
+    # One after the other: what was decoded of a large set needs as much room again.
+    cleaned = {side: clean_camera(cameras.pop(side)) for side in sets}
+    return ForeignScan(description, rig, cleaned, said_of_all)
 
 
 def _found(path: Path, scan: ForeignScan, progress: Progress, reasons: Path | None) -> ForeignCloud:

@@ -18,9 +18,8 @@ from appliance import __version__
 from appliance.desk.foreign.description import AxisConvention, Description
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import Shows
-from appliance.desk.foreign.points import ForeignCloud
+from appliance.desk.foreign.points import ForeignCloud, ForeignScan
 from appliance.desk.foreign.problem import ForeignError
-from appliance.desk.foreign.reading import ForeignScan
 from appliance.measure import (
     SIDES,
     Calibration,

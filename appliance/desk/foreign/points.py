@@ -8,11 +8,13 @@ pixel.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome
 from appliance.desk.foreign.camera import CleanCamera
 from appliance.desk.foreign.cameras import ForeignRig
 from appliance.desk.foreign.decode import GAP_PIXELS, SIGMA_PIXELS, Reason
@@ -47,6 +49,22 @@ NARROWER = (1.0, 0.6, 0.35)
 follow it."""
 ROWS = 256
 """Left rows that are judged together: what is compared needs room."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForeignScan:
+    """A foreign set that was read and decoded, and what its images say of its description."""
+
+    description: Description
+    rig: ForeignRig
+    cameras: Mapping[str, CleanCamera]
+    """``left`` and, unless a projector takes its place, ``right``."""
+    tested: tuple[ExaminedAssumption, ...]
+
+    @property
+    def wrong(self) -> tuple[ExaminedAssumption, ...]:
+        """Assumptions that the images contradict."""
+        return tuple(one for one in self.tested if one.outcome is Outcome.WRONG)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -73,50 +73,40 @@ class Offset:
         return f"{self.found} of {self.asked} places are found again{aside}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Texture:
-    """The texture of both images."""
+Textures = tuple[Floats, Floats, int]
+"""Texture of the left and the right image, and how many of their pixels are one there."""
 
-    left: Floats
-    right: Floats
-    reduced: int
-    """Pixels of the images that are one here."""
 
-    @classmethod
-    def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Texture:
-        """Return what two pictures in even light have of it."""
-        reduced = -(-max(left.shape[1], right.shape[1]) // int(1.5 * USUAL_WIDTH_PX))
-        return cls(_texture(left, reduced), _texture(right, reduced), reduced)
+def textures_of(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Textures:
+    """Return what two pictures in even light have of it."""
+    reduced = -(-max(left.shape[1], right.shape[1]) // int(1.5 * USUAL_WIDTH_PX))
+    return _texture(left, reduced), _texture(right, reduced), reduced
 
-    def exchanged(self) -> Texture:
-        """Return it with left for right."""
-        return Texture(self.right, self.left, self.reduced)
 
-    def offset(self, left_px: NDArray[Any], right_px: NDArray[np.float64], down: bool) -> Offset:
-        """Return how far patches about ``left_px`` (n, 2) lie beside ``right_px``: ``down`` the image, or along it."""
-        few = np.isfinite(right_px).all(axis=1)
-        places = (np.stack([left_px[few], right_px[few]]) + 0.5) / self.reduced - 0.5
-        left, right = (self.left, self.right) if down else (self.left.T, self.right.T)
-        places = places if down else places[..., ::-1]
-        half = max(LEAST_HALF_PX, min(MOST_HALF_PX, left.shape[1] // 60))
-        reach = round(REACH * right.shape[0])
-        asked, found, side = 0, [], 2 * half + 1
-        moved = np.rint(places) - places
-        for (x, y), (u, v), beside in zip(*np.rint(places).astype(int), (moved[1] - moved[0])[:, 1], strict=True):
-            patch = left[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1]
-            strip = right[max(0, v - half - reach) : v + half + reach + 1, max(0, u - half) : u + half + 1]
-            if min(x, y, u, v - reach) < half or patch.shape != (side, side) or strip.shape != (side + 2 * reach, side):
-                continue
-            asked += 1
-            alike = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)[:, 0]
-            k = int(alike.argmax())
-            other = max(
-                float(one.max(initial=-1.0)) for one in (alike[: max(0, k - SAME_PX)], alike[k + SAME_PX + 1 :])
-            )
-            if 0 < k < 2 * reach and alike[k] > max(ALIKE, other + CLEARLY):
-                before, here, after = alike[k - 1 : k + 2]
-                found.append(k - reach + 0.5 * (before - after) / (before - 2.0 * here + after) + beside)
-        return Offset.of(self.reduced * np.array(found), asked, self.reduced * MOST_OFFSET_PX)
+def texture_offset(textures: Textures, left_px: NDArray[Any], right_px: NDArray[np.float64], down: bool) -> Offset:
+    """Return how far patches about ``left_px`` (n, 2) lie beside ``right_px``: ``down`` the image, or along it."""
+    reduced = textures[2]
+    few = np.isfinite(right_px).all(axis=1)
+    places = (np.stack([left_px[few], right_px[few]]) + 0.5) / reduced - 0.5
+    left, right = (one if down else one.T for one in textures[:2])
+    places = places if down else places[..., ::-1]
+    half = max(LEAST_HALF_PX, min(MOST_HALF_PX, left.shape[1] // 60))
+    reach = round(REACH * right.shape[0])
+    asked, found, side = 0, [], 2 * half + 1
+    moved = np.rint(places) - places
+    for (x, y), (u, v), beside in zip(*np.rint(places).astype(int), (moved[1] - moved[0])[:, 1], strict=True):
+        patch = left[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1]
+        strip = right[max(0, v - half - reach) : v + half + reach + 1, max(0, u - half) : u + half + 1]
+        if min(x, y, u, v - reach) < half or patch.shape != (side, side) or strip.shape != (side + 2 * reach, side):
+            continue
+        asked += 1
+        alike = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)[:, 0]
+        k = int(alike.argmax())
+        other = max(float(one.max(initial=-1.0)) for one in (alike[: max(0, k - SAME_PX)], alike[k + SAME_PX + 1 :]))
+        if 0 < k < 2 * reach and alike[k] > max(ALIKE, other + CLEARLY):
+            before, here, after = alike[k - 1 : k + 2]
+            found.append(k - reach + 0.5 * (before - after) / (before - 2.0 * here + after) + beside)
+    return Offset.of(reduced * np.array(found), asked, reduced * MOST_OFFSET_PX)
 
 
 def _texture(image: NDArray[np.uint8], reduced: int) -> Floats:

@@ -130,7 +130,10 @@ def text_of(source: Source, path: str, most_bytes: int) -> bytes:
 
 @dataclass(slots=True)
 class SshLink:
-    """Opens links to one instrument, one after the other."""
+    """Opens links to one instrument, one after the other; inside, it is what the instrument serves.
+
+    After LinkLost the link is of no more use.
+    """
 
     host: str
     """``[user@]host``, or a name of the user's ssh configuration."""
@@ -142,26 +145,29 @@ class SshLink:
     """Longest silence before a link counts as broken."""
     _linked: bool = False
     """True once there was a link: what is wrong later may pass."""
+    _library: Any = None
+    _loop: asyncio.AbstractEventLoop | None = None
+    _sftp: Any = None
 
     @contextmanager
-    def __call__(self) -> Iterator[SftpSource]:
+    def __call__(self) -> Iterator[SshLink]:
         """Open a link, which ends with the block.
 
         Raises LinkLost, PullError where trying again is of no use, MissingLibraryError.
         """
-        library = needed(LIBRARY, LIBRARY, NEEDS_IT)
+        self._library = library = needed(LIBRARY, LIBRARY, NEEDS_IT)
         # The loop runs only while something is waited for, so that Ctrl-C ends that wait, and the runner all that is
         # left then.
         with asyncio.Runner() as runner:
-            loop = runner.get_loop()
+            self._loop = loop = runner.get_loop()
             try:
                 connecting = asyncio.wait_for(self._connected(library), self.limit_s)
-                connection, sftp = loop.run_until_complete(connecting)
+                connection, self._sftp = loop.run_until_complete(connecting)
             except (library.Error, OSError) as error:
                 raise self._meant(library, error) from error
             self._linked = True
             try:
-                yield SftpSource(library, loop, sftp, self.limit_s, SERVED)
+                yield self
             finally:
                 connection.abort()
 
@@ -245,23 +251,13 @@ class SshLink:
             )
         return LinkLost(f"{self.host}: {said}")
 
-
-class SftpSource:
-    """A storage root on an SFTP server. After LinkLost it is of no more use."""
-
-    def __init__(
-        self, library: ModuleType, loop: asyncio.AbstractEventLoop, sftp: Any, limit_s: float, root: str
-    ) -> None:
-        self._library, self._loop, self._sftp = library, loop, sftp
-        self._limit_s, self._root = limit_s, root
-
     def listing(self, folder: str) -> list[RemoteEntry]:
         """See ``Source``."""
-        return self._answer(self._listed(f"{self._root}/{folder}"), folder)
+        return self._answer(self._listed(f"{SERVED}/{folder}"), folder)
 
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
         """See ``Source``."""
-        file = self._answer(self._sftp.open(f"{self._root}/{path}", "rb"), path)
+        file = self._answer(self._sftp.open(f"{SERVED}/{path}", "rb"), path)
         # The library asks for the parts of a block at once: else each of them would cost a journey there and back.
         while start < end and (block := self._answer(file.read(min(BLOCK_BYTES, end - start), start), path)):
             start += len(block)
@@ -282,11 +278,12 @@ class SftpSource:
 
     def _answer(self, asked: Coroutine[Any, Any, T], path: str) -> T:
         """Wait for an answer about ``path``. Raises LinkLost, NotThere, Unreadable."""
-        library = self._library
+        library, loop = self._library, self._loop
+        assert loop is not None  # there is one while the link is open
         try:
-            return self._loop.run_until_complete(asyncio.wait_for(asked, self._limit_s))
+            return loop.run_until_complete(asyncio.wait_for(asked, self.limit_s))
         except TimeoutError:
-            raise LinkLost(f"nothing came for {self._limit_s:g} s") from None
+            raise LinkLost(f"nothing came for {self.limit_s:g} s") from None
         except (library.SFTPNoSuchFile, library.SFTPNoSuchPath) as error:
             raise NotThere(f"{path}: not there") from error
         except (library.SFTPConnectionLost, library.SFTPNoConnection, library.SFTPBadMessage) as error:

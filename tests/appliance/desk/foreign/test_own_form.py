@@ -14,8 +14,8 @@ from appliance.desk.foreign.cameras import NO_PORT, ForeignRig
 from appliance.desk.foreign.description import counted, parse_description
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.own_form import calibration_of, own_frames, own_sequence
+from appliance.desk.foreign.points import ForeignScan
 from appliance.desk.foreign.problem import ForeignError
-from appliance.desk.foreign.reading import ForeignScan
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 from appliance.store.ply import read_ply

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.desk.foreign.texture import Texture
+from appliance.desk.foreign.texture import texture_offset, textures_of
 
 HEIGHT, WIDTH = 240, 320
 
@@ -26,9 +26,9 @@ def places(width: int = WIDTH) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]
 
 
 def test_a_large_image_is_reduced_and_its_offset_is_in_its_own_pixels() -> None:
-    texture = Texture.of(speckled((0.0, 0.0), 2000), speckled((0.0, 6.4), 2000))
-    assert texture.left.shape == (HEIGHT // 2, 1000)
-    said = texture.offset(places(2000)[::4], places(2000)[::4].astype(float), True)
+    textures = textures_of(speckled((0.0, 0.0), 2000), speckled((0.0, 6.4), 2000))
+    assert textures[0].shape == (HEIGHT // 2, 1000)
+    said = texture_offset(textures, places(2000)[::4], places(2000)[::4].astype(float), True)
     assert said.median_px == pytest.approx(6.4, abs=0.1)
 
 
@@ -38,4 +38,4 @@ def test_what_is_smooth_repeats_or_lies_beyond_the_reach_tells_nothing() -> None
     still = speckled((0.0, 0.0))
     pairs = [(smooth, smooth), (fringes, fringes), *((still, speckled((0.0, moved))) for moved in (60.0, 16.0, -16.0))]
     for left, right in pairs:
-        assert not Texture.of(left, right).offset(places(), places().astype(float), True).tells
+        assert not texture_offset(textures_of(left, right), places(), places().astype(float), True).tells
