@@ -24,7 +24,7 @@ from typing import Any
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.instrument.service.app import run
-from appliance.instrument.worker.liveness import own_memory_mb
+from appliance.instrument.worker.child import own_memory_mb
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import Instrument

@@ -2,7 +2,7 @@
 
     current.json                in use
     air.json                    of the calibration in air, with covariance, where there is one
-    beams.json                  what the laser dots have taught, for the calibration in use (``appliance.instrument.service.beams``)
+    beams.json                  what the laser dots have taught, for the calibration in use (``appliance.instrument.service.remembered``)
     kept/0001-2026-11-21.json   what was in use before, byte for byte; numbers only grow, the date may be wrong
     session/session.json        which scans the steps recorded, and what came of them
     session/solved.json         the calibration that was solved from them, and report.html and .json about it

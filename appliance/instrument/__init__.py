@@ -11,9 +11,13 @@ if TYPE_CHECKING:
     from .capture.grabber import (
         Grabber,  # Runs one camera in its own thread. A context manager
         SideRecording,  # One side of a sequence being recorded. Filled by the camera's thread, read after done
+        Timeouts,  # Time limits of a sequence. At 60 Hz and faster the seconds count, at slower rates the periods
     )
     from .capture.ledger import (
         Ledger,  # Testimony of the four witnesses. flips … are in order of arrival; frames by side
+        SyncError,  # The board's vertical sync does not follow the projector's; the text says by how much
+        SyncMap,  # Board vsync count is the blank of flip; board time converts to host time around it
+        synchronise,  # Ask the board until two queries agree (at most ten). Raises SyncError
     )
     from .capture.scan import (
         CaptureReport,  # Outcome of a scan. With a fault there is no cloud; the frames are evidence only
@@ -23,15 +27,7 @@ if TYPE_CHECKING:
     from .capture.store import (
         FrameStore,  # Slots for one or more sequences of both cameras, allocated once. A context manager
     )
-    from .capture.sync import (
-        SyncError,  # The board's vertical sync does not follow the projector's; the text says by how much
-        SyncMap,  # Board vsync count is the blank of flip; board time converts to host time around it
-        synchronise,  # Ask the board until two queries agree (at most ten). Raises SyncError
-    )
-    from .capture.timeouts import (
-        Timeouts,  # Time limits of a sequence. At 60 Hz and faster the seconds count, at slower rates the periods
-    )
-    from .machine.ashore import (
+    from .machine.alerts import (
         ASHORE,  # What to do ashore about a fault, by its code
     )
     from .service.air_live import (

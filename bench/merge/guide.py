@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from appliance.cli.simrig import default_sim_rig
 from appliance.instrument.service.settings import live_light_of
-from appliance.instrument.worker.live_picture import reduced
+from appliance.instrument.worker.memory import reduced
 from appliance.measure.guidance import Guidance, Move
 from appliance.measure.light.patterns import Direction
 from appliance.measure.overlap.next_view import Guide, Sight

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from appliance.instrument.service.window_watch import WindowWatch
+from appliance.instrument.service.watches import WindowWatch
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.sides import SIDES
 from appliance.measure.verdicts.window import Windows

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.service.room import DiskQueue
+from appliance.instrument.service.scan_files import DiskQueue
 from appliance.instrument.worker.messages import Ready, WorkLimits, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker
 from appliance.measure.light.sides import SIDES

@@ -15,7 +15,7 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session
 from appliance.calibrate.health import HealthFile, HealthTrend
 from appliance.instrument.machine.choices import Choices
-from appliance.instrument.service.choices import ChoicesFile
+from appliance.instrument.service.remembered import ChoicesFile
 from appliance.measure.light.exposure import Exposure
 from appliance.store import names
 from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError

@@ -22,8 +22,7 @@ from appliance.calibrate.health import HealthFile
 from appliance.cli import main
 from appliance.desk import object_store as objects
 from appliance.desk.object_errors import errors_of
-from appliance.instrument.service.beams import BeamsFile
-from appliance.instrument.service.choices import ChoicesFile
+from appliance.instrument.service.remembered import BeamsFile, ChoicesFile
 from appliance.instrument.service.settings import pointers_of, standard_choices
 from appliance.store.config import load_rig
 from appliance.store.instrument import Instrument, load_calibration

@@ -13,11 +13,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.capture.grabber import Grabber, SideRecording
-from appliance.instrument.capture.ledger import Ledger, audit, frame_fault
+from appliance.instrument.capture.grabber import Grabber, SideRecording, Timeouts
+from appliance.instrument.capture.ledger import Ledger, SyncError, SyncMap, audit, frame_fault, synchronise
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.capture.sync import SyncError, SyncMap, synchronise
-from appliance.instrument.capture.timeouts import Timeouts
 from appliance.measure import SIDES, Fault, FaultCode
 from drivers.api import (
     Board,

@@ -3,6 +3,11 @@
 
 A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether
 they fit their room is measured.
+
+It also owns what to look at ashore, inside of the housing, for each fault that a diver can only switch off and on against.
+
+The screen has no room for it, and a diver no use; it stands in the journal beside the fault, in ``scans show``, and in
+``docs/faults.md``.
 """
 
 from __future__ import annotations
@@ -78,7 +83,7 @@ _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
 _INCOMPLETE = Words("INCOMPLETE {received:.0f}/{expected:.0f}", "UNVOLLSTÄNDIG {received:.0f}/{expected:.0f}")
 _REPEAT = Words("REPEAT", "NOCHMAL")
 # What a diver can do about anything inside of the housing; what to look at ashore is in
-# `appliance.instrument.machine.ashore`.
+# `appliance.instrument.machine.alerts`.
 _SWITCH = Words("OFF AND ON, OR END DIVE", "AUS/EIN ODER AUFSTIEG")
 _RESTART = Words("REPEAT; IF AGAIN: OFF AND ON", "NOCHMAL; SONST EINMAL AUS/EIN")
 _UNCOVER = Words("LIGHT COVERED? ELSE OFF AND ON", "LICHT VERDECKT? SONST AUS/EIN")
@@ -538,3 +543,33 @@ def _worse(was: Fault, now: Fault, name: str, by: float) -> bool:
 def lengths_doubtful(machine: Machine) -> bool:
     """Tell whether something lasts that makes lengths not to be trusted."""
     return any(RULES[fault.code].doubts_lengths for fault in machine.conditions)
+
+
+_CABLE = "check the cable and its connectors inside of the housing, then `kingfisher check`"
+_SETTINGS = "compare the camera's section of the rig file with the camera, by `kingfisher check`"
+_TRIGGER = "check the trigger cables from the board to both cameras, then `kingfisher check`"
+
+ASHORE: Mapping[FaultCode, str] = MappingProxyType(
+    {
+        FaultCode.CAMERA_LOST: _CABLE,
+        FaultCode.CAMERA_SLOW_LINK: _CABLE,
+        FaultCode.PROJECTOR_LOST: _CABLE,
+        FaultCode.DISPLAY_LOST: _CABLE,
+        FaultCode.BOARD_LOST: _CABLE,
+        FaultCode.KEYS_LOST: _CABLE,
+        FaultCode.VSYNC_LOST: "check the video cable to the projector and the board's tap of it",
+        FaultCode.PROJECTOR_DARK: "check the lamp and the video cable of the projector",
+        FaultCode.PROJECTOR_TIMING: "look for `PROJECTOR_TIMING` in the journal: the latency is `projector.latency_frames` of the rig file",
+        FaultCode.CAMERA_SILENT: _TRIGGER,
+        FaultCode.SYNC_LOST: _TRIGGER,
+        FaultCode.CAMERA_TOO_SLOW: _SETTINGS,
+        FaultCode.CAMERA_REFUSED: _SETTINGS,
+        FaultCode.PICTURE_MIRRORED: "turn the picture back in the camera or the projector, whose settings mirror it",
+        FaultCode.SIDES_EXCHANGED: "exchange both serials in the rig file: the left camera's pictures are the right one's",
+        FaultCode.GREY_BENT: "switch gamma and look-up table of that camera off",
+        FaultCode.DISK_READ_ONLY: "look for errors of the disk in the journal, and replace it",
+        FaultCode.DISK_REFUSES: "look for errors of the disk in the journal, and replace it",
+        FaultCode.STORAGE_FULL: "copy scans to a desk and remove them here",
+        FaultCode.WINDOW: "wipe the window; fog inside means moist air: dry the housing",
+    }
+)

@@ -10,8 +10,8 @@ from typing import assert_never
 
 from appliance.instrument.machine import calibrate, gallery, menu, safety, saving, scanning, start
 from appliance.instrument.machine import effects as do
+from appliance.instrument.machine.conditions import other_exposure, second_exposure
 from appliance.instrument.machine.moves import Result
-from appliance.instrument.machine.permissions import other_exposure, second_exposure
 from appliance.instrument.machine.states import Machine, NoticeKind, State
 from appliance.instrument.machine.words import STEP_NAMES, Label, Text
 from drivers.api import Key

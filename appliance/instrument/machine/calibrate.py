@@ -7,9 +7,8 @@ from dataclasses import replace
 from appliance.calibrate import HELD, STEPS, RecordingCheck, Session, Step
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine.conditions import cleared, raised
-from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.instrument.machine.moves import Result, enter
-from appliance.instrument.machine.states import Calibrating, Machine, State, Task
+from appliance.instrument.machine.states import Calibrating, Failure, FailureKind, Machine, State, Task
 from appliance.measure import Fault, FaultCode
 from drivers.api import Key
 

@@ -12,9 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from appliance.calibrate import RecordingCheck, Session
-from appliance.instrument.machine.failure import Failure
-from appliance.instrument.machine.states import Device, Part, PartTested
-from appliance.instrument.machine.transfer import Transfer
+from appliance.instrument.machine.states import Device, Failure, Part, PartTested, Transfer
 from appliance.instrument.ranging.reach import Range
 from appliance.measure import Fault, FaultCode, LiveGuidance, News
 from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck, Telemetry

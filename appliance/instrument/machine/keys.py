@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from appliance.instrument.machine import asking, by_state, calibrate, scanning
+from appliance.instrument.machine.conditions import second_exposure
 from appliance.instrument.machine.moves import Result
-from appliance.instrument.machine.permissions import second_exposure
 from appliance.instrument.machine.states import Answer, Machine, State
 from appliance.instrument.machine.words import Label, Text
 from drivers.api import Key

@@ -10,8 +10,8 @@ from dataclasses import replace
 from appliance.instrument.machine import calibrate, saving, scanning
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine.alerts import RULES
+from appliance.instrument.machine.conditions import interruption, too_hot_to_shine
 from appliance.instrument.machine.moves import RECORDING, Result, enter
-from appliance.instrument.machine.permissions import interruption, too_hot_to_shine
 from appliance.instrument.machine.states import Device, Ending, Machine, Notice, NoticeKind, State, seconds_ns
 from appliance.measure import Fault, FaultCode
 from drivers.api import Key

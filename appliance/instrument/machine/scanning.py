@@ -7,9 +7,8 @@ from typing import assert_never
 
 from appliance.instrument.machine import calibrate, saving, thermal
 from appliance.instrument.machine import effects as do
-from appliance.instrument.machine.conditions import raised
+from appliance.instrument.machine.conditions import other_exposure, raised, refusal, second_exposure
 from appliance.instrument.machine.moves import RECORDING, Result, enter, home
-from appliance.instrument.machine.permissions import other_exposure, refusal, second_exposure
 from appliance.instrument.machine.states import Device, Machine, Notice, NoticeKind, ScanInHand, State, seconds_ns
 from appliance.instrument.ranging.reach import Reach
 from appliance.measure import (

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.instrument.machine.conditions import device_down
+from appliance.instrument.machine.conditions import device_down, refusal
 from appliance.instrument.machine.moves import Result, enter
-from appliance.instrument.machine.permissions import refusal
 from appliance.instrument.machine.states import Device, Machine, Part, PartTested, State, seconds_ns
 from appliance.instrument.machine.words import Text
 from drivers.api import Key

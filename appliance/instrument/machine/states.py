@@ -2,6 +2,14 @@
 
 Nothing here decides; ``appliance.instrument.machine.step`` does. Times are ns of the host's monotonic clock, as last
 told by a ``Tick``.
+
+It also owns what the instrument knows of the transfer of scans to a desk: whether it is served, where, and for how many
+keys.
+
+The diver switches it with the menu's TRANSFER (``Choices.transfer``); another program serves, and tells.
+
+It also owns why something wanted for the calibration came to nothing: a kind that the screen has words for, and the log's
+sentence.
 """
 
 from __future__ import annotations
@@ -12,8 +20,6 @@ from enum import Enum
 
 from appliance.calibrate import RecordingCheck, Session, Step
 from appliance.instrument.machine.choices import Choices, Offers
-from appliance.instrument.machine.failure import Failure
-from appliance.instrument.machine.transfer import NOT_TOLD, Transfer
 from appliance.instrument.machine.words import Label
 from appliance.instrument.ranging.reach import Range, Reach
 from appliance.measure import (
@@ -28,6 +34,63 @@ from appliance.measure import (
     build_sequence,
 )
 from drivers.api import Key
+
+
+class Serving(Enum):
+    """States of the program that serves."""
+
+    STARTING = "starting"
+    """It was asked for and has not told anything yet."""
+    ON = "on"
+    FAILED = "failed"
+    """It cannot serve; the journal says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """The transfer as the program that serves tells it."""
+
+    serving: Serving = Serving.STARTING
+    address: str | None = None
+    """Address to type at the desk; ``None``: no cable, or none was given yet."""
+    keys: int | None = None
+    """Number of keys that are enrolled; ``None``: not known."""
+
+
+NOT_TOLD = Transfer()
+"""The transfer as it is known before anything was told."""
+
+
+class FailureKind(Enum):
+    """Kind of a failure, to tell the diver; it decides what he can do."""
+
+    RECORDING = "recording"
+    """A recording, or the artefact in it, cannot be used."""
+    CERTIFICATE = "certificate"
+    """The ball bar's certificate is not stated."""
+    CAMERAS = "cameras"
+    """The recordings are of other cameras."""
+    NO_SOLUTION = "no solution"
+    """Each recording can be used, and no calibration fits all of them."""
+    FILES = "files"
+    """A file of the session, or a calibration, is damaged, missing or does not fit."""
+    DISK = "disk"
+    """The disk refused."""
+    BROKEN_OFF = "broken off"
+    """The computation ended without an answer."""
+    NO_ANSWER = "no answer"
+    """Nobody answered in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Failure of a task."""
+
+    kind: FailureKind
+    detail: str
+    """Details for the log, and for who repairs it: English, with names and values. Never on the screen."""
+    about: str = ""
+    """The step that it is about; empty: none in particular."""
 
 
 class State(Enum):

@@ -26,13 +26,31 @@ from appliance.instrument.machine import (
 )
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.conditions import cleared, device_down, device_up, judge, raised
-from appliance.instrument.machine.failure import Failure
-from appliance.instrument.machine.guiding import guides
+from appliance.instrument.machine.conditions import (
+    cleared,
+    device_down,
+    device_up,
+    judge,
+    may_lase,
+    may_light,
+    may_shine,
+    raised,
+    refusal,
+)
+from appliance.instrument.machine.leading import guides
 from appliance.instrument.machine.moves import Result
-from appliance.instrument.machine.permissions import may_lase, may_light, may_shine, refusal
-from appliance.instrument.machine.states import Device, Ending, Machine, Notice, NoticeKind, PartTested, State
-from appliance.instrument.machine.transfer import NOT_TOLD, Transfer
+from appliance.instrument.machine.states import (
+    NOT_TOLD,
+    Device,
+    Ending,
+    Failure,
+    Machine,
+    Notice,
+    NoticeKind,
+    PartTested,
+    State,
+    Transfer,
+)
 from appliance.instrument.ranging.reach import Reach, reach_of
 from appliance.measure import Fault, FaultCode, LiveGuidance, News
 from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck, Telemetry

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from appliance.instrument.machine.conditions import cleared, has, raised
-from appliance.instrument.machine.permissions import rationed
+from appliance.instrument.machine.conditions import cleared, has, raised, rationed
 from appliance.instrument.machine.states import Machine, State, TemperatureLimits, seconds_ns
 from appliance.measure import Fault, FaultCode
 from drivers.api import Telemetry

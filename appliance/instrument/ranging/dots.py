@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.ranging.beams import PointerBeam
-from appliance.instrument.ranging.rig_frame import RigFrame
+from appliance.instrument.ranging.beams import PointerBeam, RigFrame
 from appliance.measure import STANDARD, HousedCamera, WorkingVolume
 
 Array = NDArray[np.float64]

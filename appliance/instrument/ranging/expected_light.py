@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.ranging.beams import Pointers
+from appliance.instrument.ranging.beams import Pointers, RigFrame
 from appliance.instrument.ranging.dots import dot_depths_mm
-from appliance.instrument.ranging.rig_frame import RigFrame
 from appliance.measure import BRIGHT_CODE, DARK_CODE, STANDARD, HousedCamera, StereoRig, WorkingVolume
 
 LEAN_SIGMAS = 3.0

@@ -25,12 +25,10 @@ from appliance.instrument.screens.calibrate import draw_calibrate
 from appliance.instrument.screens.canvas import Canvas
 from appliance.instrument.screens.cloud import CloudPainter
 from appliance.instrument.screens.frame import draw_alerts, draw_key_labels
-from appliance.instrument.screens.gallery import draw_gallery
 from appliance.instrument.screens.menu import draw_menu
-from appliance.instrument.screens.progress import draw_progress, draw_saving, draw_shutdown
-from appliance.instrument.screens.review import CLOUD_PX, draw_review
+from appliance.instrument.screens.progress import draw_cooling, draw_progress, draw_safe, draw_saving, draw_shutdown
+from appliance.instrument.screens.review import CLOUD_PX, draw_gallery, draw_review
 from appliance.instrument.screens.selftest import draw_self_test
-from appliance.instrument.screens.stops import draw_cooling, draw_safe
 from appliance.instrument.screens.theme import BAR_PX
 from appliance.instrument.screens.views import (
     AimView,

@@ -1,16 +1,194 @@
-"""Owns the screen after a scan: the cloud, the verdict in a word, and the numbers behind it."""
+"""Owns the screen after a scan: the cloud, the verdict in a word, and the numbers behind it.
+
+It also owns the numbers that a scan is judged by, as a column: name, value, unit, and which are left out where room is
+short.
+
+It also owns the screen of one scan on the disk: its stored picture, and what was said of it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.leading import Leader, leader
 from appliance.instrument.machine.words import Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.cloud import CloudPainter
-from appliance.instrument.screens.column import Figure, draw_figures, draw_verdict, figures, known
 from appliance.instrument.screens.frame import alerts_top, draw_title, room_between
-from appliance.instrument.screens.theme import BAR_PX, BOLD, CAPTION, REGULAR, TITLE
-from appliance.instrument.screens.views import ReviewView
+from appliance.instrument.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
+from appliance.instrument.screens.views import GalleryView, ReviewView, StoredScan
+from appliance.measure import FaultCode, Grade
+
+GRADES = {
+    Grade.GOOD: (Text.GOOD, theme.GREEN),
+    Grade.USABLE: (Text.USABLE, theme.YELLOW),
+    Grade.BAD: (Text.BAD, theme.YELLOW),
+}
+LEFT_PX, RIGHT_MARGIN_PX = 520.0, 14.0
+VERDICT_PX, DOUBTFUL_PX = 64.0, 70.0
+_LEAST_PITCH_PX, _MOST_PITCH_PX = 27.0, 52.0
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One line of the column."""
+
+    name: Text
+    value: str
+    unit: str = ""
+
+
+def figures(
+    points: int | None, coverage_percent: float | None, noise_mm: float | None, distance_mm: float | None
+) -> tuple[Figure, ...]:
+    """Return the lines that are shown of every scan, the most telling first; a dash stands for ``None``."""
+    return (
+        Figure(Text.COVERAGE, known(coverage_percent, "{:.0f}"), "%"),
+        _noise(noise_mm),
+        Figure(Text.DISTANCE, known(distance_mm, "{:.0f}"), "mm"),
+        Figure(Text.POINTS, "—" if points is None else many(points)),
+    )
+
+
+def _noise(noise_mm: float | None) -> Figure:
+    """Return the line of the noise: in µm below 1 mm, in mm from there on."""
+    if noise_mm is not None and noise_mm >= 1.0:
+        return Figure(Text.NOISE, f"{noise_mm:.1f}", "mm")
+    return Figure(Text.NOISE, known(None if noise_mm is None else 1000.0 * noise_mm, "{:.0f}"), "µm")
+
+
+def known(value: float | None, pattern: str) -> str:
+    """Return a number, or a dash where it is not known."""
+    return "—" if value is None else pattern.format(value)
+
+
+def many(number: int) -> str:
+    """Return a count in at most four figures: 950, 18.3 k, 1.31 M."""
+    if number < 1000:
+        return str(number)
+    # Where three figures would round up to 1000 k.
+    if number < 999_500:
+        return f"{number / 1e3:.3g} k"
+    return f"{number / 1e6:.3g} M"
+
+
+def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, *, led: bool = False) -> float:
+    """Draw the verdict as a word beside the colour of its grade, a bad one on a ground of that colour. Returns its
+    lower end.
+
+    ``doubtful``: lengths are not to be trusted. Then no word stands alone, and the ground is that of a warning.
+    ``led``: another message leads, and a good grade has no colour.
+    """
+    left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
+    word, colour = GRADES[grade]
+    if led and grade is Grade.GOOD:
+        colour = theme.MUTED
+    # A good grade beside lengths that nobody trusts would be believed; a bad one needs no second reason.
+    if doubtful and grade is not Grade.BAD:
+        canvas.box(left, top, right - left, DOUBTFUL_PX, theme.YELLOW, 5)
+        for said, baseline, size, weight in (
+            (word, top + 36, TITLE - 2, BLACK),
+            (Text.LENGTHS_DOUBTFUL, top + 62, CAPTION, BOLD),
+        ):
+            canvas.words(said, (left + 10, baseline), size, weight, theme.INK, max_width=right - left - 16)
+        return top + DOUBTFUL_PX
+    bad = grade is Grade.BAD
+    canvas.box(left, top, right - left if bad else 10, VERDICT_PX, colour, 5)
+    ink = theme.INK if bad else theme.WHITE
+    canvas.words(word, (left + 24, top + 49), HEADLINE - 6, BLACK, ink, max_width=right - left - 32)
+    return top + VERDICT_PX
+
+
+def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: float) -> None:
+    """Draw as many of the rows, from the first, as fit between ``top`` and ``bottom``."""
+    # The rows come with the most telling first, so that an alert takes the room of the last ones.
+    fit = min(len(rows), int((bottom - top) / _LEAST_PITCH_PX))
+    if fit < 1:
+        return
+    pitch = min(_MOST_PITCH_PX, (bottom - top) / fit)
+    left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
+    size = BODY + 2 if pitch > 44 else BODY if pitch > 34 else CAPTION + 2
+    for number, row in enumerate(rows[:fit]):
+        baseline = top + pitch * (number + 1) - 0.26 * pitch
+        unit_px = canvas.words(row.unit, (right, baseline), CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
+        value_right = right - unit_px - (6 if row.unit else 0)
+        name, value = row.name, row.value
+        room = value_right - left - 6 - canvas.measure(name, CAPTION, REGULAR)
+        canvas.words(value, (value_right, baseline), size, BOLD, theme.WHITE, Align.RIGHT, room)
+        canvas.words(name, (left, baseline), CAPTION, REGULAR, theme.MUTED)
+
+
+_TOP_PX = 66.0
+
+
+def draw_gallery(canvas: Canvas, view: GalleryView, time_s: float) -> None:
+    bottom = alerts_top(canvas, view.alerts)
+    scan = view.scan
+    if scan is None:
+        draw_title(canvas, Text.GALLERY, view.keys)
+        said = Text.NO_SCANS
+        middle = (BAR_PX + bottom) / 2 + 18
+        canvas.words(said, (canvas.width / 2, middle), HEADLINE, BLACK, theme.MUTED, Align.CENTRE, canvas.width - 80)
+        return
+    draw_title(canvas, f"{view.index + 1}/{view.count}", view.keys)
+    # SCAN means nothing here: its place is free.
+    canvas.words(scan.scan_id, (canvas.width - RIGHT_MARGIN_PX, 42), BODY + 2, BOLD, theme.MUTED, Align.RIGHT)
+    width, height = LEFT_PX - 32, bottom - _TOP_PX - 6
+    if scan.preview is not None:
+        canvas.image("gallery", scan.preview, 16, _TOP_PX, width, height)
+    else:
+        canvas.box(16, _TOP_PX, width, height, theme.DEEP, 10)
+        said = Text.NO_PICTURE
+        middle = _TOP_PX + height / 2 + 14
+        canvas.words(said, (16 + width / 2, middle), TITLE, BOLD, theme.MUTED, Align.CENTRE, width - 40)
+    _column(canvas, scan, leader(view.alerts) is not Leader.SCREEN, bottom)
+    left, right = room_between(canvas, view.keys, bottom=True)
+    canvas.words(
+        (Text.DATE, "?") if scan.taken is None else to_the_minute(scan.taken),
+        ((left + right) / 2, canvas.height - 20),
+        CAPTION,
+        REGULAR,
+        theme.MUTED,
+        Align.CENTRE,
+        right - left,
+    )
+
+
+def to_the_minute(time: str) -> str:
+    """Return an ISO time as people read it: 2026-11-26T20:55:56+00:00 → 2026-11-26 20:55 UTC; what is none, as it is."""
+    try:
+        at = datetime.fromisoformat(time)
+    except ValueError:
+        return time
+    return f"{at:%Y-%m-%d %H:%M}" + (" UTC" if at.utcoffset() == timedelta(0) else "")
+
+
+def _column(canvas: Canvas, scan: StoredScan, led: bool, bottom: float) -> None:
+    left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
+    top = _TOP_PX
+    below = top + VERDICT_PX
+    if scan.damaged:
+        canvas.box(left, top, right - left, VERDICT_PX, theme.YELLOW, 5)
+        canvas.words(Text.DAMAGED, (left + 16, top + 45), TITLE - 2, BLACK, theme.INK, max_width=right - left - 24)
+    elif scan.grade is not None:
+        below = draw_verdict(canvas, scan.grade, scan.lengths_doubtful, top, led=led)
+    if scan.corrected and not scan.damaged:
+        canvas.words(
+            RULES[FaultCode.COMPENSATED].headline,
+            (left, below + 22),
+            CAPTION,
+            BOLD,
+            theme.MUTED,
+            max_width=right - left,
+        )
+        below += 26
+    rows = figures(scan.points, scan.coverage_percent, scan.noise_mm, scan.distance_mm)
+    draw_figures(canvas, rows, below + 4, bottom)
+
 
 CLOUD_PX = 512.0
 """Width of the cloud's part of the screen; it is as high as the screen."""

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from appliance.calibrate import Session, Step
 from appliance.instrument.machine.alerts import Alert
-from appliance.instrument.machine.guiding import GuidanceSaid, OverlapSaid
+from appliance.instrument.machine.leading import GuidanceSaid, OverlapSaid
 from appliance.instrument.machine.states import Calibrating, State
 from appliance.instrument.machine.words import Label, Text
-from appliance.instrument.ranging.marks import Marks
-from appliance.instrument.ranging.reach import Reach
+from appliance.instrument.ranging.reach import Marks, Reach
 from appliance.measure import STANDARD, Grade, WorkingVolume
 from drivers.api import Key
 

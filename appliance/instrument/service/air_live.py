@@ -21,8 +21,7 @@ from appliance.calibrate import BoardView, NoBoard, ViewFolder, coverage, find_b
 from appliance.instrument.capture.grabber import Grabber
 from appliance.instrument.capture.scan import ScanRecorder, ScanSettings
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.service.device_supervisor import DeviceSupervisor
-from appliance.instrument.service.devices import Devices
+from appliance.instrument.service.devices import Devices, DeviceSupervisor
 from appliance.measure import SIDES, Direction, Fault, Kind, Pattern
 from appliance.store import Rig, hold_lock
 from drivers import rig as drivers_rig

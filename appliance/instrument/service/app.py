@@ -19,21 +19,19 @@ import appliance
 from appliance.instrument.machine.words import Language
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.service.aiming import AimingController
-from appliance.instrument.service.beams import BeamsFile
 from appliance.instrument.service.calibrating import CalibrationController
-from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.devices import Devices
 from appliance.instrument.service.gallery import GalleryController
 from appliance.instrument.service.loop import Drawing, Service
-from appliance.instrument.service.notify import ServiceManager
 from appliance.instrument.service.parts import Beginning, Parts
 from appliance.instrument.service.ranging import RangingController
 from appliance.instrument.service.recording import DrawnPatterns
+from appliance.instrument.service.remembered import BeamsFile, ChoicesFile
 from appliance.instrument.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.instrument.service.settings import drawn_light_of, pointers_of, standard_choices
 from appliance.instrument.service.status import StatusFile
 from appliance.instrument.service.transfer import TransferSwitch
-from appliance.instrument.service.watchdog import Watchdog
+from appliance.instrument.service.watchdog import ServiceManager, Watchdog
 from appliance.measure import Fault, FaultCode, Water
 from appliance.store import Instrument, Library, LocalFileSystem, Rig, Room, hold_lock
 from drivers import rig as drivers_rig

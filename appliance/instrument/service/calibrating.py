@@ -38,9 +38,9 @@ from appliance.calibrate import (
     solve_calibration,
 )
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.service.health import write_trend
+from appliance.instrument.machine.states import Failure, FailureKind
 from appliance.instrument.service.scans import ScanController
+from appliance.instrument.service.watches import write_trend
 from appliance.instrument.worker.child import ChildGone, ChildProcess
 from appliance.measure import Calibration, CalibrationError, Fault, FaultCode, Verdict
 from appliance.store import Instrument, Rig, ScanError, StorageError

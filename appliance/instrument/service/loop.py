@@ -13,18 +13,16 @@ from typing import assert_never
 
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.alerts import lengths_doubtful
-from appliance.instrument.machine.ashore import ASHORE
+from appliance.instrument.machine.alerts import ASHORE, lengths_doubtful
 from appliance.instrument.machine.choices import Choices
+from appliance.instrument.machine.conditions import LOST_CODES
 from appliance.instrument.machine.keys import meaning
-from appliance.instrument.machine.permissions import LOST_CODES
 from appliance.instrument.machine.states import Machine, Part, PartTested, State, boot
 from appliance.instrument.machine.step import step
 from appliance.instrument.machine.words import Language, Text
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.service.inputs import Inputs
-from appliance.instrument.service.live import LiveViews
-from appliance.instrument.service.parts import Beginning, Parts
+from appliance.instrument.service.parts import Beginning, LiveViews, Parts
 from appliance.instrument.service.recording import DrawnPatterns, SequenceRecorder
 from appliance.instrument.service.settings import machine_settings
 from appliance.instrument.service.status import StatusFile

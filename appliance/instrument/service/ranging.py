@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
-from appliance.instrument.ranging.marks import Marks
-from appliance.instrument.ranging.measure import Dot, Dots, Ranger
-from appliance.instrument.ranging.reach import Range
-from appliance.instrument.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
-from appliance.instrument.service.beams import BeamsFile
+from appliance.instrument.ranging.measure import SURELY_A_DOT_DN, Dot, Dots, Ranger, shines_in_the_dark
+from appliance.instrument.ranging.reach import Marks, Range
+from appliance.instrument.service.remembered import BeamsFile
 from appliance.measure import METHOD as DRAWN
 from appliance.measure import SIDES, Calibration, Fault, FaultCode, of_side
 from appliance.store import StorageError

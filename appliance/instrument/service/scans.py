@@ -22,9 +22,8 @@ from appliance.instrument.capture.ledger import Ledger, agreed_frames
 from appliance.instrument.capture.scan import CaptureReport
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.machine import events as on
-from appliance.instrument.service.health import CalibrationWatch, write_trend
-from appliance.instrument.service.room import DiskQueue, ScanRoom
-from appliance.instrument.service.scan_files import ScanFiles, ScanInMemory, SecondInMemory
+from appliance.instrument.service.scan_files import DiskQueue, ScanFiles, ScanInMemory, ScanRoom, SecondInMemory
+from appliance.instrument.service.watches import CalibrationWatch, write_trend
 from appliance.instrument.service.worker_reports import WorkerReports
 from appliance.instrument.worker.messages import WorkLimits, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.capture.timeouts import Timeouts
+from appliance.instrument.capture.grabber import Timeouts
 from appliance.instrument.machine.choices import Choices, offers_of
 from appliance.instrument.machine.states import Settings, TemperatureLimits
 from appliance.instrument.ranging.beams import Pointers

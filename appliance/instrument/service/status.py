@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from appliance.calibrate import STEPS
-from appliance.instrument.machine.guiding import guidance_said, overlap_said
 from appliance.instrument.machine.keys import labels
-from appliance.instrument.machine.leading import alerts
+from appliance.instrument.machine.leading import alerts, guidance_said, overlap_said
 from appliance.instrument.machine.states import Answer, Device, Machine
 from appliance.instrument.machine.words import worded
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.transfer import NOT_TOLD, Serving, Transfer
+from appliance.instrument.machine.states import NOT_TOLD, Serving, Transfer
 
 log = logging.getLogger("kingfisher")
 

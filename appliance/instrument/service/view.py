@@ -15,11 +15,10 @@ import appliance
 from appliance.calibrate import HELD
 from appliance.instrument.machine import menu, safety, start, thermal
 from appliance.instrument.machine.alerts import alert_of, lengths_doubtful
-from appliance.instrument.machine.guiding import guidance_said, overlap_said
+from appliance.instrument.machine.conditions import refusal
 from appliance.instrument.machine.keys import labels
-from appliance.instrument.machine.leading import alerts, on_screen
+from appliance.instrument.machine.leading import alerts, guidance_said, on_screen, overlap_said
 from appliance.instrument.machine.menu import Row
-from appliance.instrument.machine.permissions import refusal
 from appliance.instrument.machine.states import (
     Answer,
     Calibrating,
@@ -29,11 +28,11 @@ from appliance.instrument.machine.states import (
     OffQuestion,
     Page,
     Part,
+    Serving,
     State,
 )
-from appliance.instrument.machine.transfer import Serving
 from appliance.instrument.machine.words import Label, Text
-from appliance.instrument.ranging.marks import Marks
+from appliance.instrument.ranging.reach import Marks
 from appliance.instrument.screens.views import (
     AimView,
     AnyView,

@@ -15,9 +15,8 @@ from typing import assert_never
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Part, PartTested
 from appliance.instrument.machine.words import Text
-from appliance.instrument.service.health import CalibrationWatch
 from appliance.instrument.service.scan_files import ScanInMemory
-from appliance.instrument.service.window_watch import WindowWatch
+from appliance.instrument.service.watches import CalibrationWatch, WindowWatch
 from appliance.instrument.worker.messages import Ready
 from appliance.instrument.worker.process import ReconstructionWorker, WorkerEvent
 from appliance.measure import (

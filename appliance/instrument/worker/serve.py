@@ -20,8 +20,13 @@ from multiprocessing.shared_memory import SharedMemory
 import numpy as np
 
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.worker.live_picture import LivePicture
-from appliance.instrument.worker.memory import SharedPoints, give_back_memory, limit_memory, share_freed_memory
+from appliance.instrument.worker.memory import (
+    LivePicture,
+    SharedPoints,
+    give_back_memory,
+    limit_memory,
+    share_freed_memory,
+)
 from appliance.instrument.worker.messages import (
     Begin,
     CloudCopied,
@@ -36,8 +41,7 @@ from appliance.instrument.worker.messages import (
     Ready,
     ToWorker,
 )
-from appliance.instrument.worker.neighbours import Neighbours
-from appliance.instrument.worker.onlooker import Onlooker
+from appliance.instrument.worker.neighbours import Neighbours, Onlooker
 from appliance.measure import (
     SIDES,
     AcquisitionSettings,

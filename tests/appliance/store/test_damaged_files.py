@@ -27,8 +27,7 @@ from appliance.calibrate.pictures import Pair, PicturesError, ViewFolder, read_p
 from appliance.desk import object_store as objects
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import Pointers
-from appliance.instrument.service.beams import BeamsFile
-from appliance.instrument.service.choices import ChoicesFile
+from appliance.instrument.service.remembered import BeamsFile, ChoicesFile
 from appliance.measure.calibration import file as calibration_file
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.calibration.noise_file import NOISE as NOISE_FILE

@@ -19,8 +19,7 @@ from appliance.base.sealed_file import ContentError
 from appliance.calibrate.health import MOST_POINTS, HealthFile, HealthTrend, Reference, TrendPoint
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
-from appliance.instrument.service.beams import BeamsFile
-from appliance.instrument.service.choices import FILE, ChoicesFile
+from appliance.instrument.service.remembered import BeamsFile, ChoicesFile
 from appliance.measure.cloud import PatchGaps
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
@@ -41,7 +40,7 @@ def test_what_was_chosen_is_there_after_a_restart_and_the_rest_follows_the_rig_f
     file.write(CHOSEN)
     assert ChoicesFile(tmp_path, RIG).read() == (CHOSEN, None)
     file.write(replace(RIG, period_px=64, language="de"))
-    assert json.loads((tmp_path / FILE).read_bytes())["chosen"] == {"period_px": 64, "language": "de"}
+    assert json.loads((tmp_path / "choices.json").read_bytes())["chosen"] == {"period_px": 64, "language": "de"}
     corrected = replace(RIG, salinity_psu=12.0, exposure=Exposure(8_000))
     assert ChoicesFile(tmp_path, corrected).read() == (replace(corrected, period_px=64, language="de"), None)
 
@@ -58,7 +57,7 @@ CHOICES: dict[str, tuple[tuple[Any, ...], tuple[Any, ...]]] = {
 def test_choices_are_taken_to_their_limits_and_not_beyond(tmp_path: Path, name: str) -> None:
     allowed, refused = CHOICES[name]
     for value in (*allowed, *refused):
-        (tmp_path / FILE).write_bytes(sealed({"schema": 1, "chosen": {name: value}}))
+        (tmp_path / "choices.json").write_bytes(sealed({"schema": 1, "chosen": {name: value}}))
         choices, fault = ChoicesFile(tmp_path, RIG).read()
         assert (fault is None) == (any(value is one for one in allowed)), value
         if fault is None:
@@ -74,13 +73,13 @@ def test_a_file_of_another_form_version_or_length_is_refused_and_choosing_anew_r
         (b"", False), (sealed({"schema": 2, "chosen": {}}), False), (b"[1]", False), (sealed({"schema": 1, "chosen": [1]}), False),
         (padded(content, 10_000), True), (padded(content, 10_001), False),
     ):  # fmt: skip
-        (tmp_path / FILE).write_bytes(data)
+        (tmp_path / "choices.json").write_bytes(data)
         choices, fault = file.read()
         assert (choices.period_px == 32) == (fault is None) == read
     file.write(CHOSEN)
     assert file.read() == (CHOSEN, None)
-    (tmp_path / FILE).unlink()
-    (tmp_path / FILE).mkdir()
+    (tmp_path / "choices.json").unlink()
+    (tmp_path / "choices.json").mkdir()
     assert file.read()[1] is not None
 
 

@@ -11,8 +11,17 @@ import pytest
 
 from appliance.calibrate.guide import RecordingCheck, Refusal, Session, Step, Verified
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.machine.states import Answer, Calibrating, Device, Machine, OffQuestion, Task, boot
+from appliance.instrument.machine.states import (
+    Answer,
+    Calibrating,
+    Device,
+    Failure,
+    FailureKind,
+    Machine,
+    OffQuestion,
+    Task,
+    boot,
+)
 from appliance.instrument.ranging.reach import Range, Reach
 from appliance.instrument.service.status import StatusFile, describe
 from appliance.measure.guidance import Guidance, Overlap

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from appliance.instrument.capture.sync import SyncError
+from appliance.instrument.capture.ledger import SyncError
 from appliance.workshop import board as board_module
 from appliance.workshop import vsync
 from appliance.workshop.pad import _Listener

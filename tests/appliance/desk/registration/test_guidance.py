@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.instrument.worker.live_picture import reduced
+from appliance.instrument.worker.memory import reduced
 from appliance.measure.guidance import LEAST_GOOD, MOST_GOOD, Guidance, Move
 from appliance.measure.overlap.next_view import Guide, Sight, long_axis
 from appliance.measure.overlap.overlap import CoarseView

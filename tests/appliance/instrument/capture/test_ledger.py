@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from appliance.instrument.capture.ledger import Ledger, agreed_frames, audit, frame_fault
-from appliance.instrument.capture.sync import map_vsync
+from appliance.instrument.capture.ledger import Ledger, agreed_frames, audit, frame_fault, map_vsync
 from appliance.measure.fault import FaultCode
 from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse, Vsync
 from tests.support.golden_texts import Says

@@ -11,9 +11,9 @@ from typing import cast
 import numpy as np
 import pytest
 
+from appliance.instrument.capture.grabber import Timeouts
+from appliance.instrument.capture.ledger import SyncError, map_vsync, synchronise
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.capture.sync import SyncError, map_vsync, synchronise
-from appliance.instrument.capture.timeouts import Timeouts
 from drivers.api import Board, Flip, Vsync
 
 FRAMES, HEIGHT_PX, WIDTH_PX = 3, 4, 5

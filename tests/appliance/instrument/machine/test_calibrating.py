@@ -10,9 +10,8 @@ import pytest
 from appliance.calibrate.guide import RecordingCheck, Refusal, Session, Step, Verified
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.machine.permissions import may_light
-from appliance.instrument.machine.states import Device, Machine, State, Task
+from appliance.instrument.machine.conditions import may_light
+from appliance.instrument.machine.states import Device, Failure, FailureKind, Machine, State, Task
 from appliance.instrument.machine.step import step
 from appliance.instrument.machine.words import STEP_NAMES
 from appliance.instrument.ranging.reach import Range

@@ -12,8 +12,17 @@ from appliance.instrument.machine import asking, calibrate, choices, gallery, me
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.menu import Row, row_of, shown
-from appliance.instrument.machine.states import Calibrating, Machine, Page, Settings, State, boot
-from appliance.instrument.machine.transfer import NOT_TOLD, Serving, Transfer
+from appliance.instrument.machine.states import (
+    NOT_TOLD,
+    Calibrating,
+    Machine,
+    Page,
+    Serving,
+    Settings,
+    State,
+    Transfer,
+    boot,
+)
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.view import Facts, menu_view, value_of
 from appliance.measure.light.exposure import Exposure

@@ -14,10 +14,20 @@ import pytest
 from appliance.instrument.machine import alerts as rules
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.ashore import ASHORE
-from appliance.instrument.machine.guiding import OverlapSaid, guidance_said, overlap_said
-from appliance.instrument.machine.leading import Leader, alerts, in_full, leader, on_screen, passing, urgency
-from appliance.instrument.machine.permissions import may_light, refusal
+from appliance.instrument.machine.alerts import ASHORE
+from appliance.instrument.machine.conditions import may_light, refusal
+from appliance.instrument.machine.leading import (
+    Leader,
+    OverlapSaid,
+    alerts,
+    guidance_said,
+    in_full,
+    leader,
+    on_screen,
+    overlap_said,
+    passing,
+    urgency,
+)
 from appliance.instrument.machine.start import waits_for_ok
 from appliance.instrument.machine.states import Device, Machine, Notice, NoticeKind, State, boot
 from appliance.instrument.machine.words import Language, Text, worded

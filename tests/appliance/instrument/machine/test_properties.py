@@ -16,8 +16,8 @@ from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.alerts import RULES, Severity, lasting
 from appliance.instrument.machine.asking import pending_fault
+from appliance.instrument.machine.conditions import interruption, may_lase, may_light, may_shine, refusal
 from appliance.instrument.machine.leading import alerts
-from appliance.instrument.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
 from appliance.instrument.machine.states import NEEDED_FOR_A_SCAN, Answer, Machine, State, Task
 from appliance.instrument.machine.step import step
 from appliance.measure.fault import Fault, FaultCode

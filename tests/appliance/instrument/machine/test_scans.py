@@ -10,8 +10,7 @@ import pytest
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine import scanning
-from appliance.instrument.machine.conditions import has
-from appliance.instrument.machine.permissions import other_exposure, second_exposure
+from appliance.instrument.machine.conditions import has, other_exposure, second_exposure
 from appliance.instrument.machine.saving import late
 from appliance.instrument.machine.states import Device, Ending, Machine, State
 from appliance.instrument.machine.step import step

@@ -13,10 +13,19 @@ from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine import keys
 from appliance.instrument.machine.alerts import RULES
-from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.machine.states import Device, Machine, Part, PartTested, State, boot
+from appliance.instrument.machine.states import (
+    Device,
+    Failure,
+    FailureKind,
+    Machine,
+    Part,
+    PartTested,
+    Serving,
+    State,
+    Transfer,
+    boot,
+)
 from appliance.instrument.machine.step import step
-from appliance.instrument.machine.transfer import Serving, Transfer
 from appliance.instrument.machine.words import worded
 from appliance.instrument.ranging.reach import Range
 from appliance.measure.cloud import CloudSummary

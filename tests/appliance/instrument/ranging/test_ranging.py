@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.instrument.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
+from appliance.instrument.ranging.measure import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.instrument.service.settings import live_light_of
 from appliance.measure.light.patterns import BRIGHT_CODE
 from appliance.store.config import load_rig

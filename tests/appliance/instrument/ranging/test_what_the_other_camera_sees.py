@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.instrument.ranging.dots import contrast_of
-from appliance.instrument.ranging.measure import OtherCamera
-from appliance.instrument.ranging.witness import shines_in_the_dark
+from appliance.instrument.ranging.measure import OtherCamera, shines_in_the_dark
 from tests.appliance.instrument.ranging.test_spots_in_pictures import Array, Bench, on
 from tests.support.truth import WATER
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.instrument.ranging.beams import Pointers
+from appliance.instrument.ranging.beams import Pointers, RigFrame
 from appliance.instrument.ranging.expected_light import live_light
-from appliance.instrument.ranging.marks import marks_of
-from appliance.instrument.ranging.rig_frame import RigFrame
+from appliance.instrument.ranging.reach import marks_of
 from appliance.measure.light.patterns import BRIGHT_CODE, DARK_CODE
 from tests.appliance.instrument.ranging.test_spots_in_pictures import BEAMS, Bench
 from tests.support.truth import WATER

@@ -18,8 +18,7 @@ from appliance.instrument.machine.alerts import Alert, Severity, alert_of
 from appliance.instrument.machine.choices import COLDEST_C, WARMEST_C
 from appliance.instrument.machine.leading import alerts
 from appliance.instrument.machine.menu import ROWS
-from appliance.instrument.machine.states import Calibrating, Menu, Notice, NoticeKind, Page, boot
-from appliance.instrument.machine.transfer import Serving, Transfer
+from appliance.instrument.machine.states import Calibrating, Menu, Notice, NoticeKind, Page, Serving, Transfer, boot
 from appliance.instrument.machine.words import Label, Language, Text, worded
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme

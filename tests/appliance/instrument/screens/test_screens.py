@@ -18,8 +18,7 @@ from appliance.calibrate.calibrator import plane_place
 from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.instrument.machine.alerts import Alert, Severity
-from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.machine.states import Calibrating, State, Task
+from appliance.instrument.machine.states import Calibrating, Failure, FailureKind, State, Task
 from appliance.instrument.machine.words import Label, Language, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme, views

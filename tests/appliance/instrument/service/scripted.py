@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.instrument.capture.grabber import Grabber
-from appliance.instrument.capture.timeouts import Timeouts
+from appliance.instrument.capture.grabber import Grabber, Timeouts
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Device
 from appliance.instrument.service.aiming import AimingController
 from appliance.instrument.service.calibrating import CalibrationController
-from appliance.instrument.service.device_supervisor import DeviceSupervisor
-from appliance.instrument.service.devices import Devices, KeyReader
+from appliance.instrument.service.devices import Devices, DeviceSupervisor, KeyReader
 from appliance.instrument.service.gallery import GalleryController
 from appliance.instrument.service.parts import Parts
 from appliance.instrument.service.ranging import RangingController

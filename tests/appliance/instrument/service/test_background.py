@@ -11,7 +11,7 @@ import pytest
 from appliance.base import Progress
 from appliance.calibrate.recordings import NotConverged
 from appliance.instrument.machine.events import CalibrationProgressed
-from appliance.instrument.machine.failure import Failure, FailureKind
+from appliance.instrument.machine.states import Failure, FailureKind
 from appliance.instrument.service.calibrating import Background
 from drivers.native import MonotonicClock
 

@@ -17,7 +17,7 @@ from appliance.calibrate.calibrator import Examined, Solution, basis_of, examine
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibrate.recordings import RecordingError
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.failure import Failure, FailureKind
+from appliance.instrument.machine.states import Failure, FailureKind
 from appliance.measure.calibration.file import Calibration, CalibrationError, encode_calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrection, node_count

@@ -11,7 +11,7 @@ import pytest
 
 from appliance.instrument.machine.events import DeviceDown, DeviceUp, Event
 from appliance.instrument.machine.states import Device
-from appliance.instrument.service.device_supervisor import PAUSES_S, DeviceRejected, DeviceSupervisor
+from appliance.instrument.service.devices import PAUSES_S, DeviceRejected, DeviceSupervisor
 from appliance.measure.fault import FaultCode
 from drivers.api import CardGone, DeviceError, DeviceGone
 from tests.drivers.clock import SteppedClock

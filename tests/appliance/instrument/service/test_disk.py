@@ -17,7 +17,7 @@ from appliance.instrument.machine import events as on
 from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.states import Part, PartTested
 from appliance.instrument.machine.words import Text
-from appliance.instrument.service.room import ASK_AGAIN_S, CountedRoom, DiskQueue, steady
+from appliance.instrument.service.scan_files import ASK_AGAIN_S, CountedRoom, DiskQueue, steady
 from appliance.instrument.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure

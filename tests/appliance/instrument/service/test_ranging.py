@@ -12,11 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.instrument.machine import events as on
-from appliance.instrument.ranging.beams import PointerBeam, Pointers
+from appliance.instrument.ranging.beams import PointerBeam, Pointers, RigFrame
 from appliance.instrument.ranging.measure import Dot, Dots
-from appliance.instrument.ranging.rig_frame import RigFrame
-from appliance.instrument.service.beams import BeamsFile
 from appliance.instrument.service.ranging import RangingController, _Measured
+from appliance.instrument.service.remembered import BeamsFile
 from appliance.measure.fault import FaultCode
 from drivers.api import LaserState
 from drivers.native import MonotonicClock

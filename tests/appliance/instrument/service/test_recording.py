@@ -17,16 +17,14 @@ from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Device, State
 from appliance.instrument.machine.words import Language
 from appliance.instrument.screens.painter import Painter
-from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.inputs import Inputs
-from appliance.instrument.service.live import LiveViews
 from appliance.instrument.service.loop import Drawing, Service
-from appliance.instrument.service.notify import ServiceManager
-from appliance.instrument.service.parts import Beginning
+from appliance.instrument.service.parts import Beginning, LiveViews
 from appliance.instrument.service.recording import DrawnPatterns, SequenceRecorder
+from appliance.instrument.service.remembered import ChoicesFile
 from appliance.instrument.service.settings import standard_choices
 from appliance.instrument.service.status import StatusFile
-from appliance.instrument.service.watchdog import Watchdog
+from appliance.instrument.service.watchdog import ServiceManager, Watchdog
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.store.library import Library

@@ -15,8 +15,7 @@ from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Part, PartTested
 from appliance.instrument.machine.words import Text
-from appliance.instrument.service.room import ScanRoom
-from appliance.instrument.service.scan_files import ScanFiles, ScanInMemory, SecondInMemory
+from appliance.instrument.service.scan_files import ScanFiles, ScanInMemory, ScanRoom, SecondInMemory
 from appliance.instrument.service.scans import ScanController
 from appliance.instrument.service.worker_reports import WorkerReports
 from appliance.instrument.worker.messages import Ready

@@ -10,9 +10,8 @@ import pytest
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Device, Gallery, Part, PartTested, State, boot
-from appliance.instrument.ranging.marks import Marks, Track
-from appliance.instrument.ranging.reach import Range, Reach
-from appliance.instrument.screens.gallery import to_the_minute
+from appliance.instrument.ranging.reach import Marks, Range, Reach, Track
+from appliance.instrument.screens.review import to_the_minute
 from appliance.instrument.screens.views import AimView, CalibrateView, GalleryView, SelfTestView, StoredScan
 from appliance.instrument.service.loop import fault_text, spoken
 from appliance.instrument.service.view import Surroundings, view_of

@@ -25,7 +25,7 @@ from appliance.instrument.service.app import (
     take_back_power_off,
     this_run,
 )
-from appliance.instrument.service.device_supervisor import DeviceSupervisor
+from appliance.instrument.service.devices import DeviceSupervisor
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.store.library import Library

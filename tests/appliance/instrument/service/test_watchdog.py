@@ -11,11 +11,9 @@ from pathlib import Path
 import pytest
 
 from appliance.instrument.machine import states
-from appliance.instrument.machine.states import Device, Machine, Part, State, boot
-from appliance.instrument.machine.transfer import NOT_TOLD, Serving, Transfer
-from appliance.instrument.service.notify import ServiceManager
+from appliance.instrument.machine.states import NOT_TOLD, Device, Machine, Part, Serving, State, Transfer, boot
 from appliance.instrument.service.transfer import LOOK_NS, TransferSwitch
-from appliance.instrument.service.watchdog import SELF_TEST_FILE, Watchdog
+from appliance.instrument.service.watchdog import SELF_TEST_FILE, ServiceManager, Watchdog
 from appliance.measure.fault import Fault, FaultCode
 
 

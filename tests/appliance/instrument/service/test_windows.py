@@ -10,8 +10,7 @@ import pytest
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.alerts import alert_of
-from appliance.instrument.service.health import CalibrationWatch
-from appliance.instrument.service.window_watch import WindowWatch
+from appliance.instrument.service.watches import CalibrationWatch, WindowWatch
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.sides import SIDES

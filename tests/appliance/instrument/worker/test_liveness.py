@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from appliance.instrument.worker.liveness import Liveness
+from appliance.instrument.worker.child import Liveness
 from tests.drivers.output.kernel import Time
 
 

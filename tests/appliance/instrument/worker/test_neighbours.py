@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.instrument.worker.live_picture import reduced
+from appliance.instrument.worker.memory import reduced
 from appliance.instrument.worker.messages import LookAt
-from appliance.instrument.worker.neighbours import Neighbours
-from appliance.instrument.worker.onlooker import Onlooker
+from appliance.instrument.worker.neighbours import Neighbours, Onlooker
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.guidance import Move, Overlap
 from appliance.measure.light.patterns import build_sequence

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.worker import liveness
+from appliance.instrument.worker import child
 from appliance.instrument.worker import messages as say
 from appliance.instrument.worker.messages import WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker, WorkerEvent
@@ -165,7 +165,7 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Desk]:
                 made.asked.append(time.ns)
             return tmp_path / path.removeprefix("/proc/")
 
-        monkeypatch.setattr(liveness, "Path", below)
+        monkeypatch.setattr(child, "Path", below)
         with worker:
             yield made
             last = made.child if worker.pid is not None else None

@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 from appliance.base.process_start import BLAS_THREADS
-from appliance.instrument.worker.child import ChildGone, ChildProcess
-from appliance.instrument.worker.liveness import cpu_s, own_memory_mb
+from appliance.instrument.worker.child import ChildGone, ChildProcess, cpu_s, own_memory_mb
 from appliance.instrument.worker.memory import COMPILER, unwritten
 
 

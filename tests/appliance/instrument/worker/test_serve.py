@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.worker import messages as say
-from appliance.instrument.worker.live_picture import LivePicture, behind_picture
+from appliance.instrument.worker.memory import LivePicture, behind_picture
 from appliance.instrument.worker.serve import Server
 from appliance.measure.guidance import Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.instrument.worker.live_picture import LONGEST_PX, LivePicture, behind_picture
-from appliance.instrument.worker.memory import CloudMemory
+from appliance.instrument.worker.memory import LONGEST_PX, CloudMemory, LivePicture, behind_picture
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.points.table import POINT_BYTES, Cloud, PointTable
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from appliance.instrument.service.window_watch import WindowWatch
+from appliance.instrument.service.watches import WindowWatch
 from appliance.measure.verdicts.window import CELLS, Windows
 from hw_sim.optics.fog import Fog
 from hw_sim.scene import Scene

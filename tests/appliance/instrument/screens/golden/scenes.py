@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.instrument.machine.alerts import RULES, Alert, alert_of
-from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.machine.guiding import GuidanceSaid, OverlapSaid
-from appliance.instrument.machine.states import Calibrating, State, Task
+from appliance.instrument.machine.leading import GuidanceSaid, OverlapSaid
+from appliance.instrument.machine.states import Calibrating, Failure, FailureKind, State, Task
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import views

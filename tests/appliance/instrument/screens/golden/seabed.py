@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.ranging.marks import Marks, Track
+from appliance.instrument.ranging.reach import Marks, Track
 from appliance.instrument.screens.theme import colour_table
 
 MIDDLE_MM = 505.0
