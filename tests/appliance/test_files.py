@@ -179,13 +179,10 @@ def _inflating() -> bytes:
 @pytest.mark.parametrize(
     ("name", "data", "said"),
     [
-        ("a.yml", b"a: &a [1, 2, 3]\nM1: [*a, *a, *a]\n", "line 2: an alias"),
         ("a.yml", b"M1: " + b"[" * 100_000, "line 1: more than 12 levels"),
         ("a.yml", b"M1: [1]\nM1: [2]\n", "M1 stands there twice, and differs"),
-        ("a.json", b'{"M1": [1], "M1": [2]}', "M1 stands there twice, and differs"),
         ("a.json", b'{"M1": ' + b"[" * 100_000, "recursion"),
         ("a.xml", b"<M1>" * 100_000 + b"1" + b"</M1>" * 100_000, "more than 12 levels"),
-        ("a.xml", b'<!DOCTYPE a [<!ENTITY a "1 2 3">]><a><M1>&a;&a;</M1></a>', "it defines what it consists of"),
         ("a.mat", _inflating(), "not readable as MATLAB's .mat"),
         ("a.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(512), "version 7.3 is another format: save it with -v7"),
     ],
