@@ -3,7 +3,8 @@
 One thread per camera, named ``kf-camera-left`` and ``kf-camera-right``; it alone calls the camera. Others give orders
 (idle, live, record) and read results. A lost camera ends the thread; the service opens a new one.
 
-It also owns how long capture waits for what the projector paces: in its periods, and never less than a host may be late.
+It also owns how long capture waits for what the projector paces: in its periods, and never less than a host may be
+late.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@
 A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether
 they fit their room is measured.
 
-It also owns what to look at ashore, inside of the housing, for each fault that a diver can only switch off and on against.
+It also owns what to look at ashore, inside of the housing, for each fault that a diver can only switch off and on
+against.
 
 The screen has no room for it, and a diver no use; it stands in the journal beside the fault, in ``scans show``, and in
 ``docs/faults.md``.

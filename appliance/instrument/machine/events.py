@@ -1,10 +1,11 @@
 """Owns what can happen to the instrument: every input of ``step`` as a frozen value.
 
 Where somebody below has a value for it, that is the event: what the diver does with the keys (``KeyPress`` …), what the
-board reports (``Telemetry``, ``BoardBooted``), what a scan's frames give (``News``, ``LiveGuidance``), the calibration's
-``Session`` as it lies on the disk, also as the answer to what changed it, or the ``Failure`` of what was wanted of it,
-what the program that serves scans tells (``Transfer``), and a part's self-test (``PartTested``). Events about a scan carry the ``number`` of the
-Capture effect that began it, so that an answer that comes too late is recognised and ignored.
+board reports (``Telemetry``, ``BoardBooted``), what a scan's frames give (``News``, ``LiveGuidance``), the
+calibration's ``Session`` as it lies on the disk, also as the answer to what changed it, or the ``Failure`` of what was
+wanted of it, what the program that serves scans tells (``Transfer``), and a part's self-test (``PartTested``). Events
+about a scan carry the ``number`` of the Capture effect that began it, so that an answer that comes too late is
+recognised and ignored.
 """
 
 from __future__ import annotations

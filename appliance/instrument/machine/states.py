@@ -8,8 +8,8 @@ keys.
 
 The diver switches it with the menu's TRANSFER (``Choices.transfer``); another program serves, and tells.
 
-It also owns why something wanted for the calibration came to nothing: a kind that the screen has words for, and the log's
-sentence.
+It also owns why something wanted for the calibration came to nothing: a kind that the screen has words for, and the
+log's sentence.
 """
 
 from __future__ import annotations

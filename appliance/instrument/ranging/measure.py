@@ -10,8 +10,8 @@ What is bright and no dot is seen by both cameras: a lit corner, a print, a spec
 the other one has it somewhere on the image of the first one's ray. Where that image is not in its picture it cannot
 tell.
 
-It also owns the proof from images that no laser shone in a sequence: its dark frame has no dot that its bright one does not
-explain.
+It also owns the proof from images that no laser shone in a sequence: its dark frame has no dot that its bright one does
+not explain.
 
 What prints and pebbles reflect of ambient light looks like a dot too. But then the projector's light makes it brighter
 still, in the ratio of both lights, which the surroundings tell; a laser's dot stays as bright as it is.

@@ -272,7 +272,8 @@ class Canvas:
         align: Align = Align.LEFT,
         max_width: float | None = None,
     ) -> float:
-        """Write one line of text, in the canvas's language, ``at`` a place on its baseline; smaller where it would be wider than ``max_width``.
+        """Write one line of text in the canvas's language ``at`` a place on its baseline; smaller where it would be wider
+        than ``max_width``.
 
         Returns its width.
         It is never smaller than a caption, which is the least that can be read: what does not fit then is cut.

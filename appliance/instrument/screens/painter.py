@@ -68,7 +68,8 @@ _STILL = (AimView, MenuView, GalleryView, CoolingView)
 
 
 class Painter:
-    """Draws views, and only what changed, at ``size_px`` (width, height) with a GL context that is current in the calling thread.
+    """Draws views, and only what changed, at ``size_px`` (width, height) with a GL context that is current in the
+    calling thread.
 
     A context manager: its GL objects end with it. The context may be shared with others; it is made current for
     each drawing.

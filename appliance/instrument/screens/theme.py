@@ -100,7 +100,7 @@ def flash_on(time_s: float) -> bool:
 KEY_CORNERS: Mapping[Key, tuple[bool, bool]] = MappingProxyType(
     {Key.UP: (False, False), Key.DOWN: (False, True), Key.SCAN: (True, False), Key.BACK: (True, True)}
 )
-"""Side of each key: on the right, and below. Two sit on each side of the display, and each label touches the edge there."""
+"""Side of each key: on the right, and below. Each label touches the edge of the display at its key."""
 BAR_PX = 62
 """Height of the upper and the lower bar, which hold the labels."""
 LABEL_MAX_PX = 250

@@ -1,6 +1,7 @@
 """Owns what the heartbeat is put together from: one controller per duty, made by ``app`` and called by ``loop`` alone.
 
-It also owns the live views: cameras fired without a sequence, their light and their lasers, and the latest image of each.
+It also owns the live views: cameras fired without a sequence, their light and their lasers, and the latest image of
+each.
 """
 
 from __future__ import annotations

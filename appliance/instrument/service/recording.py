@@ -11,7 +11,7 @@ armed, played.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import moderngl
 import numpy as np
@@ -62,25 +62,14 @@ class DrawnPatterns:
 
 
 @dataclass(frozen=True, slots=True)
-class _Waiting:
-    """A sequence is wanted, and nothing was done for it yet."""
+class _Wanted:
+    """A sequence that is wanted."""
 
-    wanted: do.Arm
-
-
-@dataclass(frozen=True, slots=True)
-class _Arming:
-    """Memory is free, and the devices are being made ready."""
-
-    wanted: do.Arm
-    arming: Arming
-
-
-@dataclass(frozen=True, slots=True)
-class _Armed:
+    sequence: do.Arm
+    arming: Arming | None = None
+    """The devices being made ready, once memory is free; ``None``: nothing was done for it yet."""
+    told: bool = False
     """The devices are ready, and the machine knows."""
-
-    arming: Arming
 
 
 class SequenceRecorder:
@@ -92,16 +81,20 @@ class SequenceRecorder:
         """``inbox`` takes what happens meanwhile, for the next heartbeat."""
         self._rig, self._parts, self._patterns, self._inputs = rig, parts, patterns, inputs
         self._clock, self._inbox = clock, inbox
-        self._phase: _Waiting | _Arming | _Armed | None = None
+        self._wanted: _Wanted | None = None
         """``None``: no sequence is wanted."""
         self._period_px: int | None = None
         """The period that is wanted instead of the one in use; ``None``: none."""
 
+    @property
+    def _arming(self) -> Arming | None:
+        return None if self._wanted is None else self._wanted.arming
+
     def want(self, sequence: do.Arm) -> None:
         """Make ready for a sequence from the next ``go_on`` on; it answers Armed or CaptureFailed."""
-        if isinstance(self._phase, _Arming | _Armed):
-            self._phase.arming.let_go()
-        self._phase = _Waiting(sequence)
+        if self._arming is not None:
+            self._arming.let_go()
+        self._wanted = _Wanted(sequence)
 
     def want_period(self, period_px: int) -> None:
         """Change to patterns of another period as soon as nothing of the last scan needs those in use."""
@@ -110,40 +103,40 @@ class SequenceRecorder:
     def go_on(self) -> list[on.Event]:
         """Do what can be done now for what is wanted, without waiting; return what came of it."""
         self._change_period()
-        if isinstance(self._phase, _Waiting):
-            self._begin(self._phase.wanted)
-        phase = self._phase
-        if not isinstance(phase, _Arming) or not phase.arming.poll():
+        if self._wanted is not None and self._arming is None:
+            self._begin(self._wanted.sequence)
+        wanted, arming = self._wanted, self._arming
+        if wanted is None or arming is None or wanted.told or not arming.poll():
             return []
-        self._phase = _Armed(phase.arming)
+        self._wanted = replace(wanted, told=True)
         # What the board reported while it was made ready (a heartbeat, a reset) is not lost to the machine.
-        for event in phase.arming.events:
+        for event in arming.events:
             self._inbox += self._inputs.board_event(event)
-        phase.arming.events.clear()
-        if phase.arming.fault is None:
-            return [on.Armed(phase.wanted.number)]
+        arming.events.clear()
+        if arming.fault is None:
+            return [on.Armed(wanted.sequence.number)]
         self.let_go()
-        return [on.CaptureFailed(phase.wanted.number, phase.arming.fault)]
+        return [on.CaptureFailed(wanted.sequence.number, arming.fault)]
 
     def let_go(self) -> None:
         """No sequence follows from what was made ready, and what memory was given for it is free again."""
-        phase, self._phase = self._phase, None
-        if isinstance(phase, _Arming | _Armed):
-            phase.arming.let_go()
+        arming, self._wanted = self._arming, None
+        if arming is not None:
+            arming.let_go()
         self._parts.scans.drop()
 
     def play(self, number: int, draw: Callable[[], None], abort: Callable[[], Fault | None]) -> on.Event:
         """Play the armed sequence and collect its frames, which takes less than a second; return CaptureFinished or
         CaptureFailed. ``abort`` is asked at every vertical blank for a reason to end."""
-        phase, self._phase = self._phase, None
+        arming, self._wanted = self._arming, None
         scans = self._parts.scans
         scan = scans.scan
         recorder = self._recorder((scan.second or scan).exposure) if scan is not None else None
-        if not isinstance(phase, _Arming | _Armed) or recorder is None:
+        if arming is None or recorder is None:
             scans.drop()
             return on.CaptureFailed(number, Fault(FaultCode.INTERNAL, "nothing was armed"))
         draw()  # what the diver sees until the sequence has ended, since this thread plays it
-        report = recorder.play(scans.sequence, phase.arming, abort)
+        report = recorder.play(scans.sequence, arming, abort)
         for event in report.board_events:
             self._inbox += self._inputs.board_event(event)
         # The witnesses of time first: where a frame is missing, looking at its pixels says nothing.
@@ -160,7 +153,7 @@ class SequenceRecorder:
     def _change_period(self) -> None:
         # Patterns, frame memory and worker are changed together, and only while nothing of the last scan is on its way
         # to the disk, which reads that memory, and no camera is armed to write into it.
-        if self._period_px is None or self._parts.scans.busy or isinstance(self._phase, _Arming | _Armed):
+        if self._period_px is None or self._parts.scans.busy or self._arming is not None:
             return
         period_px, self._period_px = self._period_px, None
         # Changed back before anything was done: drawing and starting the worker again would take seconds for nothing.
@@ -190,7 +183,7 @@ class SequenceRecorder:
             self.let_go()
             self._inbox.append(on.CaptureFailed(wanted.number, fault or Fault(FaultCode.INTERNAL, "no device")))
             return
-        self._phase = _Arming(
+        self._wanted = _Wanted(
             wanted, recorder.arm(scans.sequence, scans.store, scans.worker.frame, second=wanted.second)
         )
 

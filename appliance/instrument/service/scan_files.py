@@ -3,8 +3,8 @@
 It also owns what is known of the scan in hand, from its first frame to its folder: values only; ``ScanController``,
 ``WorkerReports`` and ``ScanFiles`` change them.
 
-It also owns whether there is room for the next scan: allocated before the shot, counted, and asked for again where there is
-none.
+It also owns whether there is room for the next scan: allocated before the shot, counted, and asked for again where
+there is none.
 
 It also owns the disk's thread, ``kf-storage``: one task after the other, and the events that answer those that were
 asked for.

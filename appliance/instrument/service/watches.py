@@ -1,7 +1,7 @@
 """Owns the watch over the calibration in use: its trend in memory, what the diver is told, and when it is written down.
 
-It also owns the watch over the cameras' windows: what stays soft at one place of the image while the scene changes is the
-window.
+It also owns the watch over the cameras' windows: what stays soft at one place of the image while the scene changes is
+the window.
 
 Of each cell of each camera's image a sum is kept of how far its fall exceeds what is forgiven, per scan at most so much
 that three scans are needed; a scan that shows it clean takes away. Kept in memory only: a window is wiped between two

@@ -5,7 +5,8 @@ Nothing here is done while a scan is recorded or computed: the new scan is noted
 behind the full cloud) and compared piece by piece while there is nothing else to do. A message that comes waits for one
 piece at most, and a new scan ends the comparison for good.
 
-It also owns what the worker does with the live pictures of a diver who aims: one at a time, piece by piece, in its pauses.
+It also owns what the worker does with the live pictures of a diver who aims: one at a time, piece by piece, in its
+pauses.
 
 As with the comparison of scans, a message waits for one piece at most, and a scan that begins ends it.
 """

@@ -5,8 +5,8 @@ worker that dies, does not get on or takes too much memory is killed and started
 again from the raw frames, which are untouched by all of that. The child's side is ``serve``; ``Liveness`` judges
 whether it gets on.
 
-It also owns when a live picture is handed to the worker, and which answer counts: one picture at a time, the latest, and a
-third of a processor at most.
+It also owns when a live picture is handed to the worker, and which answer counts: one picture at a time, the latest,
+and a third of a processor at most.
 """
 
 from __future__ import annotations
