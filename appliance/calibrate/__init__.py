@@ -12,11 +12,7 @@ if TYPE_CHECKING:
     )
     from .air.board import (
         BoardDesign,  # A ChArUco board: squares across and down, and the printed sizes
-        BoardError,  # A board cannot be described that way; the text says how it is done
         NoBoard,  # Reason why a pair of images was not used, in a sentence for the person who holds the board
-    )
-    from .air.calibrate import (
-        AirCalibrationError,  # The views do not suffice for a calibration in air; the text says why and what to do
     )
     from .air.coverage import (
         coverage,  # Determine what views cover and what they lack
@@ -84,7 +80,6 @@ if TYPE_CHECKING:
         measure_noise,  # Return the noise of the camera that recorded frames (n, h, w) uint8
     )
     from .pictures import (
-        PicturesError,  # A folder of pictures cannot be used; the text names the file, what is wrong and the remedy
         ViewFolder,  # A folder for views of one board by one instrument
     )
     from .projector_response import (

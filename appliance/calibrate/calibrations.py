@@ -24,9 +24,8 @@ from appliance.base import ContentError, SealedFile
 from appliance.calibrate.guide import Session
 from appliance.measure import Calibration, CalibrationError, encode_calibration
 from appliance.store import (
-    CALIBRATION_IN_AIR,
-    CALIBRATIONS,
-    CURRENT_CALIBRATION,
+    AIR_FILE,
+    CALIBRATION_FILE,
     FileSystem,
     LocalFileSystem,
     StorageError,
@@ -47,19 +46,19 @@ class Calibrations:
 
     def __init__(self, root: Path, rig_serial: str, fs: FileSystem | None = None) -> None:
         """Remember where to store; nothing is touched until a method is called."""
-        self.folder = root / CALIBRATIONS
+        self.folder = (root / CALIBRATION_FILE).parent
         self._of: Mapping[str, str] = {"rig_serial": rig_serial}
         self._fs: FileSystem = fs or LocalFileSystem()
 
     @property
     def current(self) -> Path:
         """The file in use."""
-        return self.folder / CURRENT_CALIBRATION
+        return self.folder / CALIBRATION_FILE.name
 
     @property
     def air(self) -> Path:
         """The calibration in air, from which every adjustment in water starts; there may be none."""
-        return self.folder / CALIBRATION_IN_AIR
+        return self.folder / AIR_FILE.name
 
     @property
     def solved(self) -> Path:

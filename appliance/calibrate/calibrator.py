@@ -46,16 +46,7 @@ from appliance.measure import (
     find_ball_bar,
     fit_plane,
 )
-from appliance.store import (
-    Instrument,
-    Library,
-    ReprocessedScan,
-    Rig,
-    StoredScan,
-    load_calibration,
-    load_scan,
-    reprocess_scan,
-)
+from appliance.store import Instrument, Library, ReprocessedScan, Rig, StoredScan, load_calibration, reprocess_scan
 
 Array = NDArray[np.float64]
 
@@ -290,7 +281,7 @@ def examine_recording(rig: Rig, step: Step, folder: Path, report: Progress) -> E
     CalibrationError.
     """
     basis = basis_of(rig)
-    scan = load_scan(folder)
+    scan = StoredScan.load(folder)
     if step is Step.VERIFY:
         solved = _solved(rig)
         checked = basis.before if solved is None else solved
@@ -366,7 +357,7 @@ def solve_calibration(rig: Rig, date: str, report: Progress) -> Solution:
     solved = AdjustmentSummary(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
     verified = None
     if Step.VERIFY in folders:
-        scan = load_scan(folders[Step.VERIFY])
+        scan = StoredScan.load(folders[Step.VERIFY])
         bar = find_ball_bar(_fair(scan, calibration, basis))
         verified = None if isinstance(bar, NotFound) else _compared(scan, bar, basis)
     about = {"rig_serial": rig.rig.serial, "made_at": date, "software_version": __version__}

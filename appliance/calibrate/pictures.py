@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from appliance.base import ContentError, SealedFile, read_bounded
 from appliance.calibrate.air.board import BoardDesign
 from appliance.measure import FULL_DN, SIDES, build_sequence
-from appliance.store import KNOWN, MANIFEST_FILE, LocalFileSystem, StorageError, load_scan, size_px
+from appliance.store import KNOWN, MANIFEST_FILE, LocalFileSystem, StorageError, StoredScan, picture_head
 
 Image = NDArray[np.uint8]
 
@@ -214,7 +214,7 @@ def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
     assert pair.left is not None
     assert pair.right is not None
     if pair.left == pair.right:
-        scan = load_scan(pair.left)
+        scan = StoredScan.load(pair.left)
         made = scan.manifest.record.sequence
         bright = build_sequence(made.period_px, made.width_px, made.height_px).bright
         left, right = (np.array(scan.frames[side][bright]) for side in SIDES)
@@ -280,7 +280,8 @@ def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, s
     wrong: dict[Path, str] = {}
     for path in pictures:
         data = _bytes(path)
-        stated = size_px(data)
+        head = picture_head(data)
+        stated = head and head[:2]
         if stated is None:
             wrong[path] = f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy"
         elif not (
@@ -406,12 +407,12 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
             f"{path}: {error.strerror or error}; pictures of {wanted_px[0]}x{wanted_px[1]} px are wanted; give them as "
             "recorded"
         ) from error
-    stated_px = size_px(data)
-    if stated_px is None:
+    head = picture_head(data)
+    if head is None:
         raise PicturesError(
             f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy, or remove the pair"
         )
-    _check_size(path, stated_px, wanted_px)
+    _check_size(path, head[:2], wanted_px)
     # Unchanged, so that 16 bits or colours are refused by name instead of being turned into grey.
     with quiet_decoder():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

@@ -9,7 +9,7 @@ from appliance.base import Progress
 from appliance.calibrate.recordings import CamerasDiffer, Recording
 from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.measure import Calibration, NotFound, QualityLimits, exchanged
-from appliance.store import RIG_FILE, ConfigError, Instrument, Rig, ScanError, load_rig, load_scan, reprocess_scan
+from appliance.store import RIG_FILE, ConfigError, Instrument, Rig, ScanError, StoredScan, load_rig, reprocess_scan
 
 
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
@@ -54,7 +54,7 @@ def recording_of_scan(
     ``start`` has the lenses and pose of the calibration in air and the ports as drawn. The water is the scan's. The
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
     """
-    scan = load_scan(folder, only_raw=True)
+    scan = StoredScan.load(folder, only_raw=True)
     settings = Instrument(rig).settings_of_scan(scan.manifest.record)
     # The ports are still as drawn: within the instrument's limit of the gap, just the pixels that could correct them
     # would be lacking.

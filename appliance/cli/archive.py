@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar
 
 from appliance.cli.arguments import Verb, operand, operands, path_option, switch
 from appliance.cli.desk import new_folder
 from appliance.cli.output import Exit, ProgressLine, UsageError
-from appliance.store import (
-    BesideFile,
-    Copied,
-    Library,
-    LibraryFolder,
-    LocalFileSystem,
-    ScanError,
-    copy_beside,
-    finish_removals,
-    hold_lock,
-    make_shelves,
-    pack_scan,
-    remove_source,
-    scan_folders,
-    unpack_scan,
-)
+from appliance.store import ArchiveReport, LibraryFolder, pack_archive, unpack_archive
 
 MB = 1e6
 
@@ -46,27 +29,9 @@ class PackArchive(Verb):
     def run(self) -> Exit:
         """Raises UsageError, StorageError, MissingLibraryError."""
         source, archive = storage_root("SOURCE", self.source), target_folder(self.out, self.source)
-        shelves = shelves_of(every=self.all)
-        fs = LocalFileSystem()
-        fs.make_folders(archive)
-        with ExitStack() as held:
-            held.enter_context(hold_lock(archive))
-            make_shelves(fs, archive, shelves)
-            left: dict[str, str] = {}
-            if self.remove:
-                # No instrument may write there meanwhile; without removals it may, since only finished scans are read.
-                held.enter_context(hold_lock(source))
-                left = finish_removals(fs, source, shelves)
-            different = copy_beside(fs, source, archive)
-
-            def pack(folder: Path) -> Copied:
-                target = archive / folder.parent.name / folder.name
-                done = pack_scan(fs, folder, target)
-                if self.remove:
-                    remove_source(fs, folder, target)
-                return done
-
-            return _each(self, scan_folders(source, shelves), pack, archive, different, left)
+        with ProgressLine() as progress:
+            report = pack_archive(source, archive, every=self.all, remove=self.remove, progress=progress)
+        return _told(self, report)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,76 +47,44 @@ class UnpackArchive(Verb):
     def run(self) -> Exit:
         """Raises UsageError, UnknownScan, StorageError, MissingLibraryError."""
         archive, out = storage_root("ARCHIVE", self.archive), target_folder(self.out, self.archive)
-        shelves, fs = shelves_of(every=True), LocalFileSystem()
-        folders = [Library(archive).entry(scan).folder for scan in self.scans] or scan_folders(archive, shelves)
-        fs.make_folders(out)
-        with hold_lock(out):
-            make_shelves(fs, out, shelves)
-            different = copy_beside(fs, archive, out)
-
-            def unpack(folder: Path) -> Copied:
-                return unpack_scan(fs, folder, out / folder.parent.name / folder.name)
-
-            return _each(self, folders, unpack, out, different)
+        with ProgressLine() as progress:
+            report = unpack_archive(archive, out, self.scans, progress)
+        return _told(self, report)
 
 
-def _each(
-    verb: Verb,
-    folders: Sequence[Path],
-    work: Callable[[Path], Copied],
-    out: Path,
-    different: Sequence[BesideFile],
-    left: Mapping[str, str] = MappingProxyType({}),
-) -> Exit:
-    """Do ``work`` with each scan and tell what came of it; a scan that cannot be used does not keep the others from it.
-
-    ``left``: why leftovers of removals stay, by folder.
-    """
-    found: list[dict[str, Any]] = [
-        {"scan": name, "done": "failed", "reason": reason, "bytes": 0} for name, reason in left.items()
-    ]
-    with ProgressLine() as progress:
-        for k, folder in enumerate(folders):
-            progress(folder.name, k / len(folders))
-            size = _size(folder)  # before: a source may be gone afterwards
-            try:
-                done, reason = work(folder).value, None
-            except ScanError as error:
-                done, reason = "failed", str(error)
-            found.append({"scan": folder.name, "done": done, "reason": reason, "bytes": size})
-            if reason is None:
-                found[-1]["bytes_there"] = _size(out / folder.parent.name / folder.name)
-    failed = [one for one in found if one["reason"] is not None]
-    held = sum(one["bytes"] for one in found if one["reason"] is None)
-    there = sum(one["bytes_there"] for one in found if one["reason"] is None)
-    count = {what: sum(one["done"] == what for one in found) for what in (*(done.value for done in Copied), "failed")}
+def _told(verb: Verb, report: ArchiveReport) -> Exit:
+    held = sum(one.size_bytes for one in report.scans if one.done is not None)
+    there = sum(one.there_bytes for one in report.scans)
+    scans: list[dict[str, Any]] = []
+    for one in report.scans:
+        done = "failed" if one.done is None else one.done.value
+        scans.append({"scan": one.scan, "done": done, "reason": one.reason, "bytes": one.size_bytes})
+        if one.done is not None:
+            scans[-1]["bytes_there"] = one.there_bytes
     sizes = f"{held / MB:.1f} MB are {there / MB:.1f} MB there" if held else "nothing to do"
     verb.tell(
         {
-            "different": [{"path": one.path, "copy": None if one.copy is None else str(one.copy)} for one in different],
-            **{name.replace(" ", "_"): number for name, number in count.items()},
+            "different": [
+                {"path": one.path, "copy": None if one.copy is None else str(one.copy)} for one in report.different
+            ],
+            **{name.replace(" ", "_"): number for name, number in report.counts.items()},
             "bytes": held,
             "bytes_there": there,
-            "scans": found,
+            "scans": scans,
         },
         [
-            *(f"{other.path}  DIFFERS: {_kept(other)}" for other in different),
-            *(f"{one['scan']}  failed: {one['reason']}" for one in failed),
-            f"{', '.join(f'{number} {name}' for name, number in count.items())}; {sizes}",
+            *(f"{other.path}  DIFFERS: {_kept(other.copy)}" for other in report.different),
+            *(f"{one.scan}  failed: {one.reason}" for one in report.scans if one.done is None),
+            f"{', '.join(f'{number} {name}' for name, number in report.counts.items())}; {sizes}",
         ],
     )
-    return Exit.FAILED if failed or any(one.copy is None for one in different) else Exit.OK
+    return Exit.OK if report.whole else Exit.FAILED
 
 
-def _kept(other: BesideFile) -> str:
-    if other.copy is None:
+def _kept(copy: Path | None) -> str:
+    if copy is None:
         return "is there twice with other content; move away the one with a checksum in its name, and call again"
-    return f"the one there stays; the one from here lies beside it as {other.copy.name}"
-
-
-def shelves_of(*, every: bool) -> tuple[LibraryFolder, ...]:
-    """Return the shelves that are packed: that of the scans, and with ``every`` that of the rejected ones."""
-    return (LibraryFolder.SCANS, LibraryFolder.REJECTED) if every else (LibraryFolder.SCANS,)
+    return f"the one there stays; the one from here lies beside it as {copy.name}"
 
 
 def storage_root(what: str, root: Path) -> Path:
@@ -171,7 +104,3 @@ def target_folder(out: Path | None, source: Path | None) -> Path:
     if not out.absolute().parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.absolute().parent}; make it first")
     return out.absolute()
-
-
-def _size(folder: Path) -> int:
-    return sum(path.stat().st_size for path in folder.iterdir() if path.is_file())

@@ -220,8 +220,3 @@ def one_of(allowed: Sequence[str]) -> Callable[[str], str]:
         return text
 
     return parse
-
-
-def separated(parse: Callable[[str], float]) -> Callable[[str], tuple[float, ...]]:
-    """Return a parser of several such numbers with commas between them."""
-    return lambda text: tuple(parse(part) for part in text.split(","))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from appliance.cli.arguments import number, operand, option, path_option, switch, whole
 from appliance.cli.desk import existing, writable, writing
-from appliance.cli.output import Exit, ProgressLine, UsageError, complain, table
+from appliance.cli.output import Exit, ProgressLine, UsageError, table
 from appliance.cli.places import WithRoot
 
 if TYPE_CHECKING:  # imported inside the verb: a wrong word can do without
@@ -86,14 +86,7 @@ class CalibrateAir(WithRoot):
         if self.live is None:  # which makes it
             existing("FOLDER", self.folder, "the pictures of the board")
         from appliance.base import ContentError
-        from appliance.calibrate import (
-            AirCalibrationError,
-            BoardDesign,
-            BoardError,
-            PicturesError,
-            ViewFolder,
-            calibrate_folder,
-        )
+        from appliance.calibrate import BoardDesign, ViewFolder, calibrate_folder
         from appliance.calibrate import install as install_air
 
         target = self.out or self.folder / "air.json"
@@ -107,11 +100,8 @@ class CalibrateAir(WithRoot):
             design = design or (begun[1] if begun is not None else BoardDesign())
             with ProgressLine() as progress, writing(target):
                 report = calibrate_folder(rig, self.folder, design, target, datetime.now(UTC), progress)
-        except (BoardError, PicturesError, ContentError) as error:
+        except ContentError as error:
             raise UsageError(str(error)) from error
-        except (AirCalibrationError, LiveFailed) as error:
-            complain(str(error), as_json=self.json)
-            return Exit.FAILED
         if self.install:
             installed, before = install_air(rig, target)
             report |= {"installed": str(installed), "before": None if before is None else str(before)}
@@ -119,13 +109,10 @@ class CalibrateAir(WithRoot):
 
     def _record(self, rig: Rig, views: int, design: BoardDesign | None) -> None:
         from appliance.calibrate import ViewFolder
-        from appliance.instrument import LiveError, LiveOptions, record_views
+        from appliance.instrument import LiveOptions, record_views
 
         wanted = LiveOptions(views, not self.room_light, self.exposure_ms, self.timeout_s)
-        try:
-            record_views(rig, ViewFolder(self.folder, rig.rig.serial, design), wanted, log.info)
-        except LiveError as error:
-            raise LiveFailed(str(error)) from error
+        record_views(rig, ViewFolder(self.folder, rig.rig.serial, design), wanted, log.info)
 
     # ------------------------------------------------------------------------------------- anybody's
 
@@ -136,33 +123,16 @@ class CalibrateAir(WithRoot):
         if self.sides is not None and not comma:
             raise UsageError(f"--sides {self.sides}: give two with a comma between them, for example 'a/*.png,b/*.png'")
         existing("FOLDER", self.folder, "the pictures of the board")
-        from appliance.calibrate import (
-            AirCalibrationError,
-            PicturesError,
-            Wanted,
-            calibrate_pictures,
-        )
+        from appliance.calibrate import Wanted, calibrate_pictures
 
         across, down, square_mm, marker_mm = sizes_mm
         wanted = Wanted(square_mm, across, down, marker_mm)
         target = self.out or self.folder / "pair.json"
-        try:
-            with ProgressLine() as progress, writing(target):
-                report = calibrate_pictures(
-                    name,
-                    self.folder,
-                    (left, right) if comma else None,
-                    wanted,
-                    self.flat,
-                    target,
-                    datetime.now(UTC),
-                    progress,
-                )
-        except PicturesError as error:
-            raise UsageError(str(error)) from error
-        except AirCalibrationError as error:
-            complain(str(error), as_json=self.json)
-            return Exit.FAILED
+        sides = (left, right) if comma else None
+        with ProgressLine() as progress, writing(target):
+            report = calibrate_pictures(
+                name, self.folder, sides, wanted, self.flat, target, datetime.now(UTC), progress
+            )
         return self._told(report)
 
     def _told(self, report: dict[str, Any]) -> Exit:
@@ -191,10 +161,6 @@ class CalibrateAir(WithRoot):
             f"0.1..1000 mm, markers "
             "smaller; for example 15x12x18x13.5"
         )
-
-
-class LiveFailed(Exception):
-    """Recording ended before there were enough views; the text says why."""
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

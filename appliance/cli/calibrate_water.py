@@ -54,9 +54,9 @@ class CalibrateWater(WithRoot):
                 )
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-        from appliance.store import read_list
+        from appliance.store import ScanList
 
-        scans = read_list(self.list)
+        scans = ScanList.read(self.list)
         places = [place_of(self.list, entry.scan) for entry in scans.entries]
         made_at = datetime.now(UTC).isoformat(timespec="seconds")
 
@@ -68,13 +68,13 @@ class CalibrateWater(WithRoot):
         with opened_scans(wish, places, SCANS_CHECKED, check) as (sources, progress):
             from appliance.calibrate import Calibrations, refuse_drawing, run_water_calibration, start_of
             from appliance.measure import encode_calibration
-            from appliance.store import instrument_of, refuse_misfit
+            from appliance.store import SourceScan
 
-            rig = instrument_of(sources, wish)
+            rig = SourceScan.instrument_of(sources, wish)
             refuse_drawing(rig, self.calibration)
             start = start_of(rig, self.calibration)
             for source in sources:
-                refuse_misfit(start, f"start {self.calibration or rig.storage.root}", source, foreign=False, start=True)
+                source.refuse_misfit(start, f"start {self.calibration or rig.storage.root}", foreign=False, start=True)
 
             step = part_of(progress, SCANS_CHECKED, 1.0)
             made = run_water_calibration(rig, scans, sources, start, method, made_at, step)

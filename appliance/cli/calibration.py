@@ -13,7 +13,7 @@ from appliance.cli.arguments import number_above, operand, path_option
 from appliance.cli.desk import writable, write_files
 from appliance.cli.output import Exit, UsageError, say_report, table
 from appliance.cli.places import WithRoot
-from appliance.store import CALIBRATIONS, CURRENT_CALIBRATION, hold_lock
+from appliance.store import CALIBRATION_FILE, hold_lock
 
 if TYPE_CHECKING:  # imported in the verbs, after what a wrong word needs
     from appliance.calibrate import HealthTrend
@@ -69,7 +69,7 @@ class ShowCalibration(WithRoot):
         root = self.named_root()
         if root is not None and self.rig is None:
             # Whoever names a root asks for what lies there, whichever instrument the packaged rig file draws.
-            return load_calibration(root / CALIBRATIONS / CURRENT_CALIBRATION)
+            return load_calibration(root / CALIBRATION_FILE)
         return Instrument(rig).calibration()[0]
 
 
@@ -136,7 +136,7 @@ class AcceptHealth(WithRoot):
         root = rig.storage.root
         from appliance.store import load_calibration
 
-        calibration = load_calibration(root / CALIBRATIONS / CURRENT_CALIBRATION)
+        calibration = load_calibration(root / CALIBRATION_FILE)
         content = _content(self.report, calibration.hash)
         worst, at_most = _worst_percent(self.report, content), self.at_most_percent or AT_MOST_PERCENT
         if worst > at_most:

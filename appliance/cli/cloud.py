@@ -137,14 +137,14 @@ class MakeCloud(WithObjects):
     def _work(self, wish: Wish, word: str, meshed: bool, suffix: str) -> tuple[str, _Work]:
         """Return the name of what ``word`` means and how its file is made. Raises UsageError, UnknownScan,
         ScanError."""
-        from appliance.store import INCOMPLETE_MANIFEST_FILE, find_incomplete
+        from appliance.store import IncompleteRecording
 
         if word.startswith(INCOMPLETE):
-            folders = [find_incomplete(library_root(wish), word.removeprefix(INCOMPLETE))]
+            folders = [IncompleteRecording.find(library_root(wish), word.removeprefix(INCOMPLETE))]
         else:
             # A folder's name may have a plus, too.
             folders = [scan_in(wish, one) for one in ((word,) if Path(word).is_dir() else word.split("+"))]
-        broken = (folders[0] / INCOMPLETE_MANIFEST_FILE).is_file()
+        broken = IncompleteRecording.is_in(folders[0])
         own = suffix == OWN and not (meshed or self.normals)
         if (broken or len(folders) > 1) and not own:
             raise UsageError(f"{word}: its cloud is written as {OWN}, in the instrument's own form")

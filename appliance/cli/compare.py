@@ -137,12 +137,11 @@ class Compare(WithObjects):
         import numpy as np
 
         from appliance.desk import CAMERA_FRAME, About, PlacedScan, about_object, fuse, organised_scan, surface_of
-        from appliance.store import calibration_for
 
         if stored is not None:
             return surface_of(root, stored, wish, progress, self.spacing), about_object(stored)
         with opened_scans(wish, (self.what,)) as ((source,), _):
-            made = organised_scan(source, calibration_for(source, wish), progress)
+            made = organised_scan(source, source.calibration_for(wish), progress)
         # One scan has no other to be placed beside.
         placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
         return fuse([placed], self.spacing), About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)

@@ -91,14 +91,13 @@ def opened_scans(
     folders = [scan_in(wish, scan) for scan in scans]  # a wrong number is told before minutes of compiling
     compile_kernels()
     check()
-    from appliance.store import open_source, refuse_damaged_frames
+    from appliance.store import SourceScan
 
     with ProgressLine() as progress:
         sources = []
         for k, folder in enumerate(folders):
             progress(f"comparing checksums of {folder.name}", share * k / len(folders))
-            refuse_damaged_frames(folder)
-            sources.append(open_source(folder, wish))
+            sources.append(SourceScan.open(folder, wish, whole=True))
         yield sources, progress
 
 

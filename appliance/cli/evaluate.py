@@ -38,18 +38,18 @@ class Evaluate(WithCalibration):
             raise UsageError(f"--out {page}: {data} is the list itself; give another name")
         writable_page(page)
         writable(data)
-        from appliance.store import read_list, refuse_repeats
+        from appliance.store import ScanList
 
-        scans = read_list(self.list)
+        scans = ScanList.read(self.list)
         places = [place_of(self.list, entry.scan) for entry in scans.entries]
-        refuse_repeats(self.list, scans.entries, [scan_in(wish, place) for place in places])
+        scans.refuse_repeats(self.list, [scan_in(wish, place) for place in places])
         with opened_scans(wish, places, SCANS_CHECKED) as (sources, progress):
             from appliance.desk import run_evaluation
-            from appliance.store import instrument_of, one_calibration
+            from appliance.store import SourceScan
 
             step = part_of(progress, SCANS_CHECKED, 1.0)
-            instrument_of(sources, wish)  # refuses two
-            evaluation = run_evaluation(scans, sources, one_calibration(sources, wish).calibration, step)
+            SourceScan.instrument_of(sources, wish)  # refuses two
+            evaluation = run_evaluation(scans, sources, SourceScan.one_calibration(sources, wish).calibration, step)
         from appliance.measure import as_html, as_json
 
         content = as_json(evaluation)

@@ -13,11 +13,13 @@ from appliance.cli.output import Exit
 CONFIG = "appliance.store.config.load:ConfigError"
 STORAGE = "appliance.store.atomic:StorageError"
 DEVICE = "drivers.errors:DeviceError"
-# A rig file and a list are typed by a person, too, so that an error in them is one of usage.
+# A rig file, a list, a board and its pictures are given by a person, too, so that an error in them is one of usage.
 USAGE = frozenset(
     (
         CONFIG,
         "appliance.cli.output:UsageError",
+        "appliance.calibrate.air.board:BoardError",
+        "appliance.calibrate.pictures:PicturesError",
         "appliance.store.pull.pulling:PullWordError",
         "appliance.store.scan_list:ListError",
     )
@@ -26,8 +28,10 @@ FAILED = frozenset(
     (
         STORAGE,
         DEVICE,
-        "appliance.workshop.step:BringupError",
+        "appliance.instrument.service.air_live:LiveError",
+        "appliance.workshop.finding:BringupError",
         "appliance.measure.calibration.file:CalibrationError",
+        "appliance.calibrate.air.calibrate:AirCalibrationError",
         "appliance.calibrate.recordings:RecordingError",
         "appliance.cli.output:OutputError",
         "appliance.desk.export.formats:ExportError",

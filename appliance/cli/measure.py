@@ -58,9 +58,9 @@ class MeasureInstrument(WithRoot):
         from appliance.calibrate import NoiseError
         from appliance.desk import noise_of_scan, noise_to_store
         from appliance.measure import NOISE, of_side
-        from appliance.store import Instrument, instrument_of
+        from appliance.store import Instrument, SourceScan
 
-        folder, rig = source.scan.folder, instrument_of((source,), wish)
+        folder, rig = source.scan.folder, SourceScan.instrument_of((source,), wish)
         path = self._target(rig.storage.root, Instrument(rig).noise_file)
         progress("comparing sine images")
         try:
@@ -93,9 +93,9 @@ class MeasureInstrument(WithRoot):
         from appliance.calibrate import ResponseError
         from appliance.desk import response_of_scan
         from appliance.measure import RESPONSE
-        from appliance.store import Instrument, instrument_of
+        from appliance.store import Instrument, SourceScan
 
-        folder, rig = source.scan.folder, instrument_of((source,), wish)
+        folder, rig = source.scan.folder, SourceScan.instrument_of((source,), wish)
         path = self._target(rig.storage.root, Instrument(rig).response_file)
         try:
             found, measured = response_of_scan(rig, folder, progress)
@@ -119,9 +119,9 @@ class MeasureInstrument(WithRoot):
 
     def _exposures(self, sources: Sequence[SourceScan], wish: Wish, progress: ProgressLine) -> Exit:
         from appliance.desk import exposure_found
-        from appliance.store import instrument_of
+        from appliance.store import SourceScan
 
-        instrument_of(sources, wish)  # refuses scans of several instruments
+        SourceScan.instrument_of(sources, wish)  # refuses scans of several instruments
         found = []
         for number, source in enumerate(sources):
             progress("decoding", number / len(sources))

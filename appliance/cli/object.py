@@ -157,9 +157,9 @@ def _added(verb: AddToObject | SolveObject, root: Path) -> StoredObject:
 def _member(root: Path, folder: Path) -> MemberScan:
     """Return a scan as a member of an object. Raises ScanError."""
     from appliance.desk import member_of
-    from appliance.store import refuse_damaged_frames
+    from appliance.store import StoredScan
 
-    refuse_damaged_frames(folder)
+    StoredScan.refuse_damage(folder)
     return member_of(root, folder)
 
 
@@ -168,12 +168,12 @@ def _taken_as(root: Path, number: int | None) -> Sequence[str]:
     carries."""
     if number is None:
         return ()
-    from appliance.store import Library, numbers_of_object, scans_of_object
+    from appliance.store import Library
 
     library = Library(root)
-    scans = scans_of_object(library, number)
+    scans = library.scans_of_object(number)
     if not scans:
-        known = ", ".join(str(one) for one in numbers_of_object(library)) or "none; name the scans instead"
+        known = ", ".join(str(one) for one in library.objects()) or "none; name the scans instead"
         raise UsageError(f"--taken-as {number}: no scan under {root} was taken as that object; there are {known}")
     return scans
 

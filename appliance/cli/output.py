@@ -210,7 +210,7 @@ def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
     root = logging.getLogger()
     before = root.level
     handler = logging.StreamHandler()
-    handler.setFormatter(_JsonLine() if as_json else _PlainLine("kingfisher: %(message)s"))
+    handler.setFormatter(_Line(as_json=as_json))
     root.addHandler(handler)
     root.setLevel(logging.INFO if service else logging.WARNING)
     log.setLevel(logging.INFO)  # a minute of silence is a warning of its own
@@ -222,13 +222,16 @@ def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
         root.removeHandler(handler)
 
 
-class _JsonLine(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        return plain(json.dumps({record.levelname.lower(): record.getMessage()}, ensure_ascii=False))
+class _Line(logging.Formatter):
+    """One line of what is logged, in JSON with its level where ``as_json``."""
 
+    def __init__(self, *, as_json: bool) -> None:
+        super().__init__("kingfisher: %(message)s")
+        self._as_json = as_json
 
-class _PlainLine(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
+        if self._as_json:
+            return plain(json.dumps({record.levelname.lower(): record.getMessage()}, ensure_ascii=False))
         return plain(super().format(record), lines=True)
 
 

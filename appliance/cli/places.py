@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import Verb, path_option, switch
 from appliance.cli.output import UsageError
-from appliance.store import VARIABLE, standing_root, where_none_was_found
+from appliance.store import standing_root
 
 if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither loads neither
     from appliance.store import Rig, Wish
@@ -23,9 +23,9 @@ class WithRig(Verb):
 
     def read_rig(self) -> Rig:
         """Read the rig file that was given, else the packaged one. Raises ConfigError."""
-        from appliance.store import default_rig_path, load_rig
+        from appliance.store import load_rig
 
-        return load_rig(self.rig or default_rig_path())
+        return load_rig(self.rig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,13 +33,13 @@ class WithRoot(WithRig):
     """A verb of what lies under a storage root."""
 
     root: Path | None = path_option(
-        "--root", f"storage root (default: the one you stand in, {VARIABLE}, the rig file's)", metavar="PATH"
+        "--root", "storage root (default: the one you stand in, KINGFISHER_ROOT, the rig file's)", metavar="PATH"
     )
 
     def named_root(self) -> Path | None:
         """Return the root that was given with ``--root``, else, without ``--rig``, the one that the folder one stands
         in or the environment names; ``None``: the rig file says it. Raises UsageError."""
-        return given_root(self.root) if self.root is not None else None if self.rig is not None else _standing()
+        return given_root(self.root) if self.root is not None else None if self.rig is not None else _standing()[0]
 
     def existing_root(self) -> Path:
         """Return ``named_root``, else the rig file's, which is read only then. Raises ConfigError, UsageError."""
@@ -127,20 +127,18 @@ def root_of_rig(rig: Rig | None) -> Path:
     Raises UsageError for a packaged one that is not there, as on every computer that is no instrument."""
     if rig is not None:
         return rig.storage.root
-    found = _standing()
+    found, vain = _standing()
     if found is not None:
         return found
-    from appliance.store import default_rig_path, load_rig
+    from appliance.store import load_rig
 
-    root = load_rig(default_rig_path()).storage.root
+    root = load_rig().storage.root
     if not root.is_dir():
-        raise UsageError(
-            f"no storage root: {where_none_was_found(os.environ)}, and {root} is not there; give --root PATH"
-        )
+        raise UsageError(f"no storage root: {vain}, and {root} is not there; give --root PATH")
     return root
 
 
-def _standing() -> Path | None:
+def _standing() -> tuple[Path | None, str]:
     try:
         return standing_root(os.environ)
     except NotADirectoryError as error:

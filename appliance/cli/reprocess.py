@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.base import require
-from appliance.cli.archive import shelves_of, storage_root
+from appliance.cli.archive import storage_root
 from appliance.cli.arguments import Verb, number, operand, option, path_option, switch, whole
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError, time_text
 from appliance.cli.places import measuring
-from appliance.store import hold_lock, scan_folders
+from appliance.store import Library, hold_lock
 
 if TYPE_CHECKING:  # brings NumPy
     from appliance.store import ListedScan, ScanList
@@ -123,15 +123,15 @@ class Reprocess(Verb):
     def _scans(self) -> tuple[Sequence[Path], ScanList | None, Mapping[str, ListedScan]]:
         """Return the folders of the scans, and the list of artefacts with its entries by their number. Raises
         UsageError, ListError, before any work."""
-        folders = scan_folders(self.source, shelves_of(every=self.all))
+        folders = Library(self.source).folders(every=self.all)
         if not folders:
             raise UsageError(
                 f"SOURCE {self.source}: there is no scan in "
                 f"it{'' if self.all else '; --all takes the rejected ones, too'}"
             )
-        from appliance.store import read_list
+        from appliance.store import ScanList
 
-        scans = None if self.list is None else read_list(self.list)
+        scans = None if self.list is None else ScanList.read(self.list)
         listed = {} if scans is None else {_number(Path(one.scan)): one for one in scans.entries}
         if unknown := sorted(listed.keys() - {_number(folder) for folder in folders}):
             raise UsageError(

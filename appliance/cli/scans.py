@@ -6,9 +6,9 @@ Nothing is deleted."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from appliance.base import ContentError
 from appliance.cli.arguments import operand, operands, option, path_option, switch
@@ -17,20 +17,7 @@ from appliance.cli.output import Exit, ProgressLine, UsageError, shown, table
 from appliance.cli.places import WithRoot, scan_folder
 from appliance.instrument import ASHORE
 from appliance.measure import SIDES, FaultCode
-from appliance.store import (
-    LONGEST_NAME,
-    LONGEST_NOTE,
-    Label,
-    Library,
-    LibraryFolder,
-    ScanEntry,
-    Stage,
-    checked_label,
-    entry_of,
-    hold_lock,
-    manifest_json,
-    read_label,
-)
+from appliance.store import Label, Library, LibraryFolder, ScanEntry, hold_lock, verified
 
 SHELVES = tuple(one.value for one in LibraryFolder)
 COLUMNS = ("SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE")
@@ -83,13 +70,13 @@ class ShowScan(OfScans):
             return self._frame(self.side)
         if self.out is not None:
             raise UsageError(f"--out {self.out}: is for a frame; say which, for example left bright")
-        entry = entry_of(self.folder_of(self.scan), checksums=False)
+        entry = ScanEntry.of(self.folder_of(self.scan), checksums=False)
         told = [] if entry.manifest is None else entry.manifest.record.held_against
         ashore = {code.value: ASHORE[code] for code in told if code in ASHORE}
         full = {
             **_brief(entry),
             "ashore": ashore,
-            "manifest": None if entry.manifest is None else manifest_json(entry.manifest),
+            "manifest": None if entry.manifest is None else entry.manifest.as_json(),
         }
         if not self.json and entry.manifest is not None:
             # Verdicts by their names, so that their numbers are lines of their own.
@@ -101,19 +88,19 @@ class ShowScan(OfScans):
         return Exit.OK
 
     def _frame(self, side: str) -> Exit:
-        from appliance.store import manifest_of, read_frame
+        from appliance.store import StoredScan
 
         folder = self.folder_of(self.scan)
         if side not in SIDES:
             raise UsageError(f"SIDE {side}: allowed are {' and '.join(SIDES)}")
-        names = manifest_of(folder).record.sequence.patterns
+        names = StoredScan.manifest_of(folder).record.sequence.patterns
         if self.pattern not in names:
             raise UsageError(f"PATTERN {self.pattern or 'is missing'}: this scan has {', '.join(names)}")
         out = self.out or Path(f"{folder.name}-{side}-{self.pattern}.png")
         writable(out)
         if out.suffix.lower() != ".png":
             raise UsageError(f"--out {out}: the picture is a PNG; give {out.with_suffix('.png')}")
-        frame = read_frame(folder, side, names.index(self.pattern))
+        frame = StoredScan.read_frame(folder, side, names.index(self.pattern))
         import cv2  # late: the other verbs need no pictures
 
         write_files({out: cv2.imencode(".png", frame)[1].tobytes()})
@@ -143,7 +130,7 @@ class VerifyScans(OfScans):
         with ProgressLine() as progress:
             for k, folder in enumerate(folders):
                 progress(f"verifying {folder.name}", k / len(folders))
-                checked.append(_with_frames_named(_decoded(entry_of(folder, checksums=True))))
+                checked.append(verified(folder))
         damaged = sum(not entry.ok for entry in checked)
         lines = [f"{one.scan_id}  {'ok' if one.ok else 'DAMAGED: ' + '; '.join(one.problems)}" for one in checked]
         self.tell(
@@ -158,20 +145,20 @@ class LabelScan(OfScans):
     """Call a scan something, and write a note about it; an empty text takes either away."""
 
     scan: str = operand("SCAN", "its number")
-    name: str | None = option("--name", f"up to {LONGEST_NAME} characters", metavar="TEXT")
-    note: str | None = option("--note", f"up to {LONGEST_NOTE} characters", metavar="TEXT")
+    name: str | None = option("--name", f"up to {Label.LONGEST['name']} characters", metavar="TEXT")
+    note: str | None = option("--note", f"up to {Label.LONGEST['note']} characters", metavar="TEXT")
 
     def run(self) -> Exit:
         """Raises UsageError, UnknownScan, StorageError."""
         if self.name is None and self.note is None:
             raise UsageError("what is written about it? Give --name TEXT or --note TEXT, or both")
         root, library = self.existing_root(), Library(self.existing_root())
-        name = _checked("--name", self.name, LONGEST_NAME)
-        note = _checked("--note", self.note, LONGEST_NOTE)
+        name = _checked("name", self.name)
+        note = _checked("note", self.note)
         with hold_lock(root):
             entry = library.entry(self.scan)
             try:
-                before = read_label(entry.folder)
+                before = Label.read(entry.folder)
             except ContentError:
                 before = Label()  # a damaged one is written anew: that is what the person wants
             label = Label(before.name if self.name is None else name, before.note if self.note is None else note)
@@ -219,33 +206,11 @@ class RestoreScans(_MoveScans):
     move: ClassVar[Callable[[Library, str], Path]] = Library.restore
 
 
-def _checked(what: str, text: str | None, longest: int) -> str | None:
+def _checked(which: Literal["name", "note"], text: str | None) -> str | None:
     try:
-        return None if text is None else checked_label(what, text, longest)
+        return None if text is None else Label.checked(which, text, f"--{which}")
     except ContentError as error:
         raise UsageError(str(error)) from error
-
-
-def _decoded(entry: ScanEntry) -> ScanEntry:
-    """Return ``entry`` with what is wrong with its packed frames, each of which is decoded and compared with the
-    checksum of before."""
-    if entry.manifest is None or not any(entry.folder.glob("*.jls")):
-        return entry
-    from appliance.store import problems_of
-
-    wrong = (f"{name}: {what}" for name, what in problems_of(entry.folder).items())
-    return replace(entry, problems=tuple(dict.fromkeys((*entry.problems, *wrong))))
-
-
-def _with_frames_named(entry: ScanEntry) -> ScanEntry:
-    """Return ``entry`` with the damaged frames named in its problems, where it is known which they are."""
-    if entry.ok or entry.manifest is None:
-        return entry
-    from appliance.store import damaged_frames
-
-    # The checksum of the file said that something is wrong; the CRC of each frame says in which image (ADR 0033).
-    frames = {one.file: str(one) for one in damaged_frames(entry.folder, entry.manifest)}
-    return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
 
 
 def _brief(entry: ScanEntry) -> dict[str, Any]:
@@ -303,7 +268,7 @@ def _remark(entry: ScanEntry) -> str:
         return entry.problems[0]
     if entry.manifest is None:
         return ""
-    if entry.manifest.stage is Stage.RAW:
+    if entry.manifest.raw_only:
         return "raw frames only"
     record = entry.manifest.record
     told = [_words(code) for code in record.held_against if code is not FaultCode.COMPENSATED]

@@ -59,19 +59,15 @@ class SetupGuide(WithRig):
             raise UsageError("--out: not given; give a folder, in which state, page and pictures are kept")
         new_folder(self.out)
         self.read_rig()
-        from appliance.workshop import STEPS, BringupError, GuideOptions, walk
+        from appliance.workshop import STEPS, GuideOptions, walk
 
         names = [step.name for step in STEPS]
         for name in self.steps:
             if name not in names:
                 raise UsageError(f"STEP {name}: no such step; allowed are {', '.join(names)}")
         options = GuideOptions(tuple(self.steps), self.endurance_minutes, self.plane_mm)
-        try:
-            with ProgressLine() as progress:
-                walked = walk(self.rig, self.out, options, AtTheTerminal(sys.stdin, sys.stderr), progress, self._tell)
-        except BringupError as error:
-            complain(str(error), as_json=self.json)
-            return Exit.FAILED
+        with ProgressLine() as progress:
+            walked = walk(self.rig, self.out, options, AtTheTerminal(sys.stdin, sys.stderr), progress, self._tell)
         # On stderr, where errors are looked for: findings are results, this is why there are no more.
         if walked.stopped is not None:
             complain(walked.stopped, as_json=self.json)
@@ -99,11 +95,11 @@ class SetupMeasure(WithRig):
             return self._projector(rig)
         if self.out is not None or self.install:
             raise UsageError("--out and --install: are for the projector")
-        from appliance.workshop import fired, light_bench, trigger_findings
+        from appliance.workshop import measure_trigger
 
-        with ProgressLine() as progress, light_bench(rig) as bench:
+        with ProgressLine() as progress:
             progress("firing")
-            findings = trigger_findings(fired(bench, rig).ledger)
+            findings = measure_trigger(rig)
         self.tell([one.as_dict() for one in findings], lines_of(findings))
         return Exit.OK if all(one.ok for one in findings) else Exit.FAILED
 
@@ -114,65 +110,41 @@ class SetupMeasure(WithRig):
         # Before minutes of measuring, not after them.
         if self.out is not None:
             new_folder(self.out)
-        from appliance.workshop import (
-            PROJECTOR_PAGE,
-            STEPS,
-            BringupError,
-            GuideFolder,
-            judge_together,
-            keys_of,
-            light_bench,
-            measure_on_wall,
-            measure_projector,
-            outcomes_in_order,
-            outcomes_page,
-            replace_rig,
-            with_keys,
-        )
+        from appliance.workshop import projector_report, replace_rig
 
-        # Read before the long measurement, so that a file that cannot be edited is known by then.
+        # Read before the long measurement: a file that cannot be read is known by then.
         text = "" if path is None else path.read_text(encoding="utf-8-sig")
-        try:
-            with ProgressLine() as progress, light_bench(rig) as bench:
-                measured = measure_projector(bench, rig.scan.most_gain_db, progress)
-            outcomes, findings = outcomes_in_order(judge_together(STEPS, measure_on_wall, measured, rig).values())
-            keys = keys_of(outcomes)
-            changed = with_keys(text, keys) if keys and path is not None else text
-        except BringupError as error:
-            complain(str(error), as_json=self.json)
-            return Exit.FAILED
-        good = all(one.ok for one in findings)
-        written: list[Path] = []
+        with ProgressLine() as progress:
+            found = projector_report(rig, text, progress)
+        good, timing, kept = all(one.ok for one in found.findings), found.timing, None
+        written = [] if self.out is None else [self.out / name for name in found.files]
         if self.out is not None:
-            page = outcomes_page("Kingfisher: the projector, as its own cameras see it", findings, outcomes)
-            pictures = {name: png for one in outcomes for name, (_, png) in one.pictures.items()}
             with writing(self.out):
-                folder = GuideFolder(self.out)
-                folder.prepare()
-                written += folder.write({PROJECTOR_PAGE: page.encode(), **pictures})
-        kept, timing = None, measured.lamp.timing
-        if keys and path is not None and self.install and changed != text:
-            kept = replace_rig(path, text, changed)
+                LocalFileSystem().make_folders(self.out)
+                for file, content in zip(written, found.files.values(), strict=True):
+                    LocalFileSystem().replace_file(file, content)
+        if path is not None and self.install and found.rig_text != text:
+            kept = replace_rig(path, text, found.rig_text)
         report = {
             "good": good,
-            "findings": [one.as_dict() for one in findings],
+            "findings": [one.as_dict() for one in found.findings],
             "light": {
                 "latency_blanks": timing.latency_blanks,
                 "begins_us": timing.begins_us,
                 "ends_us": timing.ends_us,
                 "windows_us": [[one.begins_us, one.ends_us] for one in timing.windows],
             },
-            "keys": {f"{place.table}.{place.key}": value for place, value in keys.items()},
+            "keys": {f"{place.table}.{place.key}": value for place, value in found.keys.items()},
             "rig_file": str(path) if kept is not None else None,
             "before": None if kept is None else str(kept),
             "written": [str(one) for one in written],
         }
         lines = [
             f"[{place.table}] {place.key} = {list(value) if isinstance(value, tuple) else value}"
-            for place, value in keys.items()
+            for place, value in found.keys.items()
         ]
         end = f"written into {path}; as it was: {kept}" if kept is not None else "the rig file was not changed"
-        self.tell(report, [*lines_of(findings), *lines, end])
+        self.tell(report, [*lines_of(found.findings), *lines, end])
         return Exit.OK if good else Exit.FAILED
 
 

@@ -105,7 +105,7 @@ class Sim(WithRoot):
         )
         if chaos_seed is None:
             return dive(rig, options)
-        return chaos(rig, options, Chaos(chaos_seed, scans), dive, self.tell)
+        return chaos(rig, options, chaos_seed, scans, self.tell)
 
     def _given(self) -> tuple[dict[str, Any], Sequence[str]]:
         """Return what each setting was given as, but for the faults, and these. Raises UsageError."""
@@ -135,24 +135,10 @@ CHAOS = "chaos"
 """Name of the option of the simulated world (docs/protocols/world.md)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Chaos:
-    """An unlucky dive: the seed of everything that happens, and how often SCAN is pressed."""
-
-    seed: int
-    scans: int
-
-
-def chaos(
-    rig: Rig,
-    options: SimOptions,
-    wanted: Chaos,
-    dive: Callable[[Rig, SimOptions], Exit],
-    tell: Callable[[Any, Iterable[str]], None],
-) -> Exit:
+def chaos(rig: Rig, options: SimOptions, seed: int, scans: int, tell: Callable[[Any, Iterable[str]], None]) -> Exit:
     """Dive while devices come and go; FAILED if an accepted scan is lost or damaged or a refusal had no reason.
 
-    ``dive`` runs the instrument of a rig in its simulated world until that ends.
+    ``seed`` of everything that happens; ``scans``: how often SCAN is pressed.
     """
     if options.script is not None or options.window:
         raise UsageError("chaos: its diver holds the instrument; leave --script and --window out")
@@ -164,7 +150,7 @@ def chaos(
         report = Path(folder) / "report.json"
         # The world says what it told the diver in a file of its own: only by that, not by the instrument's word, is the
         # disk judged.
-        chosen = {CHAOS: {"seed": wanted.seed, "scans": wanted.scans, "report": str(report)}, "stills": True}
+        chosen = {CHAOS: {"seed": seed, "scans": scans, "report": str(report)}, "stills": True}
         # Handed on unread, as all options of a simulated world: the product knows the name of this one and nothing
         # else.
         world = replace(rig.rig, wires_options={**rig.rig.wires_options, **chosen})

@@ -23,22 +23,11 @@ from appliance.desk.merging import merge_scans
 from appliance.desk.object_store import StoredObject
 from appliance.desk.objects import about_object, placed_scans, surface_of
 from appliance.desk.organised import organised_scan
-from appliance.desk.reconstruct import reconstruct_scan, salvage
+from appliance.desk.reconstruct import reconstruct_scan
 from appliance.desk.rescue import rescue_recording
 from appliance.desk.surface.mesh import mesh_of_scan
 from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
-from appliance.store import (
-    INCOMPLETE_MANIFEST_FILE,
-    Chosen,
-    SourceScan,
-    Wish,
-    calibration_for,
-    instrument_of,
-    load_incomplete,
-    one_calibration,
-    open_source,
-    refuse_damaged_frames,
-)
+from appliance.store import Chosen, IncompleteRecording, Salvaged, SourceScan, Wish
 
 
 def write_cloud(
@@ -52,21 +41,19 @@ def write_cloud(
     MissingLibraryError.
     """
     folder = folders[0]
-    if (folder / INCOMPLETE_MANIFEST_FILE).is_file():
-        recording = load_incomplete(folder)
-        source = open_source(folder, wish, recording.scan)
-        return rescue_recording(recording, source, calibration_for(source, wish), out, progress)
+    if IncompleteRecording.is_in(folder):
+        recording = IncompleteRecording.load(folder)
+        source = SourceScan.open(folder, wish, recording.scan)
+        return rescue_recording(recording, source, source.calibration_for(wish), out, progress)
     if own and len(folders) == 1:
-        salvaged = salvage(folder)
-        source = open_source(folder, wish, salvaged.scan)
-        return reconstruct_scan(source, calibration_for(source, wish), out, progress, salvaged)
-    for one in folders:
-        refuse_damaged_frames(one)
-    sources = [open_source(one, wish) for one in folders]
+        salvaged = Salvaged.of(folder)
+        source = SourceScan.open(folder, wish, salvaged.scan)
+        return reconstruct_scan(source, source.calibration_for(wish), out, progress, salvaged)
+    sources = [SourceScan.open(one, wish, whole=True) for one in folders]
     if len(sources) == 1:
-        return _export(sources[0], calibration_for(sources[0], wish), out, progress, mesh=mesh)
-    instrument_of(sources, wish)  # refuses two
-    return merge_scans((sources[0], sources[1]), one_calibration(sources, wish), out, progress)
+        return _export(sources[0], sources[0].calibration_for(wish), out, progress, mesh=mesh)
+    SourceScan.instrument_of(sources, wish)  # refuses two
+    return merge_scans((sources[0], sources[1]), SourceScan.one_calibration(sources, wish), out, progress)
 
 
 def write_object(

@@ -15,7 +15,7 @@ from appliance.desk.report.still import picture_of_scan
 from appliance.measure import CAUSES_NAME as CAUSES
 from appliance.measure import GRADE_NAME as GRADE
 from appliance.measure import Grade
-from appliance.store import ScanEntry, ScanError, ScanRecord, load_scan
+from appliance.store import ScanEntry, ScanError, ScanRecord, StoredScan
 
 _SHOWN_DIGITS = 12
 _VERDICTS: Mapping[Grade, ReportVerdict] = {
@@ -98,7 +98,7 @@ def _scan(entry: ScanEntry) -> ReportScan:
     if entry.problems:
         return replace(found, verdict=ReportVerdict.REFUSED, grade=None)
     try:
-        cloud = load_scan(entry.folder).cloud()
+        cloud = StoredScan.load(entry.folder).cloud()
     except ScanError as error:
         return replace(found, verdict=ReportVerdict.REFUSED, grade=None, warnings=(*found.warnings, str(error)))
     if cloud is None or not len(cloud.points_mm):

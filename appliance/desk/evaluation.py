@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from appliance import __version__
 from appliance.base import Progress, part_of
 from appliance.measure import Calibration, Certificate, Evaluation, Item, QualityLimits, evaluate
-from appliance.store import RAW_FILES, Instrument, ScanList, SourceScan, refuse_empty, reprocess_scan
+from appliance.store import RAW_FILES, Instrument, ScanList, SourceScan, reprocess_scan
 
 JUDGING_GAP_MM = 20.0
 """The instrument masks points whose rays pass at more than 0.25 mm.
@@ -35,7 +35,7 @@ def run_evaluation(
         reprocessed = reprocess_scan(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
         # An artefact that was not found is a result; a calibration that does not fit the scan measures nothing.
         if reprocessed.empty is not None and reprocessed.empty.by_calibration:
-            refuse_empty(scan.folder, reprocessed.empty)
+            scan.refuse_empty(reprocessed.empty)
         cloud, water = reprocessed.cloud, reprocessed.water
         step(f"looking for the {entry.artefact.value}")
         certificate = Certificate(entry.length_sd_mm, entry.radius_mm, entry.radius_sd_mm)

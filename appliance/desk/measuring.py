@@ -30,7 +30,7 @@ from appliance.measure import (
     measure_bend,
     of_side,
 )
-from appliance.store import Instrument, Rig, ScanError, SourceScan, load_scan
+from appliance.store import Instrument, Rig, ScanError, SourceScan, StoredScan
 
 MOST_NOISIER = 1.1
 """Factor by which points may be noisier for the exposure they were taken with: of a response as other projectors have,
@@ -43,7 +43,7 @@ def response_of_scan(rig: Rig, folder: Path, progress: Progress) -> tuple[Stored
 
     Raises ScanError, ResponseError.
     """
-    scan = load_scan(folder, only_raw=True)
+    scan = StoredScan.load(folder, only_raw=True)
     record = scan.manifest.record
     sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
     # A scan drawn for a response shows what is left of it: without that very response its codes are not known.
@@ -90,7 +90,7 @@ def exposure_found(source: SourceScan) -> ExposureFound:
 
     Raises ScanError, also for one that shows too little to tell.
     """
-    scan = load_scan(source.scan.folder, only_raw=True)
+    scan = StoredScan.load(source.scan.folder, only_raw=True)
     record = scan.manifest.record
     sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
     decoders = []
@@ -121,7 +121,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
 
     Raises ScanError, NoiseError.
     """
-    scan = load_scan(folder, only_raw=True)
+    scan = StoredScan.load(folder, only_raw=True)
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     # The gain is the scan's own where it says so; full well, read noise and black level are the camera's and stand in
@@ -139,7 +139,7 @@ def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise,
 
     Raises ScanError, and NoiseError for figures that no camera has.
     """
-    manifest = load_scan(folder, only_raw=True).manifest
+    manifest = StoredScan.load(folder, only_raw=True).manifest
     exposure, cameras = Instrument(rig).exposure_of_scan(manifest.record), rig.camera
     figures = []
     for side in SIDES:

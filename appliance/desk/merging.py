@@ -9,17 +9,16 @@ from typing import Any
 from appliance.base import Progress
 from appliance.measure import Calibration, Cloud, Verdict, Water
 from appliance.store import (
-    RAW_FILES,
-    SECOND_FILES,
+    FRAME_FILES,
     Chosen,
     Instrument,
+    LocalFileSystem,
     Rig,
     ScanError,
     SourceScan,
     StoredScan,
-    refuse_empty,
+    encode_ply,
     reprocess_bracket,
-    write_ply,
 )
 
 
@@ -41,7 +40,7 @@ def merge_scans(
     cloud, verdict, water = merged_cloud_of((scans[0], scans[1]), rig, calibration, progress)
     names = [scan.manifest.scan_id for scan in scans]
     progress("writing")
-    write_ply(out, cloud)
+    LocalFileSystem().replace_file(out, *encode_ply(cloud))
     s = cloud.summary
     return {
         "scans": " + ".join(names),
@@ -65,7 +64,7 @@ def refuse_the_same(first: StoredScan, second: StoredScan) -> None:
 
     The same frames counted twice would claim less noise than there is, by the root of two.
     """
-    of_frames = (*RAW_FILES, *SECOND_FILES)
+    of_frames = FRAME_FILES
     # By their content: a copy under another number is the same scan.
     sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
     if sums[0] & sums[1]:
@@ -98,6 +97,6 @@ def merged_cloud_of(
         Instrument(rig).settings_of_scan(second.manifest.record),
     )
     made = reprocess_bracket(first, second.frames, settings, calibration, progress)
-    refuse_empty(first.folder, made.empty)
+    first.refuse_empty(made.empty)
     assert made.bracket is not None, "it has one of two exposures"
     return made.cloud, made.bracket, made.water

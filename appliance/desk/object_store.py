@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from appliance.base import ContentError, SealedFile
-from appliance.store import OBJECTS, LocalFileSystem, NameShapeError, StorageError, component, hold_lock, is_object
+from appliance.store import OBJECTS, LocalFileSystem, StorageError, component, hold_lock, is_object
 
 if TYPE_CHECKING:  # a list of objects needs no NumPy
     import numpy as np
@@ -191,12 +191,12 @@ class StoredObject:
 
 
 def _refuse_names(stored: StoredObject) -> None:
-    """Raises NameShapeError for a name in it that no part of a path may be called: clouds are kept under those of
+    """Raises ValueError for a name in it that no part of a path may be called: clouds are kept under those of
     scans."""
     for scan in stored.scans:
         component(scan.name, "a scan's name")
         if ".." in PurePosixPath(scan.folder).parts or "\0" in scan.folder:
-            raise NameShapeError(
+            raise ValueError(
                 f"the folder of scan {scan.name} is {scan.folder!r:.60}; allowed is one below the root, or an absolute "
                 "one"
             )

@@ -33,18 +33,7 @@ from appliance.desk.registration.joint import JointErrors, joint_errors
 from appliance.desk.registration.solve import Compared, Solved, middle_of, solve
 from appliance.desk.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
 from appliance.measure import Calibration, OrganisedCloud, ReadyScan, matrix3, ready
-from appliance.store import (
-    RAW_FILES,
-    SECOND_FILES,
-    Chosen,
-    ScanError,
-    SourceScan,
-    Wish,
-    calibration_for,
-    manifest_of,
-    open_source,
-    water_of_scan,
-)
+from appliance.store import FRAME_FILES, Chosen, ScanError, SourceScan, StoredScan, Wish
 
 CLEAR_FACTOR = 4.0
 """Variance factor from which on the pairs contradict each other by more than they state."""
@@ -66,8 +55,8 @@ class MemberCloud:
 
 def member_of(root: Path, folder: Path) -> MemberScan:
     """Return a stored scan as a member of an object. Raises ScanError."""
-    manifest = manifest_of(folder)
-    sums = tuple(manifest.files[name].sha256 for name in (*RAW_FILES, *SECOND_FILES) if name in manifest.files)
+    manifest = StoredScan.manifest_of(folder)
+    sums = tuple(manifest.files[name].sha256 for name in FRAME_FILES if name in manifest.files)
     whole = folder.absolute()
     inside = whole.is_relative_to(root.absolute())
     return MemberScan(manifest.scan_id, str(whole.relative_to(root.absolute()) if inside else whole), sums)
@@ -92,10 +81,10 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCl
         raise ScanError(
             f"{folder}: holds other frames than when it was added to object '{name}'; make the object again"
         )
-    source = open_source(folder, wish)
-    chosen = calibration_for(source, wish)
+    source = SourceScan.open(folder, wish)
+    chosen = source.calibration_for(wish)
     calibration = chosen.calibration
-    index = water_of_scan(source.scan, calibration).index
+    index = source.scan.water(calibration).index
     key = hashlib.sha256(repr((member.frames_sha256, calibration.hash, index, __version__)).encode()).hexdigest()
     kept = objects.kept_cloud(root, name, member.name, key)
     if kept is None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.base import Progress
 from appliance.desk.reconstruct import work_through
 from appliance.measure import Fault, OrganisedCloud, Water, organised
-from appliance.store import Chosen, SourceScan, sequence_of_scan
+from appliance.store import Chosen, SourceScan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,5 +51,5 @@ def organised_scan(source: SourceScan, chosen: Chosen, progress: Progress) -> Or
     scan = source.scan
     worked = work_through(scan, source.rig, chosen.calibration, progress)
     # A copy: the frames may be a file that is mapped, and the cloud outlives it.
-    bright = np.array(scan.frames["left"][sequence_of_scan(scan).bright])
+    bright = np.array(scan.frames["left"][scan.sequence.bright])
     return OrganisedScan(organised(worked.cloud, bright), worked.water, worked.faults)

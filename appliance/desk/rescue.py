@@ -7,17 +7,7 @@ from typing import Any
 
 from appliance.base import Progress
 from appliance.measure import UNCHECKED, NoPoint, first_direction_cloud
-from appliance.store import (
-    Chosen,
-    IncompleteRecording,
-    Instrument,
-    LocalFileSystem,
-    ScanError,
-    SourceScan,
-    encode_ply,
-    sequence_of_scan,
-    water_of_scan,
-)
+from appliance.store import Chosen, IncompleteRecording, Instrument, LocalFileSystem, ScanError, SourceScan, encode_ply
 
 FEWEST_POINTS = 100
 
@@ -36,12 +26,12 @@ def rescue_recording(
     """
     scan, calibration = recording.scan, chosen.calibration
     record = scan.manifest.record
-    water = water_of_scan(scan, calibration)
+    water = scan.water(calibration)
     progress("matching along epipolar curves")
     try:
         cloud, found = first_direction_cloud(
             scan.frames,
-            sequence_of_scan(scan),
+            scan.sequence,
             calibration,
             water,
             Instrument(source.rig).settings_of_scan(record).noise,

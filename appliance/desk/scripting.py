@@ -40,16 +40,11 @@ from appliance.store import (
     Manifest,
     ScanEntry,
     ScanError,
+    SourceScan,
+    StoredScan,
     Wish,
-    calibration_for,
     load_rig,
-    load_scan,
-    manifest_of,
-    open_source,
-    refuse_damaged_frames,
-    refuse_misfit,
     standing_root,
-    where_none_was_found,
 )
 
 
@@ -71,7 +66,7 @@ class ScanOfDive:
 
         Raises ScanError.
         """
-        return manifest_of(self.folder)
+        return StoredScan.manifest_of(self.folder)
 
     @property
     def time(self) -> datetime | None:
@@ -112,7 +107,7 @@ class ScanOfDive:
     @property
     def calibration(self) -> Calibration:
         """The calibration its points are made with where no other is given. Raises CalibrationError, ScanError."""
-        return calibration_for(open_source(self.folder, self.wish), self.wish).calibration
+        return SourceScan.open(self.folder, self.wish).calibration_for(self.wish).calibration
 
     @refuse_wrong_types
     def frames(self, side: Literal["left", "right"] = "left", *, second: bool = False) -> NDArray[np.uint8]:
@@ -122,8 +117,8 @@ class ScanOfDive:
         Every byte is compared with its checksum first. ``second``: of the second exposure. Raises ScanError,
         MissingLibraryError.
         """
-        refuse_damaged_frames(self.folder)
-        scan = load_scan(self.folder, only_raw=True)
+        StoredScan.refuse_damage(self.folder)
+        scan = StoredScan.load(self.folder, only_raw=True)
         frames = scan.second if second else scan.frames
         if frames is None:
             raise ScanError(f"{self.folder}: has one exposure; take second=False")
@@ -141,16 +136,15 @@ class ScanOfDive:
         ``calibration``: another one than the scan's own, or the path of its file; ``water``: another than it was
         recorded in. Left camera frame. Raises ScanError, also where no points are left, and CalibrationError.
         """
-        refuse_damaged_frames(self.folder)
         wish = self.wish
         if isinstance(calibration, Path | str):
             wish = replace(wish, calibration=Path(calibration), current=False)
-        source = open_source(self.folder, wish)
+        source = SourceScan.open(self.folder, wish, whole=True)
         if isinstance(calibration, Calibration):
             chosen = Chosen(calibration, "the one that was handed in")
-            refuse_misfit(calibration, chosen.whose, source, foreign=wish.foreign)
+            source.refuse_misfit(calibration, chosen.whose, foreign=wish.foreign)
         else:
-            chosen = calibration_for(source, wish)
+            chosen = source.calibration_for(wish)
         if water is not None:
             conditions = {
                 "temperature_c": water.temperature_c,
@@ -222,9 +216,9 @@ def open_dive(
     ``rig``: a rig file in the place of each scan's own. ``current_calibration``: the one in use under the root instead
     of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
     """
-    place = standing_root(os.environ) if root is None else Path(root)
+    place, vain = standing_root(os.environ) if root is None else (Path(root), "")
     if place is None:
-        raise NotADirectoryError(f"no storage root: {where_none_was_found(os.environ)}; give open_dive(root)")
+        raise NotADirectoryError(f"no storage root: {vain}; give open_dive(root)")
     if not place.is_dir():
         raise NotADirectoryError(f"{place}: no such folder; give the storage root that holds scans/")
     return Dive(place, _wish(rig, place, current=current_calibration, foreign=foreign_calibration))
@@ -237,7 +231,7 @@ def open_scan(folder: Path | str, rig: Path | str | None = None, *, foreign_cali
     """
     scan = ScanOfDive(Path(folder), _wish(rig, None, foreign=foreign_calibration))
     # Read and thrown away: a wrong folder is better said now than at the first points.
-    manifest_of(scan.folder)
+    StoredScan.manifest_of(scan.folder)
     return scan
 
 

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
         ASHORE,  # What to do ashore about a fault, by its code
     )
     from .service.air_live import (
-        LiveError,  # No more views can be recorded; the text says why and what to do. Those that were are kept
         LiveOptions,  # The way in which boards are recorded
         opened,  # Return cameras, board and projector
         record_views,  # Fill target up to the wanted number of views

@@ -88,7 +88,7 @@ if TYPE_CHECKING:
         owner_misfit,  # Return why calibration is not of owner; None where it is, as far as is known
     )
     from .calibration.parameters import (
-        RIG_PARAMETERS,
+        RIG_PARAMETERS,  # Names of the parameters of a rig that a covariance is of
     )
     from .calibration.response_file import (
         RESPONSE,  # File of the projector's measured response

@@ -13,23 +13,26 @@ writes to each (``appliance.store.lock``).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from pathlib import Path
 
+from appliance.base import Progress
 from appliance.store import manifest as form
 from appliance.store import packed
 from appliance.store import scan as stored
-from appliance.store.atomic import Bytes, FileSystem, Stamp, StorageError, checked_stamp
-from appliance.store.library import LibraryFolder
-from appliance.store.names import CALIBRATIONS, OBJECTS, by_number, scan_number
+from appliance.store.atomic import Bytes, FileSystem, LocalFileSystem, Stamp, StorageError, checked_stamp
+from appliance.store.library import Library, LibraryFolder, ScanEntry, shelves_of
+from appliance.store.lock import hold_lock
+from appliance.store.names import CALIBRATION_FILE, OBJECTS, scan_number
 from appliance.store.packed import PackedError, packed_path
-from appliance.store.scan import RAW_FILES, SECOND_FILES, ScanError
+from appliance.store.scan import FRAME_FILES, ScanError, StoredScan
 
 _DRAFT, _LEAVING = "packing", "archived"
-_BESIDE = (CALIBRATIONS, OBJECTS)
+_BESIDE = (CALIBRATION_FILE.parent.name, OBJECTS)
 """Folders of a storage root whose JSON files go with its scans."""
 
 
@@ -38,6 +41,22 @@ class Copied(Enum):
 
     WRITTEN = "written"
     ALREADY = "already there"
+
+
+@dataclass(frozen=True, slots=True)
+class CopiedScan:
+    """Outcome for one scan."""
+
+    scan: str
+    """Name of its folder."""
+    done: Copied | None
+    """``None``: it failed."""
+    reason: str | None
+    """Reason of a failure; ``None``: there is none."""
+    size_bytes: int
+    """Bytes of it at its source."""
+    there_bytes: int = 0
+    """Bytes of it where it was written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +69,87 @@ class BesideFile:
     """The source's, in the target; ``None`` where that name has other content, too."""
 
 
-def scan_folders(root: Path, shelves: Iterable[LibraryFolder]) -> list[Path]:
-    """Return the folders of all scans on those shelves of ``root``, in order. Raises StorageError."""
-    found: list[Path] = []
-    for shelf in shelves:
-        with StorageError.naming("cannot list", root / shelf.value), suppress(FileNotFoundError):
-            children = sorted((root / shelf.value).iterdir(), key=lambda one: by_number(one.name))
-            found += [one for one in children if scan_number(one.name) is not None and one.is_dir()]
-    return found
+@dataclass(frozen=True, slots=True)
+class ArchiveReport:
+    """Outcome of packing or unpacking a storage root."""
+
+    scans: tuple[CopiedScan, ...]
+    different: tuple[BesideFile, ...]
+
+    @property
+    def whole(self) -> bool:
+        """True if nothing failed."""
+        return all(one.done is not None for one in self.scans) and all(one.copy is not None for one in self.different)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of scans by outcome, in words."""
+        done = [None if one.done is None else one.done.value for one in self.scans]
+        return {**{what.value: done.count(what.value) for what in Copied}, "failed": done.count(None)}
+
+
+def pack_archive(source: Path, archive: Path, *, every: bool, remove: bool, progress: Progress) -> ArchiveReport:
+    """Pack the scans of the storage root ``source`` into ``archive``, which is made; a scan that cannot be used does
+    not keep the others from it.
+
+    ``every``: the rejected ones, too. ``remove``: each leaves ``source`` once its copy was compared with it. Raises
+    StorageError, MissingLibraryError.
+    """
+    shelves, fs = shelves_of(every=every), LocalFileSystem()
+    fs.make_folders(archive)
+    with ExitStack() as held:
+        held.enter_context(hold_lock(archive))
+        make_shelves(fs, archive, shelves)
+        left: dict[str, str] = {}
+        if remove:
+            # No instrument may write there meanwhile; without removals it may, since only finished scans are read.
+            held.enter_context(hold_lock(source))
+            left = finish_removals(fs, source, shelves)
+        different = copy_beside(fs, source, archive)
+
+        def pack(folder: Path, target: Path) -> Copied:
+            done = pack_scan(fs, folder, target)
+            if remove:
+                remove_source(fs, folder, target)
+            return done
+
+        stay = [CopiedScan(name, None, reason, 0) for name, reason in left.items()]
+        packed_now = _each(Library(source).folders(every=every), pack, archive, progress)
+        return ArchiveReport((*stay, *packed_now), tuple(different))
+
+
+def unpack_archive(archive: Path, out: Path, scans: Sequence[str], progress: Progress) -> ArchiveReport:
+    """Unpack ``scans`` of an archive by their numbers, all where none is named, into the storage root ``out``, which is
+    made; one that cannot be used does not keep the others from it.
+
+    Raises UnknownScan, StorageError, MissingLibraryError.
+    """
+    library, fs = Library(archive), LocalFileSystem()
+    folders = [library.entry(scan).folder for scan in scans] or library.folders(every=True)
+    fs.make_folders(out)
+    with hold_lock(out):
+        make_shelves(fs, out, shelves_of(every=True))
+        different = copy_beside(fs, archive, out)
+        return ArchiveReport(tuple(_each(folders, partial(unpack_scan, fs), out, progress)), tuple(different))
+
+
+def _each(
+    folders: Sequence[Path], work: Callable[[Path, Path], Copied], out: Path, progress: Progress
+) -> Iterator[CopiedScan]:
+    for k, folder in enumerate(folders):
+        progress(folder.name, k / len(folders))
+        size = _size(folder)  # before: a source may be gone afterwards
+        target = out / folder.parent.name / folder.name
+        try:
+            done = work(folder, target)
+        except ScanError as error:
+            yield CopiedScan(folder.name, None, str(error), size)
+        else:
+            yield CopiedScan(folder.name, done, None, size, _size(target))
+
+
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
 
 
 def make_shelves(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> None:
@@ -96,7 +188,7 @@ def pack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
 
     Raises ScanError for a damaged source or where ``target`` is another scan, StorageError, MissingLibraryError.
     """
-    manifest = stored.manifest_of(source)
+    manifest = StoredScan.manifest_of(source)
     if target.exists():
         return _present(fs, source, target)
     wrong = stored.wrong_files(source, manifest, checksums=True)
@@ -106,7 +198,7 @@ def pack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
     draft = _draft(target)
     parts: dict[str, Iterable[Bytes]] = {}
     for path in _files(source):
-        if path.name in (*RAW_FILES, *SECOND_FILES):
+        if path.name in FRAME_FILES:
             parts[packed_path(path).name] = _packed_parts(path, manifest)
         else:
             parts[path.name] = (path.read_bytes(),)
@@ -119,7 +211,7 @@ def unpack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
 
     Raises ScanError for damaged frames or where ``target`` is another scan, StorageError, MissingLibraryError.
     """
-    stored.manifest_of(source)
+    StoredScan.manifest_of(source)
     if target.exists():
         return _present(fs, source, target)
     draft = _draft(target)
@@ -140,9 +232,9 @@ def problems_of(folder: Path) -> dict[str, str]:
 
     Raises ScanError without a readable manifest, MissingLibraryError.
     """
-    manifest = stored.manifest_of(folder)
+    manifest = StoredScan.manifest_of(folder)
     wrong = stored.wrong_files(folder, manifest, checksums=True)
-    for name in (*RAW_FILES, *SECOND_FILES):
+    for name in FRAME_FILES:
         if name in wrong or not stored.is_packed(folder, name):
             continue
         try:
@@ -153,6 +245,25 @@ def problems_of(folder: Path) -> dict[str, str]:
         except OSError as error:
             wrong[name] = error.strerror or str(error)
     return wrong
+
+
+def verified(folder: Path) -> ScanEntry:
+    """Return one scan by its folder, every byte of it read and packed frames decoded; its problems name the damaged
+    frames where it is known which they are.
+
+    Raises MissingLibraryError.
+    """
+    entry = ScanEntry.of(folder, checksums=True)
+    if entry.manifest is not None and any(folder.glob("*.jls")):
+        wrong = (f"{name}: {what}" for name, what in problems_of(folder).items())
+        entry = replace(entry, problems=tuple(dict.fromkeys((*entry.problems, *wrong))))
+    if entry.ok or entry.manifest is None:
+        return entry
+    from appliance.store.damage import damaged_frames
+
+    # The checksum of the file said that something is wrong; the CRC of each frame says in which image (ADR 0033).
+    frames = {one.file: str(one) for one in damaged_frames(folder, entry.manifest)}
+    return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
 
 
 def remove_source(fs: FileSystem, source: Path, copy: Path) -> None:
@@ -201,7 +312,7 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
         same = theirs.is_file() and ours.read_bytes() == theirs.read_bytes()
     if not same:
         raise ScanError(f"{target}: is there and is another scan than {source}; give another folder with --out")
-    manifest = stored.manifest_of(source)
+    manifest = StoredScan.manifest_of(source)
     wrong = stored.wrong_files(target, manifest, checksums=False)
     if wrong:
         raise ScanError(f"{target}: {_told(wrong)}; move it away, and call again")
@@ -248,7 +359,7 @@ def _refuse_difference(source: Path, copy: Path) -> list[Path]:
     for path in files:
         name = path.name.removesuffix(packed.SUFFIX)
         try:
-            frames = name in (*RAW_FILES, *SECOND_FILES)
+            frames = name in FRAME_FILES
             same = _stamp(source / name, frames=frames) == _stamp(copy / name, frames=frames)
         except (PackedError, OSError) as error:
             raise ScanError(f"{copy / name}: cannot be compared with {path} ({error}); nothing was removed") from error

@@ -142,8 +142,8 @@ class FileSystem(ABC):
                         block = view[start : start + _BLOCK]
                         file.write(block)
                         digest.update(block)
-                # Data before names: a name that is durable before its content would be an empty or half file after a loss
-                # of power.
+                # Data before names: a name that is durable before its content would be an empty or half file after a
+                # loss of power.
                 file.sync()
             except BaseException:
                 _close_after_failure(file)
@@ -226,7 +226,10 @@ class FileSystem(ABC):
                 self.sync_folder(source.parent)
 
     def make_folders(self, folder: Path) -> None:
-        """Make a folder and those above it that are missing; all their names are durable on return. Raises StorageError."""
+        """Make a folder and those above it that are missing; all their names are durable on return.
+
+        Raises StorageError.
+        """
         # Each new folder is an entry in the one above it, which must be durable, too: from above to below.
         for one in reversed([one for one in (folder, *folder.parents) if not one.is_dir()]):
             with StorageError.naming("cannot make", one):
@@ -235,11 +238,11 @@ class FileSystem(ABC):
                 self.sync_folder(one.parent)
 
     def add_beside(self, path: Path, data: bytes) -> tuple[Path | None, bool]:
-        """Write a file that comes from elsewhere, and replace nothing: where ``path`` has other content, under a name with
-        a checksum.
+        """Write a file that comes from elsewhere, and replace nothing: where ``path`` has other content, under a name
+        with a checksum.
 
-        Returns the file that has the content now, and whether it was written; ``None`` where that name has other content,
-        too. Raises StorageError.
+        Returns the file that has the content now, and whether it was written; ``None`` where that name has other
+        content, too. Raises StorageError.
         """
         other = path.with_name(f"{path.stem}.{hashlib.sha256(data).hexdigest()[:CHECKSUM_DIGITS]}{path.suffix}")
         for copy in (path, other):

@@ -68,49 +68,85 @@ class IncompleteRecording:
     missing: tuple[str, ...]
     """Names of the patterns whose frames are missing."""
 
+    @staticmethod
+    def keep(
+        fs: FileSystem,
+        root: Path,
+        frames: Mapping[str, NDArray[np.uint8]],
+        record: ScanRecord,
+        origin: ScanOrigin,
+        reason: str,
+        reserve_bytes: int,
+    ) -> Path:
+        """Make the first frames of a sequence durable, all or nothing, and return their folder.
 
-def keep_incomplete(
-    fs: FileSystem,
-    root: Path,
-    frames: Mapping[str, NDArray[np.uint8]],
-    record: ScanRecord,
-    origin: ScanOrigin,
-    reason: str,
-    reserve_bytes: int,
-) -> Path:
-    """Make the first frames of a sequence durable, all or nothing, and return their folder.
+        ``frames``: by side, (n, h, w) uint8, those of both sides of the same patterns. Raises ValueError for frames
+        that are a whole sequence or of different number, and where ``MOST`` are kept already; StorageError, also where
+        the disk would then have no room for a scan above ``reserve_bytes``. Nothing is left then.
+        """
+        patterns = record.sequence.patterns
+        shapes = {frames[side].shape for side in SIDES}
+        if len(shapes) != 1:
+            raise ValueError(f"left and right frames differ: {sorted(shapes)}; give those of the same patterns")
+        (count, height_px, width_px) = shapes.pop()
+        if not 0 < count < len(patterns):
+            raise ValueError(f"{count} of {len(patterns)} frames are no incomplete recording")
+        shelf = root / INCOMPLETE_FOLDER
+        taken = _sweep(fs, shelf)
+        if len(taken) >= MOST:
+            raise ValueError(f"{shelf} has {MOST} recordings already; look at them, and move them elsewhere")
+        needed = 2 * count * height_px * width_px + _OTHER_BYTES
+        # A scan that may come is worth more than one that broke.
+        with StorageError.naming("cannot ask for the room on", root):
+            left = fs.free_bytes(root) - needed - size_bytes(len(patterns), width_px, height_px) - reserve_bytes
+        if left < 0:
+            raise StorageError("cannot keep", shelf, "there would be no room for the next scan")
+        number = f"{max(taken, default=0) + 1:06d}"
+        draft = shelf / f".{number}"
+        try:
+            _write(fs, draft, number, frames, record, origin, reason)
+            fs.move_folder(draft, shelf / number)
+        except (StorageError, ValueError):
+            with suppress(StorageError):
+                _remove(fs, draft)
+            raise
+        return shelf / number
 
-    ``frames``: by side, (n, h, w) uint8, those of both sides of the same patterns. Raises ValueError for frames that
-    are a whole sequence or of different number, and where ``MOST`` are kept already; StorageError, also where the disk
-    would then have no room for a scan above ``reserve_bytes``. Nothing is left then.
-    """
-    patterns = record.sequence.patterns
-    shapes = {frames[side].shape for side in SIDES}
-    if len(shapes) != 1:
-        raise ValueError(f"left and right frames differ: {sorted(shapes)}; give those of the same patterns")
-    (count, height_px, width_px) = shapes.pop()
-    if not 0 < count < len(patterns):
-        raise ValueError(f"{count} of {len(patterns)} frames are no incomplete recording")
-    shelf = root / INCOMPLETE_FOLDER
-    taken = _sweep(fs, shelf)
-    if len(taken) >= MOST:
-        raise ValueError(f"{shelf} has {MOST} recordings already; look at them, and move them elsewhere")
-    needed = 2 * count * height_px * width_px + _OTHER_BYTES
-    # A scan that may come is worth more than one that broke.
-    with StorageError.naming("cannot ask for the room on", root):
-        left = fs.free_bytes(root) - needed - size_bytes(len(patterns), width_px, height_px) - reserve_bytes
-    if left < 0:
-        raise StorageError("cannot keep", shelf, "there would be no room for the next scan")
-    number = f"{max(taken, default=0) + 1:06d}"
-    draft = shelf / f".{number}"
-    try:
-        _write(fs, draft, number, frames, record, origin, reason)
-        fs.move_folder(draft, shelf / number)
-    except (StorageError, ValueError):
-        with suppress(StorageError):
-            _remove(fs, draft)
-        raise
-    return shelf / number
+    @staticmethod
+    def find(root: Path, recording: str) -> Path:
+        """Return the folder of a recording by its number. Raises ScanError."""
+        number = recording.zfill(6)
+        folder = root / INCOMPLETE_FOLDER / number
+        # The whole word: the last part of a path may be a number, too.
+        if not recording or scan_number(number) is None or not folder.is_dir():
+            raise ScanError(
+                f"no incomplete recording {recording!r} under {root / INCOMPLETE_FOLDER}; give its number or its folder"
+            )
+        return folder
+
+    @classmethod
+    def load(cls, folder: Path) -> IncompleteRecording:
+        """Open an incomplete recording; every byte is compared with its checksum. Raises ScanError."""
+        path = folder / form.INCOMPLETE_MANIFEST_FILE
+        try:
+            manifest = INCOMPLETE.load(path, INCOMPLETE_OF, name=str(path))
+        except ContentError as error:
+            raise ScanError(str(error)) from error
+        if manifest is None:
+            raise ScanError(f"{folder}: not an incomplete recording (no {form.INCOMPLETE_MANIFEST_FILE} in it)")
+        missing = manifest.missing
+        count = len(manifest.record.sequence.patterns) - len(missing)
+        if missing != manifest.record.sequence.patterns[count:]:
+            raise ScanError(f"{path}: the missing frames are not the last of the sequence")
+        for name in map(frames_file, SIDES):
+            _compare(folder / name, manifest.files.get(name))
+        frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
+        return cls(StoredScan(folder, manifest, frames), missing)
+
+    @staticmethod
+    def is_in(folder: Path) -> bool:
+        """Return True if ``folder`` holds an incomplete recording, which is no scan."""
+        return (folder / form.INCOMPLETE_MANIFEST_FILE).is_file()
 
 
 def _write(
@@ -140,10 +176,7 @@ def _write(
 
 def _sweep(fs: FileSystem, shelf: Path) -> list[int]:
     """Make the shelf where it is missing, take away what was not finished, and return the numbers that are taken."""
-    if not shelf.is_dir():
-        with StorageError.naming("cannot make", shelf):
-            fs.make_folder(shelf)
-            fs.sync_folder(shelf.parent)
+    fs.make_folders(shelf)
     with StorageError.naming("cannot list", shelf):
         named = [(path, found) for path in shelf.iterdir() if (found := _NAME.fullmatch(path.name)) and path.is_dir()]
     for path, _ in named:
@@ -158,37 +191,6 @@ def _remove(fs: FileSystem, draft: Path) -> None:
         for path in draft.iterdir():
             fs.discard(path)
         fs.discard(draft)
-
-
-def find_incomplete(root: Path, recording: str) -> Path:
-    """Return the folder of a recording by its number. Raises ScanError."""
-    number = recording.zfill(6)
-    folder = root / INCOMPLETE_FOLDER / number
-    # The whole word: the last part of a path may be a number, too.
-    if not recording or scan_number(number) is None or not folder.is_dir():
-        raise ScanError(
-            f"no incomplete recording {recording!r} under {root / INCOMPLETE_FOLDER}; give its number or its folder"
-        )
-    return folder
-
-
-def load_incomplete(folder: Path) -> IncompleteRecording:
-    """Open an incomplete recording; every byte is compared with its checksum. Raises ScanError."""
-    path = folder / form.INCOMPLETE_MANIFEST_FILE
-    try:
-        manifest = INCOMPLETE.load(path, INCOMPLETE_OF, name=str(path))
-    except ContentError as error:
-        raise ScanError(str(error)) from error
-    if manifest is None:
-        raise ScanError(f"{folder}: not an incomplete recording (no {form.INCOMPLETE_MANIFEST_FILE} in it)")
-    missing = manifest.missing
-    count = len(manifest.record.sequence.patterns) - len(missing)
-    if missing != manifest.record.sequence.patterns[count:]:
-        raise ScanError(f"{path}: the missing frames are not the last of the sequence")
-    for name in map(frames_file, SIDES):
-        _compare(folder / name, manifest.files.get(name))
-    frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
-    return IncompleteRecording(StoredScan(folder, manifest, frames), missing)
 
 
 def _compare(path: Path, stamp: Stamp | None) -> None:

@@ -43,7 +43,7 @@ from appliance.store.config import Rig, rig_text
 from appliance.store.config.checks import into_light_us
 from appliance.store.config.rig import CameraRig
 from appliance.store.manifest import ScanRecord
-from appliance.store.names import CALIBRATION_IN_AIR, CALIBRATIONS, CURRENT_CALIBRATION
+from appliance.store.names import AIR_FILE, CALIBRATION_FILE
 from appliance.store.scan import ScanOrigin
 
 
@@ -60,7 +60,6 @@ def load_calibration(path: Path | str) -> Calibration:
 
 log = logging.getLogger("kingfisher")
 
-CALIBRATION_FILE = Path(CALIBRATIONS, CURRENT_CALIBRATION)
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 NOISE_FILE = CALIBRATION_FILE.with_name("noise.json")
 """Places of what was measured of the instrument, relative to the storage root."""
@@ -81,12 +80,7 @@ class Instrument:
     @property
     def air_file(self) -> Path:
         """The calibration in air, with which one in water begins."""
-        return self.calibration_file.with_name(CALIBRATION_IN_AIR)
-
-    @property
-    def nominal_file(self) -> Path:
-        """The calibration that the drawing stands for, where somebody wrote it."""
-        return self.calibration_file.with_name("nominal.json")
+        return self.rig.storage.root / AIR_FILE
 
     @property
     def response_file(self) -> Path:

@@ -9,8 +9,11 @@ before. It travels with the folder. A damaged label is no damage to the scan.
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import ClassVar, Literal
 
 from appliance.base import ContentError, SealedFile
 from appliance.store.atomic import FileSystem
@@ -18,8 +21,6 @@ from appliance.store.atomic import FileSystem
 LABEL_FILE = "label.json"
 _CONTROL = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 """Unicode's categories of what is no character to read: controls, formats, surrogates, unassigned ones, line ends."""
-LONGEST_NAME, LONGEST_NOTE = 60, 1000
-"""Greatest lengths in characters: a name is a column of a list, a note a paragraph."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,37 +30,41 @@ class Label:
     name: str | None = None
     note: str | None = None
 
+    LONGEST: ClassVar[Mapping[str, int]] = MappingProxyType({"name": 60, "note": 1000})
+    """Greatest lengths in characters: a name is a column of a list, a note a paragraph."""
+
+    @classmethod
+    def checked(cls, which: Literal["name", "note"], text: str, what: str | None = None) -> str | None:
+        """Return a label's ``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is
+        left.
+
+        ``what`` names it in the message. Raises ContentError for control characters, among them line ends and those
+        that turn the direction of writing, and for more characters than ``LONGEST`` allows.
+        """
+        what = what or which
+        plain = unicodedata.normalize("NFC", text).strip()
+        for at, character in enumerate(plain):
+            if unicodedata.category(character) in _CONTROL:
+                raise ContentError(
+                    what, f"character {at + 1} is U+{ord(character):04X}, a control character", remedy="leave it out"
+                )
+        if len(plain) > cls.LONGEST[which]:
+            raise ContentError(what, f"{len(plain)} characters", str(cls.LONGEST[which]), "shorten it")
+        return plain or None
+
+    @classmethod
+    def read(cls, folder: Path) -> Label:
+        """Return the label of a scan's folder; an empty one where there is none. Raises ContentError."""
+        found = LABEL.load(folder / LABEL_FILE, name=LABEL_FILE) or NO_LABEL
+        return cls(
+            cls.checked("name", found.name or "", f"{LABEL_FILE}: name"),
+            cls.checked("note", found.note or "", f"{LABEL_FILE}: note"),
+        )
+
+    def write(self, fs: FileSystem, folder: Path) -> None:
+        """Write the label; it is durable and whole on return. Raises StorageError."""
+        fs.replace_file(folder / LABEL_FILE, LABEL.encode(self))
+
 
 NO_LABEL = Label()
 LABEL = SealedFile(Label, schema=1, max_bytes=16_384)
-
-
-def checked_label(what: str, text: str, longest: int) -> str | None:
-    """Return ``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is left.
-
-    ``what``: ``name`` or ``note``, for the message. Raises ContentError for control characters, among them line ends
-    and those that turn the direction of writing, and for more than ``longest`` characters.
-    """
-    plain = unicodedata.normalize("NFC", text).strip()
-    for at, character in enumerate(plain):
-        if unicodedata.category(character) in _CONTROL:
-            raise ContentError(
-                what, f"character {at + 1} is U+{ord(character):04X}, a control character", remedy="leave it out"
-            )
-    if len(plain) > longest:
-        raise ContentError(what, f"{len(plain)} characters", str(longest), "shorten it")
-    return plain or None
-
-
-def read_label(folder: Path) -> Label:
-    """Return the label of a scan's folder; an empty one where there is none. Raises ContentError."""
-    found = LABEL.load(folder / LABEL_FILE, name=LABEL_FILE) or NO_LABEL
-    return Label(
-        checked_label(f"{LABEL_FILE}: name", found.name or "", LONGEST_NAME),
-        checked_label(f"{LABEL_FILE}: note", found.note or "", LONGEST_NOTE),
-    )
-
-
-def write(fs: FileSystem, folder: Path, label: Label) -> None:
-    """Write the label; it is durable and whole on return. Raises StorageError."""
-    fs.replace_file(folder / LABEL_FILE, LABEL.encode(label))

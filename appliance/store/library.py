@@ -8,6 +8,10 @@
     <root>/next-id            see ``appliance.store.names``
     <root>/room               space for the next scan, see ``appliance.store.room``
 
+Which object a scan belongs to, as the diver said it, its manifest carries. A number is given once: ``choices.json``
+remembers the largest one, and where that file was lost, or came from elsewhere, the manifests tell. Numbers ascend with
+the scans', so that the newest scan that carries one carries the largest.
+
 Nothing in here deletes a scan. One process writes (``appliance.store.lock``), from one thread at a time; any number
 may read.
 """
@@ -22,19 +26,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.base import ContentError
-from appliance.store import label as labels
 from appliance.store import manifest as form
 from appliance.store import names, scan
 from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
 from appliance.store.label import NO_LABEL, Label
 from appliance.store.manifest import Decision, Manifest, ScanRecord
 from appliance.store.names import by_number, scan_number
+from appliance.store.scan import StoredScan
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
     import numpy as np
     from numpy.typing import NDArray
 
     from appliance.store.ply import PointCloud
+
+
+LOOKED_AT = 500
+"""Largest number of manifests that are read for the largest number of an object, the newest ones: a start must not take
+longer with every dive."""
 
 
 class LibraryFolder(Enum):
@@ -44,6 +53,11 @@ class LibraryFolder(Enum):
     REJECTED = "rejected"
     SET_ASIDE = "set-aside"
     TRASH = "trash"
+
+
+def shelves_of(*, every: bool) -> tuple[LibraryFolder, ...]:
+    """Return the shelves that are worked through: that of the scans, and with ``every`` that of the rejected ones."""
+    return (LibraryFolder.SCANS, LibraryFolder.REJECTED) if every else (LibraryFolder.SCANS,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +76,39 @@ class ScanEntry:
     def ok(self) -> bool:
         """True if nothing wrong was found."""
         return not self.problems
+
+    @classmethod
+    def of(cls, folder: Path, *, checksums: bool) -> ScanEntry:
+        """Return one scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
+
+        A folder outside of any library counts as one of published scans, and may have any name. A number as its name
+        must be the scan's own.
+        """
+        whole = folder.absolute()
+        shelf = next((one for one in LibraryFolder if one.value == whole.parent.name), LibraryFolder.SCANS)
+        size_bytes = _size(folder)
+        try:
+            manifest = form.read(folder)
+        except ContentError as error:
+            return cls(whole.name, shelf, folder, None, (str(error),), size_bytes)
+        wrong = scan.wrong_files(folder, manifest, checksums=checksums)
+        found = [f"{name}: {what}" for name, what in wrong.items()]
+        if _numbered(whole) not in (None, manifest.scan_id):
+            found.append(f"its manifest is of scan {manifest.scan_id}")
+        label = NO_LABEL
+        try:
+            label = Label.read(folder)
+        except ContentError as error:
+            if checksums:  # no damage to the scan: told where every byte is looked at
+                found.append(str(error))
+        return cls(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
+
+    @property
+    def preview_file(self) -> Path | None:
+        """The scan's picture; ``None`` where none was ever made, as of a scan that was kept without a cloud."""
+        if self.manifest is None or scan.PREVIEW_FILE not in self.manifest.files:
+            return None
+        return self.folder / scan.PREVIEW_FILE
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,16 +138,7 @@ class Library:
     def prepare(self) -> None:
         """Make the folders that are missing, durably. Raises StorageError."""
         for folder in (self.root, *(self._shelf(shelf) for shelf in LibraryFolder if shelf is not LibraryFolder.TRASH)):
-            self._make(folder)
-
-    def _make(self, folder: Path) -> None:
-        if folder.is_dir():
-            return
-        # From the top down: a folder is durable only once its entry in its parent is.
-        for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
-            with StorageError.naming("cannot make", one):
-                self._fs.make_folder(one)
-                self._fs.sync_folder(one.parent)
+            self._fs.make_folders(folder)
 
     def begin(
         self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.ScanOrigin
@@ -183,21 +221,6 @@ class Library:
         files = {name: stamp for name, stamp in manifest.files.items() if name not in wrong}
         return replace(manifest, files=files, recovered=True)
 
-    def add_cloud(self, scan_id: str, cloud: PointCloud, preview_png: bytes | None, record: ScanRecord) -> Manifest:
-        """Give a published scan that has no cloud one (reconstructed later). Raises StorageError, UnknownScan,
-        ScanError.
-
-        A scan with a cloud keeps it: what was seen at the time of the dive is not rewritten.
-        """
-        entry = self.entry(scan_id)
-        if entry.manifest is None or entry.problems:
-            raise scan.ScanError(f"scan {scan_id}: {'; '.join(entry.problems)}")
-        if scan.CLOUD_FILE in entry.manifest.files:
-            raise scan.ScanError(f"scan {scan_id}: has a cloud already; write the new one elsewhere with --out FILE")
-        return scan.finish_scan(
-            self._fs, entry.folder, entry.manifest, entry.manifest.decision, record, cloud, preview_png
-        )
-
     def trash(self, scan_id: str) -> Path:
         """Put a scan away: it is no longer listed or shown, and keeps its number and every byte. Answers its folder.
 
@@ -228,7 +251,7 @@ class Library:
 
     def _moved(self, folder: Path, target: Path) -> Path:
         # The trash is made when it is first needed.
-        self._make(target.parent)
+        self._fs.make_folders(target.parent)
         if target.exists():
             raise scan.ScanError(f"scan {folder.name}: {target} is there already; move one of them elsewhere")
         self._fs.move_folder(folder, target)
@@ -239,34 +262,29 @@ class Library:
 
         Raises UnknownScan, StorageError.
         """
-        labels.write(self._fs, self._find(scan_id)[1], label)
+        label.write(self._fs, self._find(scan_id)[1])
 
     # ------------------------------------------------------------------------------------- reading
 
     def entries(self, shelf: LibraryFolder = LibraryFolder.SCANS) -> list[ScanEntry]:
         """Return all scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
-        return [entry_of(folder, checksums=False) for folder in self._sorted(shelf)]
+        return [ScanEntry.of(folder, checksums=False) for folder in self._sorted(shelf)]
 
     def entry(self, scan_id: str) -> ScanEntry:
         """Return one scan by its number, wherever it lies. Raises UnknownScan."""
-        return entry_of(self._find(scan_id)[1], checksums=False)
+        return ScanEntry.of(self._find(scan_id)[1], checksums=False)
 
     def verify(self, scan_id: str) -> ScanEntry:
         """Return the entry of a scan like ``entry``, but read every byte. Raises UnknownScan."""
-        return entry_of(self._find(scan_id)[1], checksums=True)
+        return ScanEntry.of(self._find(scan_id)[1], checksums=True)
 
     def load(self, scan_id: str) -> scan.StoredScan:
         """Open a scan. Raises UnknownScan, ScanError."""
-        return scan.load_scan(self._find(scan_id)[1])
+        return StoredScan.load(self._find(scan_id)[1])
 
     def count(self) -> int:
         """Return the number of published scans."""
         return sum(1 for _ in self._folders(LibraryFolder.SCANS))
-
-    def newest_first(self) -> list[Path]:
-        """Return the folders of all scans, wherever they lie, those that were taken last first."""
-        folders = [folder for shelf in LibraryFolder for folder in self._folders(shelf)]
-        return sorted(folders, key=_number, reverse=True)
 
     def ids(self) -> list[str]:
         """Return numbers of all published scans, the oldest first."""
@@ -274,8 +292,7 @@ class Library:
 
     def last_id(self) -> str | None:
         """Return the newest published scan."""
-        folders = self._sorted(LibraryFolder.SCANS)
-        return folders[-1].name if folders else None
+        return next(reversed(self.ids()), None)
 
     def scans_left(self, scan_bytes: int, reserve_bytes: int) -> int | None:
         """Estimate how many more scans of that size fit above the reserve; ``None`` where the disk does not tell."""
@@ -334,6 +351,39 @@ class Library:
                 return folder
         return None
 
+    def largest_object(self) -> int:
+        """Return the largest number that one of the newest scans carries, wherever it lies; 0 where none does.
+
+        Raises OSError.
+        """
+        folders = [folder for shelf in LibraryFolder for folder in self._folders(shelf)]
+        for folder in sorted(folders, key=_number, reverse=True)[:LOOKED_AT]:
+            try:
+                number = form.read(folder).record.object
+            except ContentError:
+                continue  # damaged: the next older one tells
+            if number is not None:
+                return number
+        return 0
+
+    def scans_of_object(self, number: int) -> list[str]:
+        """Return the published scans that belong to an object, by their numbers in the order they were taken."""
+        return [
+            entry.scan_id
+            for entry in self.entries(LibraryFolder.SCANS)
+            if entry.manifest is not None and entry.manifest.record.object == number
+        ]
+
+    def objects(self) -> list[int]:
+        """Return every number that a published scan carries, ascending."""
+        entries = self.entries(LibraryFolder.SCANS)
+        found = {None if entry.manifest is None else entry.manifest.record.object for entry in entries}
+        return sorted(number for number in found if number is not None)
+
+    def folders(self, *, every: bool) -> list[Path]:
+        """Return the folders of all published scans, and with ``every`` of the rejected ones, in order."""
+        return [folder for shelf in shelves_of(every=every) for folder in self._sorted(shelf)]
+
 
 def _belongs(folder: Path) -> LibraryFolder:
     """Return the folder in which a scan lay before it came into the trash; a damaged one is listed, as a stored one
@@ -342,32 +392,6 @@ def _belongs(folder: Path) -> LibraryFolder:
         return LibraryFolder.REJECTED if form.read(folder).decision is Decision.REJECTED else LibraryFolder.SCANS
     except ContentError:
         return LibraryFolder.SCANS
-
-
-def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
-    """Return one scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
-
-    A folder outside of any library counts as one of published scans, and may have any name. A number as its name must
-    be the scan's own.
-    """
-    whole = folder.absolute()
-    shelf = next((one for one in LibraryFolder if one.value == whole.parent.name), LibraryFolder.SCANS)
-    size_bytes = _size(folder)
-    try:
-        manifest = form.read(folder)
-    except ContentError as error:
-        return ScanEntry(whole.name, shelf, folder, None, (str(error),), size_bytes)
-    wrong = scan.wrong_files(folder, manifest, checksums=checksums)
-    found = [f"{name}: {what}" for name, what in wrong.items()]
-    if _numbered(whole) not in (None, manifest.scan_id):
-        found.append(f"its manifest is of scan {manifest.scan_id}")
-    label = NO_LABEL
-    try:
-        label = labels.read_label(folder)
-    except ContentError as error:
-        if checksums:  # no damage to the scan: told where every byte is looked at
-            found.append(str(error))
-    return ScanEntry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
 
 
 def _number(folder: Path) -> int:

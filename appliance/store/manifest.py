@@ -172,6 +172,15 @@ class Manifest:
     """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is
     damaged."""
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the content as JSON holds it. Raises TypeError for a value that it cannot hold."""
+        return MANIFEST.content(with_known_times(self))
+
+    @property
+    def raw_only(self) -> bool:
+        """True if nothing was added to the frames."""
+        return self.stage is Stage.RAW
+
 
 def refuse_names(manifest: Manifest) -> None:
     """Raises ValueError where a manifest names something that no part of a path may be called."""
@@ -191,11 +200,6 @@ def encode(manifest: Manifest) -> bytes:
     """Return the file's bytes. Raises TypeError for a value JSON cannot hold; NaN and infinity become null: not
     known."""
     return MANIFEST.encode(with_known_times(manifest))
-
-
-def manifest_json(manifest: Manifest) -> dict[str, Any]:
-    """Return the content as JSON holds it. Raises TypeError as ``encode``."""
-    return MANIFEST.content(with_known_times(manifest))
 
 
 def with_known_times(manifest: AnyManifest) -> AnyManifest:

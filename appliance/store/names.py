@@ -60,9 +60,8 @@ def _stored(path: Path) -> int:
     return int(found[1])
 
 
-CALIBRATIONS, CURRENT_CALIBRATION, CALIBRATION_IN_AIR = "calibration", "current.json", "air.json"
-"""Folder below a storage root with its calibrations, the file in it that is in use, and the one in air that others
-begin with."""
+CALIBRATION_FILE, AIR_FILE = Path("calibration", "current.json"), Path("calibration", "air.json")
+"""Places below a storage root of the calibration in use, and of the one in air that others begin with."""
 OBJECTS = "objects"
 """Folder below a storage root with its objects."""
 MOST_CHARACTERS, MOST_BYTES = 100, 200
@@ -74,17 +73,13 @@ _OBJECT = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
 _KEPT = re.compile(r"[0-9]{4,9}-[A-Za-z0-9_-]{1,40}\.json")
 
 
-class NameShapeError(ValueError):
-    """A name cannot be part of a path; the text says which and what is allowed."""
-
-
 def component(name: str, what: str) -> str:
     """Return ``name``, which is one component of a path.
 
-    ``what`` it is the name of is for the message. Raises NameShapeError.
+    ``what`` it is the name of is for the message. Raises ValueError.
     """
     if not is_component(name):
-        raise NameShapeError(
+        raise ValueError(
             f"{what} is {name!r:.60}; allowed are 1 to {MOST_CHARACTERS} characters that can be read, none of "
             f"{' '.join(sorted(_RESERVED))}, "
             "not beginning with a dot, a dash or a blank and not ending with a dot or a blank"

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.measure import IN_AIR, SIDES, Calibration, CalibrationError, Owner, of_side, owner_misfit
-from appliance.store import scan as stored
 from appliance.store.config import ConfigError, Rig, parse_rig
 from appliance.store.instrument import load_calibration
-from appliance.store.manifest import Manifest
-from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
+from appliance.store.names import CALIBRATION_FILE
 from appliance.store.scan import CALIBRATION, RIG_FILE, ScanError, StoredScan
 from appliance.store.wish import Wish, root_of
 
@@ -40,6 +38,85 @@ class SourceScan:
         """The folder of the instrument's own files."""
         return self.root or self.rig.storage.root
 
+    @classmethod
+    def open(cls, folder: Path, wish: Wish, scan: StoredScan | None = None, *, whole: bool = False) -> SourceScan:
+        """Open a scan and the rig it was taken with: ``--rig``, else its own.
+
+        ``scan``: what was opened of it already. ``whole``: every byte of its frames is compared with its checksum
+        first. Raises ScanError, also for a rig file that is damaged or whose cameras are of another size.
+        """
+        if whole:
+            StoredScan.refuse_damage(folder)
+        scan = scan or StoredScan.load(folder, only_raw=True)
+        root = wish.root or root_of(folder)
+        if wish.rig is not None:
+            for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
+                _same_size(
+                    scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig"
+                )
+            return cls(scan, wish.rig, root)
+        remedy = "give the rig file of the instrument with --rig PATH"
+        problem = scan.problem_of(RIG_FILE)
+        if problem is not None:
+            raise ScanError(f"{folder / RIG_FILE}: {problem}; {remedy}")
+        try:
+            return cls(scan, parse_rig((folder / RIG_FILE).read_text(encoding="utf-8"), str(folder / RIG_FILE)), root)
+        except (ConfigError, OSError, UnicodeDecodeError) as error:
+            raise ScanError(f"{folder / RIG_FILE}: {error}; {remedy}") from error
+
+    @staticmethod
+    def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
+        """Return the instrument that all ``scans`` (one or more) are of, with its storage root.
+
+        Raises ScanError for scans of several instruments.
+        """
+        rig = wish.rig or scans[0].rig
+        for one in scans:
+            # Not `rig_hash`: exposure and folders may differ from scan to scan, cameras and raster may not.
+            if one.rig.optical_hash != rig.optical_hash:
+                raise ScanError(
+                    f"{one.scan.folder}: is of {_cameras(one.rig)}, not of {_cameras(rig)} as the others; "
+                    "take scans of one instrument"
+                )
+        root = wish.root or next((one.root for one in scans if one.root is not None), None)
+        return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
+
+    def calibration_for(self, wish: Wish) -> Chosen:
+        """Return the calibration for a self: the one asked for, else its own.
+
+        Raises CalibrationError for one that is missing or does not fit; the text says what to do.
+        """
+        if wish.calibration is not None:
+            chosen = Chosen(load_calibration(wish.calibration), f"--calibration {wish.calibration}")
+        elif wish.current:
+            path = self.storage_root / CALIBRATION_FILE
+            chosen = Chosen(load_calibration(path), str(path))
+        else:
+            chosen = _of_the_scan(self.scan)
+        self.refuse_misfit(chosen.calibration, chosen.whose, foreign=wish.foreign)
+        return chosen
+
+    @staticmethod
+    def one_calibration(scans: Sequence[SourceScan], wish: Wish) -> Chosen:
+        """Return the calibration for several scans at once. Raises CalibrationError also where they were taken with
+        different ones."""
+        chosen = [scan.calibration_for(wish) for scan in scans]
+        other = next((k for k, one in enumerate(chosen) if one.calibration != chosen[0].calibration), None)
+        if other is None:
+            return chosen[0]
+        first, second = (chosen[k].calibration for k in (0, other))
+        raise CalibrationError(
+            f"{scans[0].scan.folder} was taken with calibration {first.hash[:SHOWN_DIGITS]} of {first.made_at}, "
+            f"{scans[other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose one for all with "
+            "--calibration FILE, or the instrument's with --current"
+        )
+
+    def refuse_misfit(self, calibration: Calibration, whose: str, *, foreign: bool, start: bool = False) -> None:
+        """Raises CalibrationError where ``misfit`` has a reason. ``whose``: where the calibration is from, in words."""
+        problem = misfit(calibration, self, foreign=foreign, start=start)
+        if problem is not None:
+            raise CalibrationError(f"{whose}: {problem} ({self.scan.folder})")
+
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
@@ -48,87 +125,6 @@ class Chosen:
     calibration: Calibration
     whose: str
     """Source of the calibration, in words."""
-
-
-def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> SourceScan:
-    """Open a scan and the rig it was taken with: ``--rig``, else its own.
-
-    ``scan``: what was opened of it already. Raises ScanError, also for a rig file that is damaged or whose cameras are
-    of another size.
-    """
-    scan = scan or stored.load_scan(folder, only_raw=True)
-    root = wish.root or root_of(folder)
-    if wish.rig is not None:
-        for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
-            _same_size(scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig")
-        return SourceScan(scan, wish.rig, root)
-    remedy = "give the rig file of the instrument with --rig PATH"
-    problem = lost(folder, scan.manifest, RIG_FILE)
-    if problem is not None:
-        raise ScanError(f"{folder / RIG_FILE}: {problem}; {remedy}")
-    try:
-        return SourceScan(
-            scan, parse_rig((folder / RIG_FILE).read_text(encoding="utf-8"), str(folder / RIG_FILE)), root
-        )
-    except (ConfigError, OSError, UnicodeDecodeError) as error:
-        raise ScanError(f"{folder / RIG_FILE}: {error}; {remedy}") from error
-
-
-def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
-    """Return the instrument that all ``scans`` (one or more) are of, with its storage root.
-
-    Raises ScanError for scans of several instruments.
-    """
-    rig = wish.rig or scans[0].rig
-    for one in scans:
-        # Not `rig_hash`: exposure and folders may differ from scan to scan, cameras and raster may not.
-        if one.rig.optical_hash != rig.optical_hash:
-            raise ScanError(
-                f"{one.scan.folder}: is of {_cameras(one.rig)}, not of {_cameras(rig)} as the others; "
-                "take scans of one instrument"
-            )
-    root = wish.root or next((one.root for one in scans if one.root is not None), None)
-    return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
-
-
-def calibration_for(scan: SourceScan, wish: Wish) -> Chosen:
-    """Return the calibration for a scan: the one asked for, else its own.
-
-    Raises CalibrationError for one that is missing or does not fit; the text says what to do.
-    """
-    if wish.calibration is not None:
-        chosen = Chosen(load_calibration(wish.calibration), f"--calibration {wish.calibration}")
-    elif wish.current:
-        path = scan.storage_root / CALIBRATIONS / CURRENT_CALIBRATION
-        chosen = Chosen(load_calibration(path), str(path))
-    else:
-        chosen = _of_the_scan(scan.scan)
-    refuse_misfit(chosen.calibration, chosen.whose, scan, foreign=wish.foreign)
-    return chosen
-
-
-def one_calibration(scans: Sequence[SourceScan], wish: Wish) -> Chosen:
-    """Return the calibration for several scans at once. Raises CalibrationError also where they were taken with
-    different ones."""
-    chosen = [calibration_for(scan, wish) for scan in scans]
-    other = next((k for k, one in enumerate(chosen) if one.calibration != chosen[0].calibration), None)
-    if other is None:
-        return chosen[0]
-    first, second = (chosen[k].calibration for k in (0, other))
-    raise CalibrationError(
-        f"{scans[0].scan.folder} was taken with calibration {first.hash[:SHOWN_DIGITS]} of {first.made_at}, "
-        f"{scans[other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose one for all with "
-        "--calibration FILE, or the instrument's with --current"
-    )
-
-
-def refuse_misfit(
-    calibration: Calibration, whose: str, scan: SourceScan, *, foreign: bool, start: bool = False
-) -> None:
-    """Raises CalibrationError where ``misfit`` has a reason. ``whose``: where the calibration is from, in words."""
-    problem = misfit(calibration, scan, foreign=foreign, start=start)
-    if problem is not None:
-        raise CalibrationError(f"{whose}: {problem} ({scan.scan.folder})")
 
 
 def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False, start: bool = False) -> str | None:
@@ -166,7 +162,7 @@ def _owner(scan: SourceScan) -> Owner:
 
 def _of_the_scan(scan: StoredScan) -> Chosen:
     path = scan.folder / CALIBRATION
-    problem = lost(scan.folder, scan.manifest, CALIBRATION)
+    problem = scan.problem_of(CALIBRATION)
     if problem is not None:
         named = (scan.manifest.record.calibration_hash or "not named")[:SHOWN_DIGITS]
         raise CalibrationError(
@@ -174,15 +170,6 @@ def _of_the_scan(scan: StoredScan) -> Chosen:
             "instrument's newest with --current --root PATH"
         )
     return Chosen(load_calibration(path), "the scan's own")
-
-
-def lost(folder: Path, manifest: Manifest, name: str) -> str | None:
-    """Return what is wrong with one of a scan's files, its bytes compared with their checksum; ``None`` where it is
-    whole."""
-    if name not in manifest.files:
-        return "not in the manifest"
-    alone = replace(manifest, files={name: manifest.files[name]})
-    return stored.wrong_files(folder, alone, checksums=True).get(name)
 
 
 def _same_size(scan: StoredScan, side: str, size: tuple[int, int], whose: str, option: str) -> None:

@@ -23,12 +23,6 @@ Head = tuple[int, int, int]
 """Width, height, and bits of a grey value."""
 
 
-def size_px(data: bytes | mmap) -> tuple[int, int] | None:
-    """Return the width and height that the header states; ``None`` as ``picture_head``."""
-    head = picture_head(data)
-    return None if head is None else head[:2]
-
-
 def picture_head(data: bytes | mmap) -> Head | None:
     """Return width, height and bits that the header states; ``None`` for a damaged header or a format that is not read
     here."""

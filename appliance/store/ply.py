@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.store.atomic import Bytes, LocalFileSystem
+from appliance.store.atomic import Bytes
 
 POINT = np.dtype(
     [
@@ -129,14 +129,6 @@ def _header(crc: int, points: int, salvaged: str | None, unchecked: str | None) 
     plain = {name: (words or "").encode("ascii", "replace").decode("ascii")[:2000] for name, words in said.items()}
     remark = "".join(f"comment {name}: {words}\n" for name, words in plain.items() if words)
     return _HEADER.format(crc=crc, points=points, remark=remark).encode("ascii")
-
-
-def write_ply(path: Path, cloud: PointCloud) -> None:
-    """Write a cloud for a desk, whole or not at all; scans are written by ``Library``.
-
-    Raises StorageError, ValueError.
-    """
-    LocalFileSystem().replace_file(path, *encode_ply(cloud))
 
 
 def read_ply(path: Path) -> StoredCloud:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,6 @@ from appliance.measure import (
     Grade,
     Judgement,
     Mask,
-    PatternSequence,
     Pipeline,
     ProcessedSequence,
     QualityLimits,
@@ -36,7 +34,6 @@ from appliance.measure import (
     Verdict,
     Verdicts,
     Water,
-    build_sequence,
     faults_of_both,
     grade,
 )
@@ -108,12 +105,6 @@ def _faults_in_words(judgements: Sequence[Judgement]) -> str:
     return "".join(f" ({fault.code.value}: {fault.detail})" for fault in faults)
 
 
-def refuse_empty(folder: Path, empty: Empty | None) -> None:
-    """Raises ScanError where ``why_empty`` had a reason."""
-    if empty is not None:
-        raise stored.ScanError(f"{folder}: {empty.reason}")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ReprocessedScan:
     """A stored scan after everything the instrument does with one."""
@@ -169,8 +160,8 @@ def reprocess_scan(
     ``settings``: how it was taken (``settings_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are
     not what they should be give their points all the same: the judgements say so.
     """
-    water = water_of_scan(scan, calibration)
-    with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=settings.noise) as pipeline:
+    water = scan.water(calibration)
+    with Pipeline(calibration, water, scan.sequence, limits, noise=settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         full = _work_through(processor, scan.frames, settings, len(pipeline.sequence), progress)
         # Copied out of the pipeline's table, which the next scan would write over.
@@ -190,8 +181,8 @@ def reprocess_bracket(
     ``both``: how either was taken. Raises ScanError where frames are not what they should be, or both do not show the
     same.
     """
-    water = water_of_scan(first, calibration)
-    with Pipeline(calibration, water, sequence_of_scan(first), noise=both[0].noise) as pipeline:
+    water = first.water(calibration)
+    with Pipeline(calibration, water, first.sequence, noise=both[0].noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         judgements: list[Judgement] = []
         held: list[ProcessedSequence] = []
@@ -242,18 +233,3 @@ def _work_through(
                 pass
     assert full is not None, "the last step, since no wrong pattern ends them"
     return full
-
-
-def sequence_of_scan(scan: stored.StoredScan) -> PatternSequence:
-    """Return the patterns it was recorded with."""
-    made = scan.manifest.record.sequence
-    return build_sequence(made.period_px, made.width_px, made.height_px)
-
-
-def water_of_scan(scan: stored.StoredScan, calibration: Calibration) -> Water:
-    """Return the water the scan was recorded in, as its manifest says; else that of the calibration."""
-    water = scan.manifest.record.water
-    t, s, w = water.get("temperature_c"), water.get("salinity_psu"), water.get("wavelength_nm")
-    if t is None or s is None or w is None:
-        return calibration.water
-    return Water(t, s, w)

@@ -23,7 +23,16 @@ from appliance.measure import SIDES
 from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError, WritableFile, draft_of
 from appliance.store.manifest import MANIFEST_FILE as MANIFEST
 from appliance.store.names import NUMBER_FILE as NUMBER
-from appliance.store.scan import CALIBRATION, CLOUD_FILE, PREVIEW_FILE, RIG_FILE, frames_file, second_frames_file
+from appliance.store.scan import (
+    CALIBRATION,
+    CLOUD_FILE,
+    PREVIEW_FILE,
+    RIG_FILE,
+    cloud_bytes,
+    frames_bytes,
+    frames_file,
+    second_frames_file,
+)
 
 log = logging.getLogger("kingfisher")
 
@@ -61,12 +70,6 @@ SMALL = MappingProxyType(
 """Sizes in bytes of the pieces that do not depend on the sequence."""
 
 Answer = TypeVar("Answer")
-
-
-def plan_room(frames_bytes: int, cloud_bytes: int) -> dict[str, int]:
-    """Return lengths in bytes of what one scan needs: ``frames_bytes`` for each camera, ``cloud_bytes`` at most for
-    the points."""
-    return {**{f"frames-{side}": frames_bytes for side in SIDES}, "cloud": cloud_bytes, **SMALL}
 
 
 class Room(FileSystem):
@@ -170,6 +173,13 @@ class Room(FileSystem):
             # this block.
             self._fs.remove(slack)
             return call()
+
+    @staticmethod
+    def plan(frames: int, width_px: int, height_px: int) -> dict[str, int]:
+        """Return lengths in bytes of what one scan needs: its frames for each camera, and at most a point for every
+        left pixel."""
+        each, cloud = frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px)
+        return {**{f"frames-{side}": each for side in SIDES}, "cloud": cloud, **SMALL}
 
 
 def _unused(piece: Path) -> bool:

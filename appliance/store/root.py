@@ -36,25 +36,23 @@ def root_around(folder: Path) -> Path | None:
     return next((one for one in (folder, *folder.parents) if is_root(one)), None)
 
 
-def standing_root(environment: Mapping[str, str]) -> Path | None:
-    """Return the storage root around the working directory, else that of ``KINGFISHER_ROOT``; ``None`` where neither
-    says one.
+def standing_root(environment: Mapping[str, str]) -> tuple[Path | None, str]:
+    """Return the storage root around the working directory, else that of ``KINGFISHER_ROOT``, or ``None`` where neither
+    says one; and in words where it was looked for in vain.
 
     Raises NotADirectoryError for a ``KINGFISHER_ROOT`` that is no folder.
     """
+    named = environment.get(VARIABLE)
+    vain = (
+        f"neither the folder you stand in nor one above it is a storage root, {VARIABLE} "
+        f"{f'is {named}' if named else 'is not set'}"
+    )
     try:
         around = root_around(Path.cwd())
     except FileNotFoundError:  # somebody removed the folder that we stand in
         around = None
-    named = environment.get(VARIABLE)
     if around is not None or not named:
-        return around
+        return around, vain
     if not Path(named).is_dir():
         raise NotADirectoryError(f"{VARIABLE}={named}: no such folder; set it to the storage root that holds scans/")
-    return Path(named)
-
-
-def where_none_was_found(environment: Mapping[str, str]) -> str:
-    """Return where ``standing_root`` looked in vain, in words."""
-    variable = "is not set" if not environment.get(VARIABLE) else f"is {environment[VARIABLE]}"
-    return f"neither the folder you stand in nor one above it is a storage root, {VARIABLE} {variable}"
+    return Path(named), vain

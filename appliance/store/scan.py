@@ -11,6 +11,7 @@ and whatever opens the scan reads it as it reads others.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 import zlib
@@ -31,7 +32,9 @@ if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scan
     import numpy as np
     from numpy.typing import NDArray
 
+    from appliance.measure import Calibration, PatternSequence, Water
     from appliance.store.ply import PointCloud, StoredCloud
+    from appliance.store.reprocess import Empty
 
 _HEADER_BYTES = 256
 _HEADER = re.compile(
@@ -61,6 +64,8 @@ def second_frames_file(side: str) -> str:
 
 RAW_FILES = tuple(frames_file(side) for side in SIDES)
 SECOND_FILES = tuple(second_frames_file(side) for side in SIDES)
+FRAME_FILES = (*RAW_FILES, *SECOND_FILES)
+"""Names of all files of frames that a scan may have."""
 
 
 class ScanError(Exception):
@@ -98,6 +103,137 @@ class StoredScan:
             return read_ply(self.folder / CLOUD_FILE)
         except PlyError as error:
             raise ScanError(str(error)) from error
+
+    def problem_of(self, name: str) -> str | None:
+        """Return what is wrong with one of its files, whose bytes are compared with their checksum; ``None`` where it
+        is whole."""
+        if name not in self.manifest.files:
+            return "not in the manifest"
+        alone = replace(self.manifest, files={name: self.manifest.files[name]})
+        return wrong_files(self.folder, alone, checksums=True).get(name)
+
+    def told_of_cloud(self, *parts: Bytes) -> str:
+        """Return what became of the cloud that the instrument stored, beside the new one in ``parts``."""
+        stamp = self.manifest.files.get(CLOUD_FILE)
+        if stamp is None:
+            return "none was stored"
+        digest = hashlib.sha256()
+        for part in parts:
+            digest.update(part)
+        # By its checksum in the manifest, so that it can be said also where the stored cloud itself is damaged or gone.
+        same = digest.hexdigest() == stamp.sha256
+        problem = self.problem_of(CLOUD_FILE)
+        if problem is None:
+            return "the same, byte for byte" if same else "other points"
+        return f"{CLOUD_FILE}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
+
+    @classmethod
+    def load(cls, folder: Path, *, only_raw: bool = False) -> StoredScan:
+        """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError.
+
+        ``only_raw``: whatever is not a file of frames may be missing or damaged.
+        """
+        manifest = cls.manifest_of(folder)
+        wrong = wrong_files(folder, manifest, checksums=False)
+        if only_raw:
+            wrong = {name: what for name, what in wrong.items() if name in FRAME_FILES}
+        if wrong:
+            raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
+        count = len(manifest.record.sequence.patterns)
+        frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
+        second = None
+        if manifest.record.second is not None:
+            second = {side: map_frames(folder / second_frames_file(side), count) for side in SIDES}
+        return cls(folder, manifest, frames, second)
+
+    @staticmethod
+    def manifest_of(folder: Path) -> Manifest:
+        """Return the manifest of a scan's folder. Raises ScanError."""
+        try:
+            return form.read(folder)
+        except ContentError as error:
+            raise ScanError(str(error)) from error
+
+    @staticmethod
+    def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDArray[np.uint8]:
+        """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum.
+
+        Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError,
+        MissingLibraryError.
+        """
+        import numpy as np
+
+        manifest = StoredScan.manifest_of(folder)
+        name = second_frames_file(side) if second else frames_file(side)
+        names = manifest.record.sequence.patterns
+        if not 0 <= k < len(names):
+            raise ScanError(f"{folder}: there is no frame {k}; allowed are 0 to {len(names) - 1}")
+        if is_packed(folder, name):
+            frame = _frame_of_packed(packed_path(folder / name), k, len(names))
+        else:
+            frame = np.array(map_frames(folder / name, len(names))[k])
+        if frame_checks(frame[None]) != manifest.frame_crc32.get(name, ())[k : k + 1]:
+            raise ScanError(f"{folder / name}: frame {names[k]} is damaged (its checksum does not fit)")
+        return frame
+
+    @property
+    def sequence(self) -> PatternSequence:
+        """The patterns it was recorded with."""
+        from appliance.measure import build_sequence
+
+        made = self.manifest.record.sequence
+        return build_sequence(made.period_px, made.width_px, made.height_px)
+
+    def water(self, calibration: Calibration) -> Water:
+        """Return the water it was recorded in, as its manifest says; else that of the ``calibration``."""
+        from appliance.measure import Water
+
+        water = self.manifest.record.water
+        t, s, w = water.get("temperature_c"), water.get("salinity_psu"), water.get("wavelength_nm")
+        if t is None or s is None or w is None:
+            return calibration.water
+        return Water(t, s, w)
+
+    def refuse_empty(self, empty: Empty | None) -> None:
+        """Raises ScanError where there is a reason why it has (nearly) no points."""
+        if empty is not None:
+            raise ScanError(f"{self.folder}: {empty.reason}")
+
+    @staticmethod
+    def keep(folder: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin) -> None:
+        """Make the scan ``folder`` outside of a library, whole or not at all: beside it, under a name that nobody takes
+        for a scan, then by one rename.
+
+        Raises StorageError, ValueError.
+        """
+        fs, draft = LocalFileSystem(), draft_of(folder)
+        if draft.exists():
+            discard_raw(fs, draft)  # of an attempt that was interrupted
+        try:
+            manifest = write_raw(fs, draft, folder.name, frames, record, origin)
+            finish_scan(fs, draft, manifest, Decision.KEPT, record)
+            fs.move_folder(draft, folder)
+        except BaseException:
+            with suppress(StorageError):
+                discard_raw(fs, draft)
+            raise
+
+    @staticmethod
+    def refuse_damage(folder: Path) -> None:
+        """Compare every byte of the frames in a scan's folder with its checksum.
+
+        Raises ScanError that names every damaged file, and the frame where that is known.
+        """
+        from appliance.store.damage import damaged_frames
+
+        manifest = StoredScan.manifest_of(folder)
+        damaged = damaged_frames(folder, manifest)
+        if damaged:
+            told = "; ".join(str(one) for one in damaged)
+            raise ScanError(
+                f"{folder}: {told}; bring the scan's folder back from a copy, or see what `kingfisher cloud` makes without "
+                "(.ply)"
+            )
 
 
 def write_raw(
@@ -205,25 +341,6 @@ def finish_scan(
     return final
 
 
-def keep_scan(folder: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin) -> None:
-    """Make the scan ``folder`` outside of a library, whole or not at all: beside it, under a name that nobody takes for
-    a scan, then by one rename.
-
-    Raises StorageError, ValueError.
-    """
-    fs, draft = LocalFileSystem(), draft_of(folder)
-    if draft.exists():
-        discard_raw(fs, draft)  # of an attempt that was interrupted
-    try:
-        manifest = write_raw(fs, draft, folder.name, frames, record, origin)
-        finish_scan(fs, draft, manifest, Decision.KEPT, record)
-        fs.move_folder(draft, folder)
-    except BaseException:
-        with suppress(StorageError):
-            discard_raw(fs, draft)
-        raise
-
-
 def discard_raw(fs: FileSystem, folder: Path) -> None:
     """Take back a ``write_raw`` that failed, whose frames are still in memory. Raises StorageError."""
     for name in (form.MANIFEST_FILE, *RAW_FILES, *ORIGIN_FILES):  # the manifest first: it must never list what is gone
@@ -237,7 +354,7 @@ def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[st
 
     Lengths are compared, and with ``checksums`` every byte.
     """
-    needed = RAW_FILES if manifest.record.second is None else (*RAW_FILES, *SECOND_FILES)
+    needed = RAW_FILES if manifest.record.second is None else FRAME_FILES
     wrong = {name: "not in the manifest" for name in needed if name not in manifest.files}
     for name, stamp in sorted(manifest.files.items()):
         if is_packed(folder, name):
@@ -260,7 +377,7 @@ def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[st
 
 def is_packed(folder: Path, name: str) -> bool:
     """Return True if the file of frames ``name`` lies in ``folder`` in its packed form only."""
-    frames = name in RAW_FILES or name in SECOND_FILES
+    frames = name in FRAME_FILES
     return frames and not (folder / name).exists() and packed_path(folder / name).exists()
 
 
@@ -282,33 +399,6 @@ def _wrong_packed(path: Path, stamp: Stamp, *, checksums: bool) -> str | None:
     return None
 
 
-def manifest_of(folder: Path) -> Manifest:
-    """Return the manifest of a scan's folder. Raises ScanError."""
-    try:
-        return form.read(folder)
-    except ContentError as error:
-        raise ScanError(str(error)) from error
-
-
-def load_scan(folder: Path, *, only_raw: bool = False) -> StoredScan:
-    """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError.
-
-    ``only_raw``: whatever is not a file of frames may be missing or damaged.
-    """
-    manifest = manifest_of(folder)
-    wrong = wrong_files(folder, manifest, checksums=False)
-    if only_raw:
-        wrong = {name: what for name, what in wrong.items() if name in (*RAW_FILES, *SECOND_FILES)}
-    if wrong:
-        raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
-    count = len(manifest.record.sequence.patterns)
-    frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
-    second = None
-    if manifest.record.second is not None:
-        second = {side: map_frames(folder / second_frames_file(side), count) for side in SIDES}
-    return StoredScan(folder, manifest, frames, second)
-
-
 def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
     """Return the length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for
     anything else.
@@ -319,28 +409,6 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
     if found is None:
         return None
     return 10 + int.from_bytes(found[1], "little"), (int(found[2]), int(found[3]), int(found[4]))
-
-
-def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDArray[np.uint8]:
-    """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum.
-
-    Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError,
-    MissingLibraryError.
-    """
-    import numpy as np
-
-    manifest = manifest_of(folder)
-    name = second_frames_file(side) if second else frames_file(side)
-    names = manifest.record.sequence.patterns
-    if not 0 <= k < len(names):
-        raise ScanError(f"{folder}: there is no frame {k}; allowed are 0 to {len(names) - 1}")
-    if is_packed(folder, name):
-        frame = _frame_of_packed(packed_path(folder / name), k, len(names))
-    else:
-        frame = np.array(map_frames(folder / name, len(names))[k])
-    if frame_checks(frame[None]) != manifest.frame_crc32.get(name, ())[k : k + 1]:
-        raise ScanError(f"{folder / name}: frame {names[k]} is damaged (its checksum does not fit)")
-    return frame
 
 
 def _frame_of_packed(path: Path, k: int, count: int) -> NDArray[np.uint8]:

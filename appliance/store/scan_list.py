@@ -55,48 +55,47 @@ class ScanList:
     limits_mm: Mapping[Symbol, float] = field(default_factory=dict)
     """Largest permissible errors; what is not there is not limited."""
 
+    @classmethod
+    def read(cls, path: Path) -> ScanList:
+        """Read a list, TOML or (by its name) JSON: ``docs/evaluation.md``. Raises ListError."""
+        try:
+            text = read_text(path, MOST_BYTES)
+            content = json.loads(text) if path.suffix == ".json" else parse_toml(text)
+        except OSError as error:
+            raise ListError(f"LIST {path}: cannot be read ({error.strerror}); give the list of scans") from error
+        except (ValueError, RecursionError) as error:
+            raise ListError(f"LIST {path}: not readable ({error}); see docs/evaluation.md") from error
+        if not isinstance(content, dict):
+            raise ListError(f"LIST {path}: a table was expected, not {type(content).__name__}; see docs/evaluation.md")
+        # A misspelt key would be a certificate that is silently not used.
+        _known(path, content, _TOP_KEYS)
+        tables = content.get("scan")
+        if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
+            raise ListError(f"LIST {path}: no scan in it; give at least one [[scan]]")
+        reference = content.get("reference_mm", REFERENCE_MM)
+        limits = content.get("limits", {})
+        if not isinstance(limits, dict):
+            raise ListError(f"LIST {path}: limits is no table; give [limits] with {', '.join(LIMITS)}")
+        _known(path, limits, set(LIMITS), "limits.")
+        return cls(
+            tuple(_entry(path, k, table) for k, table in enumerate(tables)),
+            _text(path, content, "operator"),
+            _number(path, "reference_mm", reference, REFERENCE_RANGE_MM),
+            {LIMITS[key]: _number(path, f"limits.{key}", value, LIMIT_MM) for key, value in limits.items()},
+        )
 
-def read_list(path: Path) -> ScanList:
-    """Read a list, TOML or (by its name) JSON: ``docs/evaluation.md``. Raises ListError."""
-    try:
-        text = read_text(path, MOST_BYTES)
-        content = json.loads(text) if path.suffix == ".json" else parse_toml(text)
-    except OSError as error:
-        raise ListError(f"LIST {path}: cannot be read ({error.strerror}); give the list of scans") from error
-    except (ValueError, RecursionError) as error:
-        raise ListError(f"LIST {path}: not readable ({error}); see docs/evaluation.md") from error
-    if not isinstance(content, dict):
-        raise ListError(f"LIST {path}: a table was expected, not {type(content).__name__}; see docs/evaluation.md")
-    # A misspelt key would be a certificate that is silently not used.
-    _known(path, content, _TOP_KEYS)
-    tables = content.get("scan")
-    if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
-        raise ListError(f"LIST {path}: no scan in it; give at least one [[scan]]")
-    reference = content.get("reference_mm", REFERENCE_MM)
-    limits = content.get("limits", {})
-    if not isinstance(limits, dict):
-        raise ListError(f"LIST {path}: limits is no table; give [limits] with {', '.join(LIMITS)}")
-    _known(path, limits, set(LIMITS), "limits.")
-    return ScanList(
-        tuple(_entry(path, k, table) for k, table in enumerate(tables)),
-        _text(path, content, "operator"),
-        _number(path, "reference_mm", reference, REFERENCE_RANGE_MM),
-        {LIMITS[key]: _number(path, f"limits.{key}", value, LIMIT_MM) for key, value in limits.items()},
-    )
-
-
-def refuse_repeats(path: Path, entries: Sequence[ListedScan], folders: Sequence[Path]) -> None:
-    """Raise ListError for an artefact that the list at ``path`` names twice in one of the scans' ``folders``: it would
-    count twice."""
-    seen: dict[tuple[Path, Artefact], int] = {}
-    for k, (entry, folder) in enumerate(zip(entries, folders, strict=True)):
-        before = seen.setdefault((folder.resolve(), entry.artefact), k)
-        if before != k:
-            raise ListError(
-                f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{before}] ({entries[before].scan!r:.60}) once "
-                "more, with the same "
-                f"artefact {entry.artefact.value}, and would count twice; remove one of them"
-            )
+    def refuse_repeats(self, path: Path, folders: Sequence[Path]) -> None:
+        """Raise ListError for an artefact that the list at ``path`` names twice in one of the scans' ``folders``: it
+        would count twice."""
+        seen: dict[tuple[Path, Artefact], int] = {}
+        for k, (entry, folder) in enumerate(zip(self.entries, folders, strict=True)):
+            before = seen.setdefault((folder.resolve(), entry.artefact), k)
+            if before != k:
+                raise ListError(
+                    f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{before}] ({self.entries[before].scan!r:.60}) once "
+                    "more, with the same "
+                    f"artefact {entry.artefact.value}, and would count twice; remove one of them"
+                )
 
 
 def _entry(path: Path, k: int, table: dict[str, Any]) -> ListedScan:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.store.library import LibraryFolder
-from appliance.store.names import CALIBRATIONS
+from appliance.store.names import CALIBRATION_FILE
 
 if TYPE_CHECKING:  # brings pydantic, which a verb without a rig file can do without
     from appliance.store.config import Rig
@@ -36,5 +36,5 @@ def root_of(folder: Path) -> Path | None:
     whole = folder.absolute()
     root = whole.parent.parent
     # A folder called `scans` may be anywhere; one with `calibration` beside it is a storage root.
-    inside = whole.parent.name in {shelf.value for shelf in LibraryFolder} and (root / CALIBRATIONS).is_dir()
+    inside = whole.parent.name in {shelf.value for shelf in LibraryFolder} and (root / CALIBRATION_FILE).parent.is_dir()
     return root if inside else None

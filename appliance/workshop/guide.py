@@ -15,9 +15,12 @@ from appliance.base import Progress
 from appliance.instrument import whatever_is_there
 from appliance.store import Rig, hold_lock, load_rig
 from appliance.workshop import steps
+from appliance.workshop.bench import light_bench
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.kept import PAGE, STATE, STATE_FILE, GuideFolder, GuideState, StepRecord
-from appliance.workshop.page import guide_page
+from appliance.workshop.light import LightTiming
+from appliance.workshop.page import guide_page, outcomes_page
+from appliance.workshop.projector import PROJECTOR_PAGE, measure_on_wall, measure_projector, outcomes_in_order
 from appliance.workshop.rig_edit import KeyValue, Value, replace_rig, with_keys
 from appliance.workshop.step import GivenUp, GuideStep, Person, StepOutcome, Workplace, inputs_of, refusal
 from drivers import rig as drivers_rig
@@ -204,6 +207,40 @@ def keys_of(outcomes: Collection[StepOutcome]) -> dict[KeyValue, Value]:
     if not all(one.good for one in outcomes):
         return {}
     return {place: value for one in outcomes for place, value in one.keys.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class ProjectorReport:
+    """Outcome of measuring a projector outside of the guide."""
+
+    findings: tuple[Finding, ...]
+    timing: LightTiming
+    keys: Mapping[KeyValue, Value]
+    """Keys of the rig file that follow from it, all or none."""
+    rig_text: str
+    """The rig file with them."""
+    files: Mapping[str, bytes]
+    """The page, and the pictures in it, by name."""
+
+
+def projector_report(rig: Rig, rig_text: str, say: Progress) -> ProjectorReport:
+    """Measure the projector of ``rig`` on a white wall, which the instrument stands before.
+
+    ``rig_text``: of its rig file; empty: it is not to be changed. Raises DeviceError, BringupError, StorageError.
+    """
+    with light_bench(rig) as bench:
+        measured = measure_projector(bench, rig.scan.most_gain_db, say)
+    outcomes, findings = outcomes_in_order(judge_together(steps.STEPS, measure_on_wall, measured, rig).values())
+    keys = keys_of(outcomes)
+    page = outcomes_page("Kingfisher: the projector, as its own cameras see it", findings, outcomes)
+    pictures = {name: data for one in outcomes for name, (_, data) in one.pictures.items()}
+    return ProjectorReport(
+        tuple(findings),
+        measured.lamp.timing,
+        keys,
+        with_keys(rig_text, keys) if keys and rig_text else rig_text,
+        {PROJECTOR_PAGE: page.encode(), **pictures},
+    )
 
 
 def _about(rig: Rig, wires: Wires) -> dict[str, tuple[str, ...]]:

@@ -36,7 +36,7 @@ from appliance.measure import (
     fit_plane,
     flatness,
 )
-from appliance.store import Instrument, Library, ScanError, ScanRecord, SequenceInfo, load_scan
+from appliance.store import Instrument, Library, ScanError, ScanRecord, SequenceInfo
 from appliance.workshop.bench import Image
 from appliance.workshop.finding import BringupError, Finding, judged
 from appliance.workshop.response import ResponseShape, Shape, judge_response
@@ -331,7 +331,7 @@ def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, 
     # The drawing's geometry would make a cloud, too, whose flatness says nothing about the instrument.
     if conditions:
         return None, "there is no calibration yet; calibrate next (docs/calibration.md)", ()
-    scan = load_scan(Library(rig.storage.root).entry(scan_id).folder)
+    scan = Library(rig.storage.root).load(scan_id)
     try:
         worked = work_through(scan, rig, calibration, at.say)
     except ScanError as error:

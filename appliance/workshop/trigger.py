@@ -11,7 +11,7 @@ import numpy as np
 
 from appliance.instrument import CaptureReport, Ledger
 from appliance.store import Rig
-from appliance.workshop.bench import LightBench, Shot, bench_on
+from appliance.workshop.bench import LightBench, Shot, bench_on, light_bench
 from appliance.workshop.finding import Finding, judged
 from appliance.workshop.step import StepOutcome, Workplace
 from drivers.api import FrameStatus
@@ -45,6 +45,15 @@ def do(at: Workplace) -> StepOutcome:
     at.say("firing")
     with bench_on(at.rig, at.wires) as bench:
         return StepOutcome(trigger_findings(fired(bench, at.rig).ledger))
+
+
+def measure_trigger(rig: Rig) -> tuple[Finding, ...]:
+    """Fire ``PULSES`` triggers on the bench of ``rig`` and judge them.
+
+    Raises DeviceError, BringupError, StorageError.
+    """
+    with light_bench(rig) as bench:
+        return trigger_findings(fired(bench, rig).ledger)
 
 
 def fired(bench: LightBench, rig: Rig, exposure_us: int | None = None) -> CaptureReport:

@@ -10,9 +10,9 @@ from pathlib import Path
 from statistics import median
 
 from appliance.measure.light.sides import SIDES
-from appliance.store import scan as stored
 from appliance.store.archive import Copied, pack_scan
 from appliance.store.atomic import LocalFileSystem
+from appliance.store.scan import StoredScan
 from bench.archive.scenes import Drawn
 from bench.result import Measured
 
@@ -52,7 +52,7 @@ def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], Non
             raise RuntimeError(f"{target} was not written")
         pack_s = time.process_time() - begun_s
         begun_s = time.process_time()
-        stored.load_scan(target)
+        StoredScan.load(target)
         open_s = time.process_time() - begun_s
         frame_s = median(_frame_cpu_s(target, side, k) for side in SIDES for k in range(0, 24, 4))
         sizes = [sum(path.stat().st_size for path in folder.glob("frames_*")) for folder in (one.folder, target)]
@@ -64,7 +64,7 @@ def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], Non
 def _frame_cpu_s(folder: Path, side: str, k: int) -> float:
     """Return the processor time of one frame of a packed scan: its manifest, index, stream and checksum, and nothing else."""
     begun_s = time.process_time()
-    stored.read_frame(folder, side, k)
+    StoredScan.read_frame(folder, side, k)
     return time.process_time() - begun_s
 
 

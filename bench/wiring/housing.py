@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.measure.light.water import quan_fry_index
-from appliance.store.config import Rig, default_rig_path, load_rig
+from appliance.store.config import Rig, load_rig
 
 PAGE = Path(__file__).parents[2] / "docs" / "build" / "housing.md"
 BEGIN, END = "<!-- figures begin -->", "<!-- figures end -->"
@@ -68,7 +68,7 @@ def window(rig: Rig) -> Window:
 
 def table() -> str:
     """Return the page's table, for the packaged rig file."""
-    rig = load_rig(default_rig_path())
+    rig = load_rig()
     design, made = rig.design, window(rig)
     rows = (
         ("distance of the projection centres", f"{design.baseline_mm:g} mm", "`baseline_mm`"),

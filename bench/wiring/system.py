@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from appliance.store.config import default_rig_path, load_rig
+from appliance.store.config import load_rig
 from bench.wiring.sheet import COLOURS, Point, Sheet
 from drivers.board.firmware import pins
 
@@ -11,7 +11,7 @@ VIDEO, USB3, USB2 = COLOURS["sync"], "#1565c0", "#00897b"
 
 def system_plan() -> Sheet:
     """Draw the sheet, with modes and identities of the packaged rig file."""
-    rig = load_rig(default_rig_path())
+    rig = load_rig()
     projector, display = rig.projector, rig.display
     sheet = Sheet(
         1560, 1130, "The whole instrument",

@@ -29,8 +29,8 @@ from appliance.desk.reconstruct import work_through
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import load_rig
 from appliance.store.instrument import Instrument, load_calibration
-from appliance.store.origin import calibration_for, open_source
-from appliance.store.scan import ScanError, StoredScan, manifest_of
+from appliance.store.origin import SourceScan
+from appliance.store.scan import ScanError, StoredScan
 from appliance.store.wish import Wish
 from tests.support.truth import WATER
 
@@ -152,7 +152,7 @@ def outcome_of(folder: Path) -> Outcome:
         for scan in sorted(path.parent for path in Path(root).glob("*/*/manifest.json")):
             name = f"{root}/{scan.name}"
             outcome.said[f"manifest {name}"] = json.loads((scan / "manifest.json").read_text(encoding="utf-8"))
-            assert manifest_of(scan).scan_id == scan.name
+            assert StoredScan.manifest_of(scan).scan_id == scan.name
             outcome.said[f"verdicts {name}"], outcome.clouds[name] = _processed(scan, rig)
     for name, (scan_id, change) in CHANGES.items():
         outcome.said[f"verdicts with {name}"], _ = _processed(Path("root/scans") / scan_id, ROOTS["root"], change)
@@ -170,9 +170,9 @@ def outcome_of(folder: Path) -> Outcome:
 def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Return verdicts and cloud of a scan after a ``change``."""
     wish = Wish(rig=load_rig(Path(rig)), root=scan.parents[1])
-    source = open_source(scan, wish)
+    source = SourceScan.open(scan, wish)
     try:
-        worked = work_through(change(source.scan), source.rig, calibration_for(source, wish).calibration, silent)
+        worked = work_through(change(source.scan), source.rig, source.calibration_for(wish).calibration, silent)
     except ScanError as error:
         return {"refused": str(error)}, {}
     verdicts = [

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from appliance.store.config import default_rig_path, load_rig
+from appliance.store.config import load_rig
 from bench.wiring.housing import BEGIN, END, PAGE, STEEP_PX, table, window
 from bench.wiring.plans import FOLDER, PLANS
 from drivers.board.firmware import pins as board
@@ -20,7 +20,7 @@ from drivers.keys.firmware import pins as keys
 SVG = "{http://www.w3.org/2000/svg}"
 MODULES: dict[str, ModuleType] = {"wiring-board.svg": board, "wiring-keys.svg": keys}
 LINES = [(name, line) for name, pins in MODULES.items() for line in pins.LINES]
-RIG = load_rig(default_rig_path())
+RIG = load_rig()
 INDEX = 1.335
 """Fresh water at 530 nm."""
 

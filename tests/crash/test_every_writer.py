@@ -23,14 +23,16 @@ from appliance.cli.setup import _write as write_firmware
 from appliance.desk.anew.results import Results
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
-from appliance.store import archive, incomplete
+from appliance.store import archive
 from appliance.store import label as labels
 from appliance.store import scan as stored
 from appliance.store.atomic import LocalFileSystem
+from appliance.store.incomplete import IncompleteRecording
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Decision
 from appliance.store.pull.source import FolderSource
 from appliance.store.room import Room
+from appliance.store.scan import StoredScan
 from kingfisher_setup import durable, versions
 from kingfisher_transfer import serving
 from tests.appliance.store.pull.instrument import instrument, pulled
@@ -105,8 +107,8 @@ def recordings(root: Path) -> Writing:
     (root / "data").mkdir()
     first, picture = {side: one[:2] for side, one in frames().items()}, np.zeros((4, 6), np.uint8)
     yield
-    incomplete.keep_incomplete(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
-    stored.keep_scan(root / "foreign", frames(), record(), ORIGIN)
+    IncompleteRecording.keep(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
+    StoredScan.keep(root / "foreign", frames(), record(), ORIGIN)
     folder = ViewFolder(root / "views", "KF-1", BoardDesign())
     folder.save(folder.next_name(), picture, picture)
 
@@ -119,7 +121,7 @@ def scans_and_labels(root: Path) -> Writing:
         library.prepare()
         scan = library.begin(frames(), record(), ORIGIN)
         scan.publish(record(), cloud(), PREVIEW)
-        labels.write(FS, root / "data" / "scans" / scan.scan_id, labels.Label("bollard 3"))
+        labels.Label("bollard 3").write(FS, root / "data" / "scans" / scan.scan_id)
         room.hold(PLAN)
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from appliance.calibrate.health import HealthFile, HealthTrend, TrendPoint
-from appliance.store.instrument import CALIBRATION_FILE, load_calibration
+from appliance.store.instrument import load_calibration
 from appliance.store.lock import hold_lock
+from appliance.store.names import CALIBRATION_FILE
 from tests.support.commands import ROOT, Shell, kingfisher
 
 SMALL_RIG = ROOT / "hw_sim" / "rigs" / "small.toml"

@@ -13,6 +13,7 @@ from appliance.measure.light.sides import SIDES
 from appliance.measure.verdict import Verdict
 from appliance.store import incomplete
 from appliance.store.config import Rig
+from appliance.store.incomplete import IncompleteRecording
 from appliance.store.library import Library, LibraryFolder
 from tests.integration.dived import calibrate_exactly, instrument, off_surface_mm
 from tests.support.commands import Shell
@@ -133,7 +134,7 @@ def test_what_is_left_of_a_scan_that_broke_in_its_second_direction_is_kept_apart
 ) -> None:
     """Its points are those of a whole scan: ``tests/appliance/desk/test_rescue.py``."""
     (folder,) = (library.root / incomplete.INCOMPLETE_FOLDER).iterdir()
-    recording = incomplete.load_incomplete(folder)
+    recording = IncompleteRecording.load(folder)
     frames = recording.scan.frames
     assert 14 <= len(frames["left"]) == len(frames["right"]) == 24 - len(recording.missing) <= 18
     assert recording.scan.manifest.reason.startswith("CAMERA_LOST: ")

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import default_rig_path, load_rig
-from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.names import CALIBRATION_FILE
 from hw_sim.truth import TrueRig
 from hw_sim.wires.umockdev.testbed import Testbed
 from tests.support.truth import true_calibration

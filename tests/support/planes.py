@@ -10,7 +10,6 @@ import numpy as np
 from appliance.measure.light.patterns import build_sequence
 from appliance.measure.points.pipeline import Pipeline
 from appliance.store.config import Rig, load_rig
-from appliance.store.config.load import default_rig_path
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.manifest import ScanRecord, SequenceInfo
@@ -21,7 +20,7 @@ NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)
 
 def small_rig(root: Path) -> Rig:
     """The packaged rig with small cameras and its storage at ``root``."""
-    rig = load_rig(default_rig_path())
+    rig = load_rig()
     cameras = replace(
         rig.camera,
         left=replace(rig.camera.left, width_px=400, height_px=300),

@@ -44,7 +44,7 @@ def test_with_the_packaged_rig_file_the_rules_are_the_shipped_ones(layout: Layou
     versions.switch(layout, "1.0")
     assert layout.at(RULES).read_text() == SHIPPED
     assert looked_for(SHIPPED) == {"usb": {"1209:4b42", "1209:4b46"}, "tty": {"1209:4b42"}, "hidraw": {"1209:4b46"}}
-    rig = load_rig(default_rig_path())
+    rig = load_rig()
     written = {table: (part.vendor_id, part.product_id) for table, part in (("board", rig.board), ("keys", rig.keys))}
     assert written == dict(identities.SHIPPED)
 

@@ -44,18 +44,14 @@ from appliance.measure import SPOILS_SCAN, Calibration, CalibrationError, NotFou
 from appliance.store import (
     Instrument,
     ListedScan,
-    PackedError,
     ScanError,
     ScanList,
     SourceScan,
     StorageError,
+    StoredScan,
     Wish,
-    calibration_for,
     encode_ply,
     load_calibration,
-    manifest_of,
-    open_source,
-    refuse_damaged_frames,
 )
 
 _MB = 1024.0
@@ -78,9 +74,9 @@ def attempt(job: Job) -> Row:
     begun_s, begun_cpu_s = time.monotonic(), time.process_time()
     row: Row = {"scan": folder.name, "folder": job.folder, "host": socket.gethostname(), "result": name}
     try:
-        row["recorded"] = manifest_of(folder).record.wall_time
+        row["recorded"] = StoredScan.manifest_of(folder).record.wall_time
         found, cloud = _worked_through(job, settings, wish)
-    except (ScanError, CalibrationError, PackedError) as error:
+    except (ScanError, CalibrationError) as error:
         failure = {"reason": str(error)}
     except (StorageError, OSError, MemoryError, MissingLibraryError, ImportError):
         raise
@@ -119,9 +115,8 @@ def _refuse_unfit(job: Job, settings: Mapping[str, Any]) -> None:
 
 
 def _worked_through(job: Job, settings: Mapping[str, Any], wish: Wish) -> tuple[Row, Any]:
-    refuse_damaged_frames(Path(job.folder))
-    source = open_source(Path(job.folder), wish)
-    chosen = calibration_for(source, wish)
+    source = SourceScan.open(Path(job.folder), wish, whole=True)
+    chosen = source.calibration_for(wish)
     if settings["water"] is not None:
         source = _in_water(source, settings["water"], chosen.calibration)
     worked = work_through(source.scan, source.rig, chosen.calibration, silent)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from appliance.base import read_bounded, refuse_irregular
 from appliance.desk.foreign.problem import ForeignError
-from appliance.store import picture_head, size_px
+from appliance.store import picture_head
 
 HEADER_BYTES = 16 * 1024
 """Bytes that are read for a header; those of arrays of numbers have some hundred."""
@@ -206,7 +206,7 @@ def _read(frame: Frame) -> NDArray[Any]:
     try:
         if frame.page is None:
             raw = read_bounded(frame.path, MOST_FILE_BYTES)
-            stated = size_px(raw)
+            stated = picture_head(raw)
             # A decoder makes room for as many pixels as a few bytes promise.
             if stated is not None and stated[0] * stated[1] > MOST_PIXELS:
                 raise ForeignError(

@@ -31,15 +31,7 @@ from appliance.measure import (
     build_sequence,
     of_side,
 )
-from appliance.store import (
-    Instrument,
-    Rig,
-    ScanRecord,
-    SequenceInfo,
-    default_rig_path,
-    keep_scan,
-    load_rig,
-)
+from appliance.store import Instrument, Rig, ScanRecord, SequenceInfo, StoredScan, load_rig
 
 _FOUR_DEG = [0, 90, 180, 270]
 METHOD = "foreign"
@@ -157,7 +149,7 @@ def write_own(
             "index": water.index,
         },
     )  # fmt: skip
-    keep_scan(out, frames, record, Instrument(rig).origin(calibration))
+    StoredScan.keep(out, frames, record, Instrument(rig).origin(calibration))
     return {"folder": str(out), "frames": len(sequence), "period_px": sequence.period_px}
 
 
@@ -183,7 +175,7 @@ def calibration_of(scan: ForeignScan) -> Calibration:
 
 def _rig(scan: ForeignScan, calibration: Calibration) -> Rig:
     """Return the packaged rig with the foreign cameras and projector in place of its own."""
-    rig = load_rig(default_rig_path())
+    rig = load_rig()
     serials = calibration.camera_serials or tuple(f"{scan.description.name} {side}" for side in SIDES)
 
     def camera(side: str, serial: str) -> Any:

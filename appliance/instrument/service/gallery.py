@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from appliance.instrument.machine import events as on
 from appliance.instrument.screens.views import StoredScan
 from appliance.measure import GRADE_NAME, LENGTHS_DOUBTFUL
-from appliance.store import PREVIEW_FILE, Library, ScanEntry, StorageError, UnknownScan
+from appliance.store import Library, ScanEntry, StorageError, UnknownScan
 
 MAX_PREVIEW_BYTES = 20_000_000
 
@@ -92,11 +92,11 @@ def read(library: Library, scan_id: str) -> StoredScan:
 
 def _preview(entry: ScanEntry) -> tuple[NDArray[np.uint8] | None, bool]:
     """Return the picture, and whether it is as it should be: there and readable, or never made."""
-    # A scan that was recovered, or kept without a cloud, never had one.
-    if entry.manifest is None or PREVIEW_FILE not in entry.manifest.files:
+    path = entry.preview_file
+    if path is None:
         return None, True
     try:
-        with (entry.folder / PREVIEW_FILE).open("rb") as file:
+        with path.open("rb") as file:
             data = file.read(MAX_PREVIEW_BYTES)
     except OSError:
         return None, False

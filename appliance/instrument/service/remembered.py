@@ -27,7 +27,7 @@ from appliance.base import FINITE, Among, ContentError, SealedFile, Within, plai
 from appliance.instrument.machine.choices import COLDEST_C, LANGUAGES, WARMEST_C, Choices
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
 from appliance.measure import PERIODS_PX, Exposure, Fault, FaultCode
-from appliance.store import CALIBRATIONS, FileSystem, LocalFileSystem
+from appliance.store import CALIBRATION_FILE, FileSystem, LocalFileSystem
 
 log = logging.getLogger("kingfisher")
 
@@ -151,7 +151,7 @@ class BeamsFile:
 
     def __init__(self, root: Path, pointers: Pointers, fs: FileSystem | None = None) -> None:
         """Remember beams below ``root``; ``pointers`` are as the rig file draws them."""
-        self.path = root / CALIBRATIONS / "beams.json"
+        self.path = (root / CALIBRATION_FILE).with_name("beams.json")
         self._pointers = pointers
         self._fs: FileSystem = fs or LocalFileSystem()
 

@@ -31,6 +31,7 @@ from appliance.instrument.machine.states import Part, PartTested
 from appliance.instrument.machine.words import Label, Text
 from appliance.measure import SIDES, Cloud, Exposure, Fault, FaultCode, Verdict
 from appliance.store import (
+    IncompleteRecording,
     Library,
     LocalFileSystem,
     PendingScan,
@@ -39,11 +40,6 @@ from appliance.store import (
     ScanRecord,
     SecondSequence,
     StorageError,
-    cloud_bytes,
-    frames_bytes,
-    keep_incomplete,
-    largest_number,
-    plan_room,
     size_bytes,
 )
 from drivers.api import Clock
@@ -149,7 +145,7 @@ class ScanRoom:
     def size(self, frames: int, width_px: int, height_px: int) -> None:
         """Count with scans of another size from now on."""
         self._scan_bytes = size_bytes(frames, width_px, height_px)
-        self._plan = plan_room(frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px))
+        self._plan = Room.plan(frames, width_px, height_px)
 
     @property
     def due(self) -> bool:
@@ -334,7 +330,7 @@ class ScanFiles:
     ) -> list[on.Event]:
         """Keep what was recorded before ``fault``, if there is room beside the next scan; nobody is told but the log."""
         try:
-            kept = keep_incomplete(
+            kept = IncompleteRecording.keep(
                 self._fs,
                 self._library.root,
                 frames,
@@ -365,7 +361,7 @@ class ScanFiles:
     def count_objects(self) -> list[on.Event]:
         """Answer ObjectsCounted; where manifests cannot be listed, what the diver's choices remember counts alone."""
         try:
-            return [on.ObjectsCounted(largest_number(self._library))]
+            return [on.ObjectsCounted(self._library.largest_object())]
         except OSError as error:
             log.warning("numbers of objects are not looked up: %s", error)
             return [on.ObjectsCounted(0)]

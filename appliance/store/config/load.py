@@ -58,9 +58,12 @@ def default_rig_path() -> Path:
     return Path(str(resources.files("appliance").joinpath("store", "rigs", "kingfisher.toml")))
 
 
-def load_rig(path: Path | str) -> Rig:
-    """Read and check a rig file. Raises ConfigError, never anything else, for whatever the file holds."""
-    path = Path(path)
+def load_rig(path: Path | str | None = None) -> Rig:
+    """Read and check a rig file, by default the packaged one.
+
+    Raises ConfigError, never anything else, for whatever the file holds.
+    """
+    path = Path(path or default_rig_path())
     try:
         text = read_text(path, _MAX_BYTES)
     except OSError as error:

@@ -22,7 +22,7 @@ from appliance.store.atomic import LocalFileSystem
 from appliance.store.incomplete import INCOMPLETE_FOLDER
 from appliance.store.library import LibraryFolder
 from appliance.store.lock import hold_lock
-from appliance.store.names import CALIBRATIONS, OBJECTS, by_number, is_component, scan_number
+from appliance.store.names import CALIBRATION_FILE, OBJECTS, by_number, is_component, scan_number
 from appliance.store.pull.source import (
     LIBRARY,
     NEEDS_IT,
@@ -305,7 +305,9 @@ def _beside(source: Source, target: Path, fs: LocalFileSystem, done: Pulled) -> 
 
     One that is another here goes beside it, under a name with its checksum.
     """
-    files = {path: path for folder in (CALIBRATIONS, OBJECTS) for path in _small_files(source, folder, done)}
+    files = {
+        path: path for folder in (CALIBRATION_FILE.parent.name, OBJECTS) for path in _small_files(source, folder, done)
+    }
     for place in RIG_PLACES:
         parent, _, name = place.rpartition("/")
         try:

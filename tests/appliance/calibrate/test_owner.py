@@ -14,7 +14,7 @@ from appliance.instrument.machine.alerts import alert_of
 from appliance.measure.calibration.file import Calibration, CalibrationError, decode_calibration, encode_calibration
 from appliance.measure.calibration.owner import Owner, exchanged, owner_misfit
 from appliance.measure.fault import FaultCode
-from appliance.store.config import Rig, default_rig_path, load_rig
+from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from tests.appliance.store.scenes import frames, record
@@ -25,7 +25,7 @@ OWN = ("KF-CAM-L", "KF-CAM-R")
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Rig:
-    packaged = load_rig(default_rig_path())
+    packaged = load_rig()
     return with_cameras(replace(packaged, storage=replace(packaged.storage, root=tmp_path)), OWN)
 
 

@@ -17,7 +17,7 @@ from appliance.store.config import default_rig_path, load_rig
 from hw_sim.options import options_from
 from hw_sim.truth import SETS
 
-RIG = load_rig(default_rig_path())
+RIG = load_rig()
 
 
 def code_of(argv: list[str]) -> int:

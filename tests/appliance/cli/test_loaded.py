@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import subprocess
 import sys
@@ -21,10 +22,9 @@ from appliance.cli.arguments import (
     operands,
     option,
     repeated,
-    separated,
     whole,
 )
-from appliance.cli.failures import exit_code_of
+from appliance.cli.failures import FAILED, USAGE, exit_code_of
 from appliance.cli.output import Exit
 from appliance.cli.verbs import VERBS, Group, Listed
 from appliance.measure.calibration.file import CalibrationError
@@ -125,7 +125,6 @@ def test_an_option_that_is_repeated_keeps_all_values_and_none_of_the_call_before
         (number(0.05, 16.0), {"0.05": 0.05, "16": 16.0, "1e1": 10.0}, "0.049 16.01 x nan inf", "allowed are 0.05..16"),
         (number(0.01, 50.0, "mm"), {"0.01": 0.01}, "0 50.1 nan", "allowed are numbers 0.01..50 (mm)"),
         (number_above(0.0, 10.0), {"10": 10.0, "0.001": 0.001}, "0 -1 10.01 nan", "numbers above 0, up to 10"),
-        (separated(number(1.0, 3.0)), {"1": (1.0,), "3,2": (3.0, 2.0)}, "1,4 1, ,", "allowed are 1..3"),
     ],
 )
 def test_numbers_out_of_range_are_refused_with_the_range(
@@ -148,3 +147,10 @@ def test_what_a_person_can_do_something_about_ends_with_one_and_a_fault_of_the_p
     assert exit_code_of(CalibrationError("damaged")) is Exit.FAILED
     assert exit_code_of(ScriptFailed("line 3")) is Exit.SCRIPT_FAILED
     assert exit_code_of(ZeroDivisionError()) is None
+
+
+@pytest.mark.parametrize("name", sorted(FAILED | USAGE))
+def test_an_error_that_a_person_can_cure_is_told_in_a_line_wherever_its_class_lies(name: str) -> None:
+    module, _, kind = name.partition(":")
+    error = getattr(importlib.import_module(module), kind)
+    assert error.__module__ == module, "named by another module, it would end as a fault of the program"

@@ -16,15 +16,16 @@ from appliance.measure.fault import FaultCode
 from appliance.measure.verdict import Verdict
 from appliance.store import label as labels
 from appliance.store.atomic import StorageError
-from appliance.store.config import default_rig_path, load_rig
-from appliance.store.instrument import CALIBRATION_FILE, Instrument
+from appliance.store.config import load_rig
+from appliance.store.instrument import Instrument
 from appliance.store.label import Label
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.lock import hold_lock
+from appliance.store.names import CALIBRATION_FILE
 from tests.appliance.store.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
 from tests.support.commands import Shell
 
-DEFAULT_ROOT = load_rig(default_rig_path()).storage.root
+DEFAULT_ROOT = load_rig().storage.root
 
 
 @pytest.fixture
@@ -37,7 +38,7 @@ def root(tmp_path: Path) -> Path:
         kept = record(cloud={"points": 20}, clock_trusted=seed == 2)
         library.begin(frames(seed), kept, ORIGIN).publish(kept, cloud(), PREVIEW)
     library.begin(frames(4), record(), ORIGIN).reject("moved 3 px")
-    made = replace(Instrument(load_rig(default_rig_path())).design(), rig_serial="KF-0042", method="bundle")
+    made = replace(Instrument(load_rig()).design(), rig_serial="KF-0042", method="bundle")
     (root / CALIBRATION_FILE).parent.mkdir()
     (root / CALIBRATION_FILE).write_bytes(encode_calibration(made))
     return root
@@ -121,7 +122,7 @@ def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root
     scans(shell, root, "verify", "2")
     scans(shell, root, "label", "2", "--note", "south")
     assert scans(shell, root, "label", "2", "--name", "").out == "000002  name: -; note: south\n"
-    assert labels.read_label(folder) == Label(None, "south")
+    assert labels.Label.read(folder) == Label(None, "south")
 
 
 def test_a_trashed_scan_is_gone_from_the_lists_and_comes_back_whole(root: Path, shell: Shell) -> None:
@@ -170,7 +171,7 @@ def test_a_disk_that_refuses_leaves_the_old_label_and_the_scan_in_its_place(root
                 Library(root, bad).trash("2")
             assert len(bad.calls) <= call, "nothing failed"
         except StorageError:
-            assert labels.read_label(root / "scans" / "000001") in (Label("before", None), Label("after", "x"))
+            assert labels.Label.read(root / "scans" / "000001") in (Label("before", None), Label("after", "x"))
             places = [root / shelf / "000002" / "manifest.json" for shelf in ("scans", "trash")]
             assert sum(place.is_file() for place in places) == 1
 

@@ -12,7 +12,8 @@ from appliance.cli.output import UsageError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import CALIBRATION_FILE, Instrument, load_calibration
+from appliance.store.instrument import Instrument, load_calibration
+from appliance.store.names import CALIBRATION_FILE
 from hw_sim.truth import project
 from hw_sim.world import true_rig
 

@@ -18,7 +18,7 @@ from appliance.store.atomic import LocalFileSystem
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import Instrument
 from appliance.store.manifest import ScanRecord, SequenceInfo
-from appliance.store.scan import load_scan, write_raw
+from appliance.store.scan import StoredScan, write_raw
 from tests.appliance.store.scenes import ORIGIN
 
 RIG = Path(__file__).parents[3] / "hw_sim" / "rigs" / "small.toml"
@@ -76,7 +76,7 @@ def test_an_instrument_with_these_figures_expects_the_noise_that_was_seen(rig: R
         cameras[side] = replace(camera, **figures)
     used = replace(rig, camera=replace(rig.camera, **cameras))
     expected = Instrument(used).noise(
-        Instrument(used).exposure_of_scan(load_scan(folder, only_raw=True).manifest.record)
+        Instrument(used).exposure_of_scan(StoredScan.load(folder, only_raw=True).manifest.record)
     )
     for side in ("left", "right"):
         seen_dn2 = FOUND[side][0].variance_at_dn2[1]

@@ -11,13 +11,11 @@ import pytest
 from appliance.base import silent
 from appliance.desk.merging import merge_scans, merged_cloud_of
 from appliance.measure.calibration.file import encode_calibration
-from appliance.store import scan as stored
 from appliance.store.config import Rig, load_rig
-from appliance.store.config.load import default_rig_path
 from appliance.store.instrument import load_calibration
-from appliance.store.origin import one_calibration, open_source
+from appliance.store.origin import SourceScan
 from appliance.store.ply import read_ply
-from appliance.store.scan import ScanError
+from appliance.store.scan import ScanError, StoredScan
 from appliance.store.wish import Wish
 from hw_sim.scene import Scene
 from tests.support.rendered import judge, reconstruct, render_scan
@@ -30,7 +28,7 @@ SIZE_PX = (240, 180)
 
 @pytest.fixture
 def rig() -> Rig:
-    whole = load_rig(default_rig_path())
+    whole = load_rig()
     cameras = {side: getattr(whole.camera, side) for side in ("left", "right")}
     small = {side: replace(one, width_px=SIZE_PX[0], height_px=SIZE_PX[1]) for side, one in cameras.items()}
     return replace(whole, camera=replace(whole.camera, **small))
@@ -46,11 +44,13 @@ def test_a_cloud_of_two_exposures_has_more_points_and_is_as_true(rig: Rig, tmp_p
     folders = {name: store(scan, tmp_path / name, exposure_ms=exposures_ms[name]) for name, scan in scans.items()}
     path, out = tmp_path / "calibration.json", tmp_path / "both.ply"
     path.write_bytes(encode_calibration(true_calibration(scans["000001"].renderer.truth)))
-    sources = open_source(folders["000001"], Wish(rig)), open_source(folders["000002"], Wish(rig))
-    report = merge_scans(sources, one_calibration(sources, Wish(calibration=path, foreign=True)), out, silent)
+    sources = SourceScan.open(folders["000001"], Wish(rig)), SourceScan.open(folders["000002"], Wish(rig))
+    report = merge_scans(
+        sources, SourceScan.one_calibration(sources, Wish(calibration=path, foreign=True)), out, silent
+    )
     assert report["scans"] == "000002 + 000001", "the shorter one gives the grey values"
     assert report["exposures"] == "2.5 ms + 16 ms"
-    loaded = (stored.load_scan(folders["000002"]), stored.load_scan(folders["000001"]))
+    loaded = (StoredScan.load(folders["000002"]), StoredScan.load(folders["000001"]))
     cloud, _, _ = merged_cloud_of(loaded, rig, load_calibration(path), silent)
     np.testing.assert_array_equal(read_ply(out).points_mm, cloud.points_mm)
     alone = [judge(scan, reconstruct(scan, load_calibration(path))[1]) for scan in scans.values()]
@@ -64,7 +64,7 @@ def test_scans_between_which_the_instrument_moved_and_of_other_patterns_are_refu
     still = replace(SCENE, pose=(0.0, 0.0, 500.0, 0.0, 0.0, 0.0))
     scans = [render_scan(scene, "realistic", 5, SIZE_PX[0], 16, exposure_s=0.006) for scene in (still, moved)]
     scans.append(render_scan(still, "nominal", 1, 64, 32, height_px=48))
-    loaded = [stored.load_scan(store(scan, tmp_path / f"{k:06d}")) for k, scan in enumerate(scans, 1)]
+    loaded = [StoredScan.load(store(scan, tmp_path / f"{k:06d}")) for k, scan in enumerate(scans, 1)]
     for other, said in ((loaded[1], r"moved by|too little in common|one rigid thing"), (loaded[2], "patterns")):
         with pytest.raises(ScanError, match=said):
             merged_cloud_of((loaded[0], other), rig, true_calibration(scans[0].renderer.truth), silent)

@@ -19,7 +19,7 @@ from appliance.cli.main import main
 from appliance.desk import object_store as objects
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.calibration.file import encode_calibration
-from appliance.store.config import default_rig_path, load_rig
+from appliance.store.config import load_rig
 from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.library import Library
 from appliance.store.ply import PlyError, read_ply
@@ -69,7 +69,7 @@ def small(tmp_path: Path) -> Path:
     for k in range(1, 5):
         said = record(object=NUMBERS.get(f"{k:06d}"))
         library.begin(frames(k), said, ORIGIN).publish(said)
-    rig = load_rig(default_rig_path())
+    rig = load_rig()
     (library.root / "calibration").mkdir()
     (library.root / "calibration" / "truth.json").write_bytes(encode_calibration(Instrument(rig).design()))
     return library.root

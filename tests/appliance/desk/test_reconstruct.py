@@ -15,7 +15,7 @@ from appliance.measure.calibration.file import encode_calibration
 from appliance.measure.light.model import StereoRig
 from appliance.store.config import Rig
 from appliance.store.instrument import Instrument
-from appliance.store.origin import calibration_for, open_source
+from appliance.store.origin import SourceScan
 from appliance.store.ply import read_ply
 from appliance.store.wish import Wish
 from tests.support.planes import small_rig, store_plane
@@ -34,8 +34,8 @@ def test_another_calibration_gives_other_points(rig: Rig, tmp_path: Path) -> Non
     moved = replace(other.rig.left, port=replace(other.rig.left.port, distance_mm=33.0))
     (tmp_path / "other.json").write_bytes(encode_calibration(replace(other, rig=replace(other.rig, left=moved))))
     wish, seen = Wish(rig, calibration=tmp_path / "other.json"), Told()
-    source = open_source(folder, wish)
-    report = reconstruct_scan(source, calibration_for(source, wish), out, seen)
+    source = SourceScan.open(folder, wish)
+    report = reconstruct_scan(source, source.calibration_for(wish), out, seen)
     again = read_ply(out).points_mm
     assert (report["same_calibration"], report["points"]) == (False, len(again))
     assert abs(np.max(again[:, 2]) - np.max(points[:, 2])) > 0.2, "three millimetres of port bend the plane"

@@ -11,12 +11,12 @@ from appliance.base import silent
 from appliance.desk.rescue import rescue_recording
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store import incomplete
-from appliance.store import scan as stored
 from appliance.store.atomic import LocalFileSystem
 from appliance.store.config import Rig
 from appliance.store.config.spell import rig_text
+from appliance.store.incomplete import IncompleteRecording
 from appliance.store.instrument import Instrument
-from appliance.store.origin import calibration_for, open_source
+from appliance.store.origin import SourceScan
 from appliance.store.ply import read_ply
 from appliance.store.scan import ScanError, ScanOrigin, StoredScan
 from appliance.store.wish import Wish
@@ -34,7 +34,7 @@ def rig(tmp_path: Path) -> Rig:
 
 @pytest.fixture
 def whole(rig: Rig) -> StoredScan:
-    return stored.load_scan(store_plane(rig)[0])
+    return StoredScan.load(store_plane(rig)[0])
 
 
 def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -> incomplete.IncompleteRecording:
@@ -47,15 +47,15 @@ def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -
         whole.manifest.record,
     )
     root, reason = rig.storage.root, "CAMERA_LOST: it went away"
-    return incomplete.load_incomplete(
-        incomplete.keep_incomplete(LocalFileSystem(), root, frames, record, origin, reason, 0)
+    return IncompleteRecording.load(
+        IncompleteRecording.keep(LocalFileSystem(), root, frames, record, origin, reason, 0)
     )
 
 
 def rescued(recording: incomplete.IncompleteRecording, out: Path) -> dict[str, object]:
     """The report; no rig file and no root is given: the recording carries all that it needs."""
-    source = open_source(recording.scan.folder, Wish(), recording.scan)
-    return dict(rescue_recording(recording, source, calibration_for(source, Wish()), out, silent))
+    source = SourceScan.open(recording.scan.folder, Wish(), recording.scan)
+    return dict(rescue_recording(recording, source, source.calibration_for(Wish()), out, silent))
 
 
 def test_the_points_are_those_of_the_whole_scan_and_say_that_nothing_checked_them(

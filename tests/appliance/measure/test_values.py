@@ -17,13 +17,13 @@ from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.measure.light.noise import MAD_TO_SIGMA, TYPICAL, CameraNoise, StereoNoise, camera_noise
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.verdict import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, Verdict, grade, is_usable
-from appliance.store.config.load import default_rig_path, load_rig
+from appliance.store.config.load import load_rig
 
 CAMERA = CameraNoise(read_dn=0.9, dn_per_e=0.05, black_dn=3.0)
 
 
 def test_of_what_nothing_is_said_the_shipped_rig_file_holds() -> None:
-    rig, usual = load_rig(default_rig_path()), AcquisitionSettings()
+    rig, usual = load_rig(), AcquisitionSettings()
     camera = rig.camera.left
     assert usual.frame_s == pytest.approx(1.0 / rig.projector.refresh_hz)
     assert usual.exposure == Exposure(round(1000.0 * camera.exposure_ms), camera.gain_db)

@@ -17,7 +17,7 @@ from appliance.store.atomic import Bytes, LocalFileSystem, WritableFile
 from appliance.store.library import LibraryFolder
 from appliance.store.manifest import ScanRecord, SecondSequence, SequenceInfo
 from appliance.store.ply import StoredCloud
-from appliance.store.room import plan_room
+from appliance.store.room import Room
 from appliance.store.scan import ScanOrigin
 from tests.support.sealing import sealed
 
@@ -53,7 +53,7 @@ def second_sequence() -> SecondSequence:
     return SecondSequence(Exposure(14_000), 99, {"case": 31.0}, {"flips": [{"sequence": 5}]}, (weak,))
 
 
-PLAN = {name: min(length, 20_000) for name, length in plan_room(1000, 10_000).items()}
+PLAN = {name: min(length, 20_000) for name, length in Room.plan(1, 40, 25).items()}
 """Of the room for one of these scans."""
 
 

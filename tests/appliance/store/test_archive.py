@@ -17,9 +17,9 @@ from appliance.store import scan as stored
 from appliance.store.archive import Copied, pack_scan, problems_of, remove_source, unpack_scan
 from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
 from appliance.store.damage import damaged_frames, frames_as_they_are
-from appliance.store.library import Library, LibraryFolder, entry_of
+from appliance.store.library import Library, LibraryFolder, ScanEntry
 from appliance.store.manifest import Decision
-from appliance.store.scan import ScanError, read_frame
+from appliance.store.scan import ScanError, StoredScan
 from tests.appliance.store.scenes import FRAMES, ORIGIN, PREVIEW, BadDisk, cloud, frames, record, second_sequence
 
 FS = LocalFileSystem()
@@ -44,9 +44,9 @@ def small(tmp_path: Path) -> Path:
 def source(small: Path) -> Path:
     """A complete scan with both exposures."""
     told = record(second=second_sequence())
-    both = stored.add_second(FS, small, stored.manifest_of(small), frames(1), told)
+    both = stored.add_second(FS, small, StoredScan.manifest_of(small), frames(1), told)
     stored.finish_scan(FS, small, both, Decision.KEPT, told, cloud(), PREVIEW)
-    labels.write(FS, small, labels.Label("bollard 3"))
+    labels.Label("bollard 3").write(FS, small)
     return small
 
 
@@ -76,10 +76,10 @@ def flip(path: Path, at: int) -> None:
 
 
 def test_a_packed_scan_is_opened_as_it_was_and_comes_back(source: Path, target: Path, tmp_path: Path) -> None:
-    before, plain = content(source), stored.load_scan(source)
+    before, plain = content(source), StoredScan.load(source)
     assert pack_scan(FS, source, target) is Copied.WRITTEN
     assert content(source) == before, "the source is only read"
-    opened = stored.load_scan(target)
+    opened = StoredScan.load(target)
     assert opened.manifest == plain.manifest == Library(target.parent.parent).load("1").manifest
     assert opened.second is not None
     for side in ("left", "right"):
@@ -88,7 +88,7 @@ def test_a_packed_scan_is_opened_as_it_was_and_comes_back(source: Path, target: 
         # Kernels are compiled for arrays that can be written, and for no others.
         assert opened.frames[side].flags.writeable
         assert opened.frames[side].flags.c_contiguous
-    assert entry_of(target, checksums=True).ok
+    assert ScanEntry.of(target, checksums=True).ok
     assert not list(target.glob("*.npy")), "reading leaves nothing"
     archive.make_shelves(FS, tmp_path / "back", SCANS)
     back = tmp_path / "back" / "scans" / "000001"
@@ -106,7 +106,7 @@ def test_smooth_pictures_take_less_room_and_scans_come_by_their_numbers(tmp_path
     names = ["000002", "000010", "000010-2", "999999", "1000000", "10000000"]
     for name in reversed(names):
         (tmp_path / "scans" / name).mkdir(parents=True)
-    assert [one.name for one in archive.scan_folders(tmp_path, SCANS)] == names
+    assert [one.name for one in Library(tmp_path).folders(every=False)] == names
 
 
 def test_one_frame_is_read_although_all_others_are_destroyed(source: Path, there: Path) -> None:
@@ -116,20 +116,20 @@ def test_one_frame_is_read_although_all_others_are_destroyed(source: Path, there
         start, end = index.offsets[other : other + 2]
         data[start:end] = bytes(end - start)
     (there / JLS).write_bytes(data)
-    assert np.array_equal(read_frame(there, "left", 1), frames()["left"][1])
-    assert np.array_equal(read_frame(source, "left", 1), frames()["left"][1])
-    assert np.array_equal(read_frame(there, "right", 1, second=True), frames(1)["right"][1])
+    assert np.array_equal(StoredScan.read_frame(there, "left", 1), frames()["left"][1])
+    assert np.array_equal(StoredScan.read_frame(source, "left", 1), frames()["left"][1])
+    assert np.array_equal(StoredScan.read_frame(there, "right", 1, second=True), frames(1)["right"][1])
     for k in (0, 2, FRAMES):
         with pytest.raises(ScanError, match=str(k)):
-            read_frame(there, "left", k)
+            StoredScan.read_frame(there, "left", k)
     flip(source / "frames_left.npy", 128 + 5)
     with pytest.raises(ScanError, match="frame bright"):
-        read_frame(source, "left", 0)
+        StoredScan.read_frame(source, "left", 0)
 
 
 def test_every_flipped_byte_and_every_cut_of_a_packed_file_is_found(there: Path) -> None:
     good = (there / JLS).read_bytes()
-    manifest = stored.manifest_of(there)
+    manifest = StoredScan.manifest_of(there)
     assert stored.wrong_files(there, manifest, checksums=True) == problems_of(there) == {}
     for at in (*range(0, len(good), 3), len(good) - 1):
         flip(there / JLS, at)
@@ -139,7 +139,7 @@ def test_every_flipped_byte_and_every_cut_of_a_packed_file_is_found(there: Path)
         (there / JLS).write_bytes(good[:length])
         assert "frames_left.npy" in stored.wrong_files(there, manifest, checksums=False)
         with pytest.raises(ScanError, match=r"frames_left\.npy"):
-            stored.load_scan(there)
+            StoredScan.load(there)
 
 
 def test_verifying_believes_neither_file_nor_checksum(source: Path, there: Path, tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_verifying_believes_neither_file_nor_checksum(source: Path, there: Path,
     wrong = np.array(frames()["left"])
     wrong[1, 0, 0] ^= 1
     (there / JLS).write_bytes(b"".join(packed.pack(index.header, wrong, index.stamp, JLS)))
-    assert stored.wrong_files(there, stored.manifest_of(there), checksums=True) == {}
+    assert stored.wrong_files(there, StoredScan.manifest_of(there), checksums=True) == {}
     assert set(problems_of(there)) == {"frames_left.npy"}
     with pytest.raises(ScanError, match="nothing was removed"):
         remove_source(FS, source, there)
@@ -162,7 +162,7 @@ def test_verifying_believes_neither_file_nor_checksum(source: Path, there: Path,
 def test_a_damaged_frame_is_named_and_the_others_are_left(there: Path) -> None:
     index = packed.read_index(there / JLS)
     flip(there / JLS, (index.offsets[1] + index.offsets[2]) // 2)
-    manifest = stored.manifest_of(there)
+    manifest = StoredScan.manifest_of(there)
     (found,) = damaged_frames(there, manifest)
     assert (found.file, found.frames) == ("frames_left.npy", (1,))
     left = frames_as_they_are(there, manifest, "frames_left.npy")
@@ -200,7 +200,7 @@ def other_pixels(data: bytes, index: packed.Packed) -> bytes:
 def test_a_damaged_stream_has_no_pixels(there: Path, spoil: Callable[[bytes, packed.Packed], bytes], said: str) -> None:
     (there / JLS).write_bytes(spoil((there / JLS).read_bytes(), packed.read_index(there / JLS)))
     with pytest.raises(ScanError, match=f"frame 1 .*{said}"):
-        read_frame(there, "left", 1)
+        StoredScan.read_frame(there, "left", 1)
 
 
 def test_a_damaged_source_and_a_scan_of_a_taken_number_stay(source: Path, target: Path, tmp_path: Path) -> None:
@@ -225,10 +225,10 @@ def test_packing_again_adds_a_label_and_replaces_none(source: Path, target: Path
     pack_scan(FS, source, target)
     (source / labels.LABEL_FILE).write_bytes(label)
     assert pack_scan(FS, source, target) is Copied.ALREADY
-    assert labels.read_label(target).name == "bollard 3"
+    assert labels.Label.read(target).name == "bollard 3"
     before = content(target)
     assert pack_scan(FS, source, target) is Copied.ALREADY
-    labels.write(FS, source, labels.Label("bollard 4"))
+    labels.Label("bollard 4").write(FS, source)
     with pytest.raises(ScanError, match=r"label\.json"):
         pack_scan(FS, source, target)
     assert content(target) == before, "people name scans in an archive, too"
@@ -302,4 +302,4 @@ def test_a_file_that_came_while_a_source_was_compared_is_not_removed_with_it(sou
     with pytest.raises(ScanError, match="nothing was removed"):
         remove_source(Late(), source, there)
     assert (source / "note.txt").read_text() == "wait"
-    assert stored.wrong_files(source, stored.manifest_of(source), checksums=True) == {}
+    assert stored.wrong_files(source, StoredScan.manifest_of(source), checksums=True) == {}

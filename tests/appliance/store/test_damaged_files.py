@@ -206,8 +206,8 @@ def read_session(data: bytes, folder: Path) -> Session:
 
 def read_label(data: bytes, folder: Path) -> None:
     (folder / labels.LABEL_FILE).write_bytes(data)
-    label = labels.read_label(folder)
-    for text, longest in ((label.name, labels.LONGEST_NAME), (label.note, labels.LONGEST_NOTE)):
+    label = labels.Label.read(folder)
+    for text, longest in ((label.name, labels.Label.LONGEST["name"]), (label.note, labels.Label.LONGEST["note"])):
         assert text is None or (0 < len(text) <= longest and "\n" not in text and "\x1b" not in text)
 
 

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from appliance.store import incomplete
 from appliance.store import scan as stored
 from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
+from appliance.store.incomplete import IncompleteRecording
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import SequenceInfo
+from appliance.store.scan import StoredScan
 from tests.appliance.store.scenes import ORIGIN, BadDisk, SoFull, record
 
 RECORD = record(sequence=SequenceInfo(16, 1024, 768, ("bright", "dark", "gray-x-0", "sine-x-0", "gray-y-0")))
@@ -27,7 +29,7 @@ def frames(count: int = 4) -> Frames:
 
 def kept(root: Path, given: Frames | None = None, fs: FileSystem | None = None, reserve_bytes: int = 0) -> Path:
     root.mkdir(exist_ok=True)
-    return incomplete.keep_incomplete(
+    return IncompleteRecording.keep(
         fs or LocalFileSystem(), root, given or frames(), RECORD, ORIGIN, REASON, reserve_bytes
     )
 
@@ -35,7 +37,7 @@ def kept(root: Path, given: Frames | None = None, fs: FileSystem | None = None, 
 def test_what_is_kept_is_read_back_with_what_is_missing_and_why_and_found_by_its_number(tmp_path: Path) -> None:
     folder = kept(tmp_path)
     assert folder == tmp_path / "incomplete" / "000001"
-    found = incomplete.load_incomplete(folder)
+    found = IncompleteRecording.load(folder)
     assert found.missing == ("gray-y-0",)
     assert (found.scan.manifest.reason, found.scan.manifest.record) == (REASON, RECORD)
     for side, given in frames().items():
@@ -45,23 +47,23 @@ def test_what_is_kept_is_read_back_with_what_is_missing_and_why_and_found_by_its
     assert kept(tmp_path).name == "000002"
     for other in ("incomplete/000000", "incomplete/.000001", "incomplete/00kept", "scans/000001"):
         (tmp_path / other).mkdir(parents=True)
-    assert incomplete.find_incomplete(tmp_path, "1") == folder
+    assert IncompleteRecording.find(tmp_path, "1") == folder
     for none in ("7", "../scans/000001", "000001/../000001", "kept", ".000001", ""):
         with pytest.raises(stored.ScanError, match="no incomplete recording"):
-            incomplete.find_incomplete(tmp_path, none)
+            IncompleteRecording.find(tmp_path, none)
 
 
 def test_it_is_no_scan_for_anybody(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
     folder = kept(tmp_path)
-    assert (library.count(), library.ids(), library.newest_first()) == (0, [], [])
+    assert (library.count(), library.ids()) == (0, [])
     assert all(library.entries(shelf) == [] for shelf in LibraryFolder)
     assert library.recover().set_aside == ()
     assert library.begin(frames(5), RECORD, ORIGIN).scan_id == "000001", "its number is none of the scans'"
     # This is what evaluate, calibrate and reconstruct ask first.
     with pytest.raises(stored.ScanError, match=r"incomplete recording is no scan.*kingfisher cloud incomplete:N"):
-        stored.manifest_of(folder)
+        StoredScan.manifest_of(folder)
 
 
 @pytest.mark.parametrize("for_calls", [1, 99])
@@ -74,9 +76,9 @@ def test_a_disk_that_fails_at_any_call_leaves_all_or_nothing(tmp_path: Path, for
         with pytest.raises(StorageError):
             kept(root, fs=BadDisk(call, for_calls))
         for folder in (root / "incomplete").glob("[0-9]*"):
-            assert incomplete.load_incomplete(folder).missing == ("gray-y-0",)
+            assert IncompleteRecording.load(folder).missing == ("gray-y-0",)
         # Whatever was left is out of the way of the next one.
-        assert incomplete.load_incomplete(kept(root)).missing == ("gray-y-0",)
+        assert IncompleteRecording.load(kept(root)).missing == ("gray-y-0",)
         assert list((root / "incomplete").glob(".*")) == []
 
 
@@ -105,7 +107,7 @@ def test_a_flipped_byte_or_a_missing_file_is_noticed(tmp_path: Path, name: str) 
     content[len(content) // 2] ^= 4
     (folder / name).write_bytes(content)
     with pytest.raises(stored.ScanError, match=name):
-        incomplete.load_incomplete(folder)
+        IncompleteRecording.load(folder)
     (folder / name).unlink()
     with pytest.raises(stored.ScanError, match="incomplete" if name.endswith("json") else name):
-        incomplete.load_incomplete(folder)
+        IncompleteRecording.load(folder)

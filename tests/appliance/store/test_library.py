@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from appliance.store.label import Label
-from appliance.store.library import Library, LibraryFolder, UnknownScan, entry_of
+from appliance.store.library import LOOKED_AT, Library, LibraryFolder, ScanEntry, UnknownScan
 from appliance.store.manifest import Decision, Stage
-from appliance.store.object_numbers import LOOKED_AT, largest_number, numbers_of_object, scans_of_object
-from appliance.store.scan import ScanError, load_scan, size_bytes
+from appliance.store.scan import ScanError, StoredScan, size_bytes
 from tests.appliance.store.scenes import ORIGIN, PREVIEW, SoFull, cloud, frames, record, second_sequence
 
 OF_BOTH = ("left", "right")
@@ -75,7 +74,7 @@ def test_what_was_recorded_is_what_is_read(empty: Library) -> None:
 def test_raw_frames_are_safe_but_not_listed_before_the_decision_and_that_is_made_once(empty: Library) -> None:
     scan = empty.begin(frames(), record(), ORIGIN)
     assert (empty.entries(), empty.count()) == ([], 0)
-    assert (load_scan(scan.folder).frames["right"] == frames()["right"]).all()
+    assert (StoredScan.load(scan.folder).frames["right"] == frames()["right"]).all()
     assert (scan.folder / "rig.toml").read_bytes() == ORIGIN.rig
     first = scan.publish(record(), cloud(), PREVIEW)
     assert scan.publish(record()) == scan.reject("changed my mind") == first
@@ -98,20 +97,6 @@ def test_a_rejected_scan_is_kept_apart_with_its_reason_and_what_was_known_of_it(
     pending.add_second(frames(1), BOTH)
     assert empty.load("1").second is None, "it is decided"
     assert empty.verify("1").ok
-
-
-def test_a_cloud_is_added_later_once_and_to_no_damaged_scan(empty: Library) -> None:
-    folder = empty.begin(frames(), record(), ORIGIN).publish(record())
-    empty.add_cloud("1", cloud(), PREVIEW, record(calibration_hash="cd" * 32))
-    assert empty.verify("1").ok
-    assert empty.load("1").cloud() is not None
-    assert empty.load("1").manifest.record.calibration_hash == "cd" * 32
-    with pytest.raises(ScanError, match="cloud already"):
-        empty.add_cloud("1", cloud(seed=5), None, record())
-    folder = empty.begin(frames(), record(), ORIGIN).publish(record())
-    (folder / "frames_left.npy").write_bytes((folder / "frames_left.npy").read_bytes()[:-1])
-    with pytest.raises(ScanError, match=r"frames_left\.npy: 367"):
-        empty.add_cloud("2", cloud(), None, record())
 
 
 def test_both_exposures_are_read_back_with_their_ledgers_and_verdicts(empty: Library) -> None:
@@ -152,7 +137,7 @@ def test_any_damaged_byte_range_is_found_and_leaves_the_others_fine(empty: Libra
     with pytest.raises(ScanError):
         empty.load(bad)
     if not name.startswith(("frames", "manifest")):
-        assert (load_scan(empty.entry(bad).folder, only_raw=True).frames["left"] == frames(1)["left"]).all()
+        assert (StoredScan.load(empty.entry(bad).folder, only_raw=True).frames["left"] == frames(1)["left"]).all()
     path.write_bytes(whole)
     assert empty.verify(bad).ok
 
@@ -162,11 +147,11 @@ def test_a_scan_copied_elsewhere_is_read_under_any_name_but_another_number(libra
     for name, problems in (("holiday", 0), ("000002", 0), ("000002-3", 0), ("000009", 1)):
         copied = tmp_path / "elsewhere" / name
         shutil.copytree(library.root / "scans" / "000002", copied)
-        entry = entry_of(copied, checksums=True)
+        entry = ScanEntry.of(copied, checksums=True)
         assert (entry.scan_id, entry.shelf, len(entry.problems)) == (name, LibraryFolder.SCANS, problems)
         assert entry.label == Label("bollard", None)
         assert entry.size_bytes == sum(path.stat().st_size for path in copied.iterdir()) > 1000
-    assert entry_of(tmp_path / "none", checksums=False).size_bytes == 0
+    assert ScanEntry.of(tmp_path / "none", checksums=False).size_bytes == 0
 
 
 def test_what_is_whole_is_recovered_and_marked_and_the_rest_set_aside(empty: Library) -> None:
@@ -300,22 +285,22 @@ def test_the_room_left_is_counted_in_whole_scans_above_the_reserve(empty: Librar
 
 
 def test_scans_are_found_by_their_objects_number(empty: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert largest_number(empty) == 0
+    assert empty.largest_object() == 0
     ids = [saved(empty, object=number) for number in (1, None, 2, 1)]
-    assert (scans_of_object(empty, 1), scans_of_object(empty, 7), numbers_of_object(empty)) == (
+    assert (empty.scans_of_object(1), empty.scans_of_object(7), empty.objects()) == (
         [ids[0], ids[3]],
         [],
         [1, 2],
     )
     empty.begin(frames(), record(object=3), ORIGIN).reject("blurred")
-    assert largest_number(empty) == 3
+    assert empty.largest_object() == 3
     empty.trash(saved(empty, object=4))
-    assert largest_number(empty) == 4
+    assert empty.largest_object() == 4
     damaged = saved(empty, object=5)
     (empty.root / "scans" / damaged / "manifest.json").write_bytes(b"{}")
-    assert (largest_number(empty), numbers_of_object(empty)) == (4, [1, 2]), "a damaged manifest is passed over"
+    assert (empty.largest_object(), empty.objects()) == (4, [1, 2]), "a damaged manifest is passed over"
     for _ in range(2):
         saved(empty)
     assert LOOKED_AT >= 100
-    monkeypatch.setattr("appliance.store.object_numbers.LOOKED_AT", 2)
-    assert largest_number(empty) == 0, "a start reads a bounded number of manifests"
+    monkeypatch.setattr("appliance.store.library.LOOKED_AT", 2)
+    assert empty.largest_object() == 0, "a start reads a bounded number of manifests"

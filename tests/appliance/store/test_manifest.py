@@ -23,9 +23,9 @@ from appliance.store import incomplete
 from appliance.store import manifest as form
 from appliance.store.atomic import LocalFileSystem, Stamp
 from appliance.store.library import Library, UnknownScan
-from appliance.store.manifest import Decision, Manifest, ScanRecord, SecondSequence, Stage, manifest_json
+from appliance.store.manifest import Decision, Manifest, ScanRecord, SecondSequence, Stage
 from appliance.store.names import is_component
-from appliance.store.scan import ScanError, cloud_bytes, frames_bytes, load_scan, map_frames, write_raw
+from appliance.store.scan import ScanError, StoredScan, cloud_bytes, frames_bytes, map_frames, write_raw
 from tests.appliance.store.scenes import ORIGIN, cloud, frames, record, second_sequence
 from tests.appliance.store.test_objects import PLACE, PLACES
 from tests.support.sealing import sealed
@@ -45,7 +45,7 @@ def whole() -> dict[str, Any]:
         second=second_sequence(), exposure=Exposure(8000, 1.5), verdicts=verdicts, cloud={"points": 20, "noise_mm": 0.5}
     )
     manifest = replace(MANIFEST, record=complete, files={"f": Stamp(3, "ab")}, frame_crc32={"f": ("1", "2")})
-    found: dict[str, Any] = json.loads(json.dumps(manifest_json(manifest)))
+    found: dict[str, Any] = json.loads(json.dumps(manifest.as_json()))
     del found["schema"]
     return found
 
@@ -147,9 +147,9 @@ def test_a_file_whose_header_says_something_else_is_not_mapped(tmp_path: Path, o
     path.write_bytes(data.replace(old.encode(), new.encode(), 1))
     assert (path.stat().st_size, path.read_bytes() == data) == (len(data), False)
     with pytest.raises(ScanError, match=r"frames_right\.npy"):
-        load_scan(tmp_path / "000001")
+        StoredScan.load(tmp_path / "000001")
     np.save(path, frames()["right"])
-    assert np.array_equal(load_scan(tmp_path / "000001").frames["right"], frames()["right"]), (
+    assert np.array_equal(StoredScan.load(tmp_path / "000001").frames["right"], frames()["right"]), (
         "NumPy's own header is read"
     )
     path.unlink()
@@ -174,7 +174,7 @@ OBJECT = StoredObject("hull", (MemberScan("000001", "scans/000001", ("aa",)),), 
 
 
 def broken_off(manifest: Manifest) -> bytes:
-    return sealed({**form.manifest_json(manifest), **incomplete.INCOMPLETE_OF, "missing": []})
+    return sealed({**manifest.as_json(), **incomplete.INCOMPLETE_OF, "missing": []})
 
 
 def read_object(root: Path, stored: StoredObject) -> None:

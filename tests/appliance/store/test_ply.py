@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.store.atomic import StorageError
-from appliance.store.ply import POINT, PlyError, encode_ply, read_ply, write_ply
+from appliance.store.atomic import LocalFileSystem, StorageError
+from appliance.store.ply import POINT, PlyError, encode_ply, read_ply
 from tests.appliance.store.scenes import cloud
 
 
@@ -35,16 +35,16 @@ def small_files_only() -> Iterator[None]:
 @pytest.mark.usefixtures("small_files_only")
 def test_a_cloud_that_cannot_be_written_leaves_the_old_one_whole(tmp_path: Path) -> None:
     path = tmp_path / "c.ply"
-    write_ply(path, cloud(4))
+    LocalFileSystem().replace_file(path, *encode_ply(cloud(4)))
     with pytest.raises(StorageError, match="File too large"):
-        write_ply(path, cloud(4000))
+        LocalFileSystem().replace_file(path, *encode_ply(cloud(4000)))
     assert len(read_ply(path).points_mm) == 4
 
 
 @pytest.mark.parametrize("points", [0, 1, 70_000])
 def test_round_trip_is_exact_and_the_checksum_is_that_of_all_bytes(tmp_path: Path, points: int) -> None:
     written = cloud(points)
-    write_ply(tmp_path / "c.ply", written)
+    LocalFileSystem().replace_file(tmp_path / "c.ply", *encode_ply(written))
     read = read_ply(tmp_path / "c.ply")
     for name in ("points_mm", "intensity", "modulation_dn", "ray_gap_mm", "sigma_mm"):
         assert getattr(read, name).dtype == getattr(written, name).dtype
@@ -72,7 +72,7 @@ def test_the_bytes_are_what_the_header_announces() -> None:
 
 def test_every_single_bit_flip_and_every_cut_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / "c.ply"
-    write_ply(path, cloud(4))
+    LocalFileSystem().replace_file(path, *encode_ply(cloud(4)))
     whole = path.read_bytes()
     for position in range(len(whole)):
         for bit in (0, 5, 7):

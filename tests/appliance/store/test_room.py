@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from appliance.store.atomic import LocalFileSystem, StorageError, draft_of
 from appliance.store.library import Library
-from appliance.store.room import FOLDER, Room, plan_room
-from appliance.store.scan import cloud_bytes, frames_bytes
+from appliance.store.room import FOLDER, Room
+from appliance.store.scan import cloud_bytes
 from tests.appliance.store.scenes import FRAMES, ORIGIN, PREVIEW, BadDisk, cloud, record
 
 FS = LocalFileSystem()
 HEIGHT, WIDTH = 600, 800
-LENGTHS = {**plan_room(frames_bytes(FRAMES, WIDTH, HEIGHT), cloud_bytes(200, 100)), "preview": 200_000}
+LENGTHS = {**Room.plan(FRAMES, WIDTH, HEIGHT), "cloud": cloud_bytes(200, 100), "preview": 200_000}
 FEW = {"frames-left": 10_000, "number": 1}
 
 
@@ -51,8 +51,8 @@ def refusal(work: object) -> StorageError:
 
 
 def test_one_scan_needs_both_cameras_frames_the_points_and_something_for_each_small_file() -> None:
-    lengths = plan_room(46_000_000, 48_000_000)
-    assert (lengths["frames-left"], lengths["frames-right"], lengths["cloud"]) == (46_000_000, 46_000_000, 48_000_000)
+    lengths = Room.plan(24, 1600, 1200)
+    assert (lengths["frames-left"], lengths["frames-right"], lengths["cloud"]) == (46_080_128, 46_080_128, 48_004_096)
     small = {name: length for name, length in lengths.items() if length < 10_000_000}
     assert set(small) == {"preview", "calibration", "rig", "manifest-1", "manifest-2", "number", "slack"}
     assert all(4096 <= length <= 1_500_000 for length in small.values())

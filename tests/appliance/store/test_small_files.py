@@ -10,7 +10,7 @@ import zlib
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -252,37 +252,36 @@ def test_numbers_begin_with_one_never_repeat_and_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("what", "longest"), [("name", 60), ("note", 1000)])
-def test_a_label_has_so_many_characters_that_can_be_read(what: str, longest: int) -> None:
-    limit = {"name": label.LONGEST_NAME, "note": label.LONGEST_NOTE}[what]
-    assert label.checked_label(what, f"  {'x' * longest} ", limit) == "x" * longest
+def test_a_label_has_so_many_characters_that_can_be_read(what: Literal["name", "note"], longest: int) -> None:
+    assert Label.checked(what, f"  {'x' * longest} ") == "x" * longest
     with pytest.raises(ContentError, match=f"{what}: {longest + 1} characters"):
-        label.checked_label(what, "x" * (longest + 1), limit)
+        Label.checked(what, "x" * (longest + 1))
     for character in "\n\t\u202e\u2028\u2029\ue000\u0378\x7f\udcff":
         with pytest.raises(ContentError, match=rf"{what}: character 3 is U\+{ord(character):04X}"):
-            label.checked_label(what, f"ab{character}c", limit)
-    assert label.checked_label(what, "Bo\u0308je", limit) == "B\u00f6je", "two spellings of one letter are one"
-    assert label.checked_label(what, " \t ", limit) is None
+            Label.checked(what, f"ab{character}c")
+    assert Label.checked(what, "Bo\u0308je") == "B\u00f6je", "two spellings of one letter are one"
+    assert Label.checked(what, " \t ") is None
 
 
 def test_a_label_is_read_as_it_was_written_and_another_hands_with_the_same_care(tmp_path: Path) -> None:
-    assert label.read_label(tmp_path) == Label(None, None)
+    assert Label.read(tmp_path) == Label(None, None)
     for written in (Label("bollard 3", "north side"), Label(None, "x" * 1000), Label("\u6d77" * 60, None)):
-        label.write(FS, tmp_path, written)
-        assert label.read_label(tmp_path) == written
+        written.write(FS, tmp_path)
+        assert Label.read(tmp_path) == written
     path, named = tmp_path / label.LABEL_FILE, {"schema": 1, "name": "a", "note": None}
     path.write_bytes(padded(named, 16_384))
-    assert label.read_label(tmp_path).name == "a"
+    assert Label.read(tmp_path).name == "a"
     for data, said in (
         (sealed({"schema": 2, "name": "a"}), "schema 2"), (sealed({"schema": 1, "name": 7}), "name is 7"),
         (sealed({"schema": 1, "note": "x" * 1001}), "1001"), (sealed({"schema": 1, "name": "a\x07"}), "name"), (padded(named, 16_385), "16384"),
     ):  # fmt: skip
         path.write_bytes(data)
         with pytest.raises(ContentError, match=rf"^label\.json: .*{said}"):
-            label.read_label(tmp_path)
+            Label.read(tmp_path)
     path.unlink()
     path.mkdir()
     with pytest.raises(ContentError, match=r"label\.json"):
-        label.read_label(tmp_path)
+        Label.read(tmp_path)
 
 
 def test_one_process_holds_a_root_and_others_are_told_which(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from appliance.cli.simrig import default_sim_rig
-from appliance.store.config import Rig, default_rig_path, load_rig
+from appliance.store.config import Rig, load_rig
 from appliance.workshop import projector
 from appliance.workshop.bench import Image, Shot
 from appliance.workshop.finding import Finding
@@ -58,7 +58,7 @@ def named(findings: Sequence[Finding]) -> dict[str, Finding]:
 
 
 def projector_findings(found: ProjectorMeasured) -> dict[str, Finding]:
-    outcomes = judge_together(STEPS, projector.measure_on_wall, found, load_rig(default_rig_path()))
+    outcomes = judge_together(STEPS, projector.measure_on_wall, found, load_rig())
     return named(projector.outcomes_in_order(outcomes.values())[1])
 
 

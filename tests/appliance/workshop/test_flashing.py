@@ -18,7 +18,7 @@ from tests.support.golden_texts import Says
 
 ROOT = Path(__file__).parents[3]
 TEXT = default_rig_path().read_text(encoding="utf-8")
-RIG = load_rig(default_rig_path())
+RIG = load_rig()
 COMPACT = ROOT / "hw_sim" / "rigs" / "compact.toml"
 PARTS: tuple[Part, ...] = ("board", "keys")
 

@@ -19,10 +19,10 @@ from appliance.instrument.capture.ledger import Ledger
 from appliance.instrument.capture.scan import CaptureReport
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.patterns import build_sequence
-from appliance.store import scan as stored
 from appliance.store.config import load_rig, rig_text
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library
+from appliance.store.scan import StoredScan
 from appliance.workshop import cameras, endurance, plane, projector
 from appliance.workshop.endurance import SideEndured
 from appliance.workshop.finding import BringupError
@@ -287,7 +287,7 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     frames = dict.fromkeys(("left", "right"), seen)
     scan_id = plane._stored(at, report, frames, SEQUENCE, Exposure(4_000, 2.0), "ab" * 32)
     folder = Library(tmp_path).entry(scan_id).folder
-    scan = stored.load_scan(folder)
+    scan = StoredScan.load(folder)
     np.testing.assert_array_equal(scan.frames["left"], frames["left"])
     record = scan.manifest.record
     assert (record.wall_time, record.clock_trusted) == ("2031-05-06T07:08:09+00:00", True)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.store.config import default_rig_path, load_rig
+from appliance.store.config import load_rig
 from appliance.workshop.flashing import LIBRARIES, Part, commands, laid_out
 from tests.support import micropython
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.devices
 
 SERIAL = Path(micropython.__file__).with_name("micropython_serial.mjs")
 FLASH = Path(micropython.__file__).with_name("micropython_flash.py")
-RIG = load_rig(default_rig_path())
+RIG = load_rig()
 
 
 class Module:

@@ -15,13 +15,11 @@ import numba
 import numpy as np
 import pytest
 
-from appliance.desk.anew import results as module
-from appliance.desk.anew import work as task
 from appliance.desk.anew.results import COLUMNS, Results, ResultsError, Row, name_of, program_digits, read_table
 from appliance.desk.anew.work import AGAIN, DONE, FAILED, Again, Job, attempt
 from appliance.measure.calibration import file as calibration_file
 from appliance.store.atomic import LocalFileSystem, StorageError
-from appliance.store.scan import ScanError, write_raw
+from appliance.store.scan import ScanError, StoredScan, write_raw
 from hw_sim.truth import draw_truth
 from tests.appliance.store.scenes import ORIGIN, frames, record
 from tests.support.truth import true_calibration
@@ -75,7 +73,7 @@ def test_a_full_disk_publishes_nothing_and_what_a_killed_process_left_is_swept(
         raise StorageError("cannot write", Path("x"), os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patched:
-        patched.setattr(module, "write_new", full)
+        patched.setattr(LocalFileSystem, "write_new", full)
         with pytest.raises(StorageError):
             results.publish("000001-a", row(1), None)
     assert (results.row("000001-a"), below(results, "drafts")) == (None, [])
@@ -166,7 +164,7 @@ def test_what_ends_a_process_or_what_the_machine_lacks_is_no_scans_failure(
     def ends(_: Path) -> None:
         raise error
 
-    monkeypatch.setattr(task, "refuse_damaged_frames", ends)
+    monkeypatch.setattr(StoredScan, "refuse_damage", ends)
     with pytest.raises(type(error)):
         attempted(1, shelf, results)
     assert below(results, "failed") == []
@@ -185,13 +183,13 @@ def test_a_scan_that_goes_meanwhile_is_no_failure_and_what_is_wrong_with_it_or_t
         shutil.rmtree(shelf)
         raise ScanError(f"{folder / 'frames_left.npy'}: missing")
 
-    monkeypatch.setattr(task, "refuse_damaged_frames", wrong)
+    monkeypatch.setattr(StoredScan, "refuse_damage", wrong)
     found = attempted(1, shelf, results)
     assert (found["state"], found["reason"]) == (FAILED, "unexpected ValueError: operands could not be broadcast")
     (path,) = (results.folder / "failed").glob("000001*")
     assert "in wrong" in json.loads(path.read_text())["traceback"]
     path.unlink()
-    monkeypatch.setattr(task, "refuse_damaged_frames", unmounted)
+    monkeypatch.setattr(StoredScan, "refuse_damage", unmounted)
     with pytest.raises(Again, match="000001 changed"):
         attempted(1, shelf, results)
     assert not list((results.folder / "failed").glob("000001*"))

@@ -18,7 +18,7 @@ from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor
 from appliance.measure.warm import run_what_an_empty_scan_does_not
 from appliance.store.config import load_rig
-from appliance.store.origin import calibration_for, open_source
+from appliance.store.origin import SourceScan
 from appliance.store.wish import Wish
 from tests.behaviour.frozen import RECORDINGS
 from tests.support import synthetic
@@ -55,8 +55,8 @@ def test_no_scan_needs_a_kernel_that_is_not_there(tmp_path: Path) -> None:
         packed.extractall(tmp_path, filter="data")
     wish = Wish(rig=load_rig(tmp_path / "rig.toml"), root=tmp_path / "root")
     for number in (*SCANS.values(), FLICKERS):
-        source = open_source(tmp_path / "root" / "scans" / number, wish)
-        calibration = calibration_for(source, wish).calibration
+        source = SourceScan.open(tmp_path / "root" / "scans" / number, wish)
+        calibration = source.calibration_for(wish).calibration
         played = source.scan.manifest.record.sequence
         sequence = build_sequence(played.period_px, played.width_px, played.height_px)
         with Pipeline(calibration, calibration.water, sequence) as pipeline:

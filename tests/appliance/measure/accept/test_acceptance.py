@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from appliance.measure.accept.acceptance import Certificate, Kept, Quantity, Symbol, expanded_mm, of_bar, overall, probe
 from appliance.measure.accept.ball_bar import BallBar
 from appliance.measure.accept.result import Artefact, Result, evaluate
-from appliance.store.scan_list import ListError, read_list
+from appliance.store.scan_list import ListError, ScanList
 from tests.appliance.measure.accept.made_points import CENTRE, LENGTH_MM, OTHER, RADIUS_MM, Array, Points, board, cap
 
 START = np.array([*CENTRE, RADIUS_MM]) + 0.3
@@ -127,7 +127,7 @@ BAR = '[[scan]]\nscan = "1"\nartefact = "ball-bar"\nlength_mm = 150.0\nradius_mm
 def test_a_list_states_limits_and_the_radius_with_its_uncertainty_and_a_wrong_limit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "list.toml"
     path.write_text("[limits]\npf_mm = 0.1\nf_mm = 0.2\n" + BAR)
-    listed = read_list(path)
+    listed = ScanList.read(path)
     assert listed.limits_mm == {Symbol.PF: 0.1, Symbol.F: 0.2}
     assert (listed.entries[0].radius_mm, listed.entries[0].radius_sd_mm) == (15.0, 0.001)
     for text, words in (
@@ -138,4 +138,4 @@ def test_a_list_states_limits_and_the_radius_with_its_uncertainty_and_a_wrong_li
     ):
         path.write_text(f"{text}\n{BAR}")
         with pytest.raises(ListError, match=re.escape(words)):
-            read_list(path)
+            ScanList.read(path)

@@ -27,7 +27,7 @@ def refusal(text: str) -> ConfigError:
 
 
 def test_the_packaged_rig_is_the_instrument_of_the_paper() -> None:
-    rig = load_rig(default_rig_path())
+    rig = load_rig()
     assert (rig.camera.left.width_px, rig.camera.left.height_px) == (1600, 1200)
     assert (rig.projector.width_px, rig.projector.height_px) == (1024, 768)
     assert rig.scan.period_px == 16

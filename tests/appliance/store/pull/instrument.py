@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from appliance.store import incomplete
 from appliance.store import label as labels
 from appliance.store import scan as stored
 from appliance.store.atomic import LocalFileSystem
+from appliance.store.incomplete import IncompleteRecording
 from appliance.store.manifest import Decision
 from appliance.store.pull.pulling import Far, Open, Pulled, pull_from
 from appliance.store.pull.source import FolderSource, LinkLost, RemoteEntry, Source
@@ -31,7 +31,7 @@ def instrument(disk: Path) -> Path:
     """The storage root on an instrument's data partition ``disk``."""
     root = disk / "lib" / "kingfisher"
     for k, number in enumerate(("000001", "000002", "000003")):
-        labels.write(FS, scan(root, number, k), labels.Label(f"bollard {k}"))
+        labels.Label(f"bollard {k}").write(FS, scan(root, number, k))
     scan(root, "000004", 4, "rejected")
     (root / "scans" / ".000005").mkdir()
     (root / "calibration" / "kept").mkdir(parents=True)
@@ -40,7 +40,7 @@ def instrument(disk: Path) -> Path:
     (disk / "etc" / "kingfisher").mkdir(parents=True)
     (disk / "etc" / "kingfisher" / "rig.toml").write_text('serial = "KF-0001"\n')
     broken = {side: one[:2] for side, one in frames().items()}
-    incomplete.keep_incomplete(FS, root, broken, record(), ORIGIN, "the board fell silent", 0)
+    IncompleteRecording.keep(FS, root, broken, record(), ORIGIN, "the board fell silent", 0)
     return root
 
 

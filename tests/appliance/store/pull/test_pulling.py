@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.store import archive, incomplete, packed
+from appliance.store import archive, packed
 from appliance.store import label as labels
 from appliance.store import scan as stored
 from appliance.store.atomic import LocalFileSystem, StorageError
+from appliance.store.incomplete import IncompleteRecording
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Decision
 from appliance.store.pull.pulling import Pulled, pull_from
@@ -38,6 +39,7 @@ from appliance.store.pull.taking import (
     present,
     take,
 )
+from appliance.store.scan import StoredScan
 from tests.appliance.store.pull.instrument import FS, BreakingSource, content, instrument, opened, pulled, scan
 from tests.appliance.store.scenes import ORIGIN, BadDisk, cloud, frames, record
 
@@ -84,7 +86,7 @@ def test_everything_that_is_finished_comes_byte_for_byte_and_once(there: Path, h
     assert {path: ours.get(path) for path in wanted} == wanted
     assert ours.keys() - wanted.keys() == {"instrument/rig.toml"}
     assert all(entry.ok for entry in map(Library(here).verify, ("000001", "000002", "000003")))
-    assert incomplete.load_incomplete(here / "incomplete" / "000001").missing
+    assert IncompleteRecording.load(here / "incomplete" / "000001").missing
     assert content(there.parent.parent) == before, "the instrument is as it was"
     came = {path: len(data) for path, data in ours.items() if not path.endswith(("manifest.json", "incomplete.json"))}
     assert done.taken_bytes == sum(came.values())
@@ -138,7 +140,7 @@ def test_what_was_worked_on_packed_or_put_away_at_the_desk_is_not_taken_again(th
     stored.write_raw(FS, there / "scans" / "000007", "000007", frames(7), record(), ORIGIN)
     pulled(FolderSource(there), here)
     mine = here / "scans" / "000007"
-    stored.finish_scan(FS, mine, stored.manifest_of(mine), Decision.KEPT, record(), cloud(), None)
+    stored.finish_scan(FS, mine, StoredScan.manifest_of(mine), Decision.KEPT, record(), cloud(), None)
     assert pulled(FolderSource(there), here).whole
     Library(here).trash("000001")
     archived = here.with_name("archive")
@@ -157,15 +159,15 @@ def test_what_differs_at_both_ends_is_named_and_left_alone(there: Path, here: Pa
     shutil.rmtree(here / "scans" / "000003")
     scan(here, "000003", 9)
     before = content(here / "scans" / "000003")
-    labels.write(FS, here / "scans" / "000001", labels.Label("the wreck"))
+    labels.Label("the wreck").write(FS, here / "scans" / "000001")
     (here / "scans" / "000002" / labels.LABEL_FILE).unlink()
     done = pulled(FolderSource(there), here)
     said = reasons(done, DIFFERS)
     assert (set(said), done.whole) == ({"scans/000001", "scans/000003"}, False)
     assert "frames_left.npy" in said["scans/000003"]
     assert content(here / "scans" / "000003") == before
-    assert labels.read_label(here / "scans" / "000001").name == "the wreck"
-    assert labels.read_label(here / "scans" / "000002").name == "bollard 1", "one that is not here comes later, too"
+    assert labels.Label.read(here / "scans" / "000001").name == "the wreck"
+    assert labels.Label.read(here / "scans" / "000002").name == "bollard 1", "one that is not here comes later, too"
 
 
 def test_what_cannot_be_a_whole_recording_is_told_and_never_published(there: Path, here: Path) -> None:
@@ -233,7 +235,7 @@ def changed(folder: Path, gone: bool) -> Pieces:
             if gone:
                 folder.rename(folder.with_name(f".{folder.name}"))
             else:
-                labels.write(FS, folder, labels.Label("bollard, and now a buoy"))
+                labels.Label("bollard, and now a buoy").write(FS, folder)
 
     return pieces
 
