@@ -169,21 +169,14 @@ class MakeCloud(WithObjects):
         self._check_files(outs)
         root, solved = self.solved(wish, name)
         compile_kernels()
-        from appliance.desk import write_object
+        from appliance.desk import ObjectFiles
 
         with ProgressLine() as progress:
-            write_object(
-                root,
-                solved,
-                wish,
-                outs,
-                progress,
-                writing,
-                spacing_mm=self.spacing,
-                mesh=self.mesh,
-                single_scans=self.single_scans,
-                close_holes_mm=self.close_holes or 0.0,
-            )
+            files = ObjectFiles(root, solved, wish, progress, self.spacing, self.close_holes or 0.0)
+            for out in outs:
+                write = files.prepare(out, mesh=self.mesh, single_scans=self.single_scans)
+                with writing(out):
+                    write()
         self.tell({"object": solved.name, "files": [str(out) for out in outs]}, map(str, outs))
         return Exit.OK
 

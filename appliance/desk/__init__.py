@@ -23,8 +23,8 @@ if TYPE_CHECKING:
         work_through_all,  # Yield a row of every job, as they are done by workers of scheduler
     )
     from .cloud_files import (
+        ObjectFiles,  # The files of a solved object; its surface and the mesh of that are made once
         write_cloud,  # Write the cloud of a stored scan, of two of the same scene as one
-        write_object,  # Write the files of a solved object
     )
     from .comparing import (
         NominalSurface,  # A surface that others are compared with

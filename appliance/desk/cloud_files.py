@@ -4,7 +4,6 @@ reports of what is in them."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,8 @@ from appliance.desk.objects import about_object, placed_scans, surface_of
 from appliance.desk.organised import organised_scan
 from appliance.desk.reconstruct import reconstruct_scan
 from appliance.desk.rescue import rescue_recording
-from appliance.desk.surface.mesh import mesh_of_scan
+from appliance.desk.surface.fusion import FusedCloud
+from appliance.desk.surface.mesh import Mesh, mesh_of_scan
 from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
 from appliance.store import Chosen, IncompleteRecording, Salvaged, SourceScan, Wish
 
@@ -56,45 +56,43 @@ def write_cloud(
     return merge_scans((sources[0], sources[1]), SourceScan.one_calibration(sources, wish), out, progress)
 
 
-def write_object(
-    root: Path,
-    solved: StoredObject,
-    wish: Wish,
-    outs: Sequence[Path],
-    progress: Progress,
-    writing: Callable[[Path], AbstractContextManager[None]],
-    *,
-    spacing_mm: float,
-    mesh: bool,
-    single_scans: bool,
-    close_holes_mm: float,
-) -> None:
-    """Write the files of a solved object; its surface, a point about every ``spacing_mm``, and the mesh of that are
-    made once, when they are first wanted. ``writing``: entered while a file is written.
+class ObjectFiles:
+    """The files of a solved object; its surface and the mesh of that are made once, when they are first wanted."""
 
-    ``mesh``: triangles where the suffix leaves the choice, holes up to ``close_holes_mm`` closed; ``single_scans``:
-    scans with their places likewise. Raises ScanError, CalibrationError, ExportError, StorageError,
-    MissingLibraryError.
-    """
-    about = about_object(solved)
-    surface = triangles = None
-    for out in outs:
+    def __init__(
+        self,
+        root: Path,
+        solved: StoredObject,
+        wish: Wish,
+        progress: Progress,
+        spacing_mm: float,
+        close_holes_mm: float,
+    ) -> None:
+        """``spacing_mm``: the surface has a point about so far apart; holes of its mesh up to ``close_holes_mm`` are
+        closed."""
+        self._of, self._progress, self._about = (root, solved, wish, progress), progress, about_object(solved)
+        self._spacing_mm, self._close_holes_mm = spacing_mm, close_holes_mm
+        self._surface: FusedCloud | None = None
+        self._mesh: Mesh | None = None
+
+    def prepare(self, out: Path, *, mesh: bool, single_scans: bool) -> Callable[[], None]:
+        """Make what goes into the file and return what writes it, which raises ExportError, StorageError,
+        MissingLibraryError.
+
+        ``mesh``: triangles where the suffix leaves the choice; ``single_scans``: scans with their places likewise,
+        which are made while they are written. Raises ScanError, CalibrationError.
+        """
         suffix = out.suffix.lower()
         if suffix in OBJECT_SCANS_SUFFIXES and (single_scans or suffix not in SURFACE_SUFFIXES):
-            with writing(out):
-                write_scans(out, placed_scans(root, solved, wish, progress), about)
-            continue
-        surface = surface_of(root, solved, wish, progress, spacing_mm) if surface is None else surface
-        progress(f"writing {out.name}")
-        meshed = has_triangles(out, mesh)
-        if meshed and triangles is None:
-            # It takes as long as everything before.
-            triangles = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm), close_holes_mm)
-        with writing(out):
-            if triangles is not None and meshed:
-                write_mesh(out, triangles, about)
-            else:
-                write_surface(out, surface, about)
+            return lambda: write_scans(out, placed_scans(*self._of), self._about)
+        surface = self._surface = self._surface or surface_of(*self._of, self._spacing_mm)
+        self._progress(f"writing {out.name}")
+        if not has_triangles(out, mesh):
+            return lambda: write_surface(out, surface, self._about)
+        # It takes as long as everything before.
+        size_mm = max(VOXEL_MM, 2.0 * self._spacing_mm)
+        triangles = self._mesh = self._mesh or mesh_of_surface(surface, size_mm, self._close_holes_mm)
+        return lambda: write_mesh(out, triangles, self._about)
 
 
 def _export(source: SourceScan, chosen: Chosen, out: Path, progress: Progress, *, mesh: bool) -> dict[str, Any]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .capture.store import (
         FrameStore,  # Slots for one or more sequences of both cameras, allocated once. A context manager
     )
-    from .machine.alerts import (
+    from .machine.ashore import (
         ASHORE,  # What to do ashore about a fault, by its code
     )
     from .service.air_live import (

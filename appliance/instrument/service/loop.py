@@ -13,7 +13,8 @@ from typing import assert_never
 
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.alerts import ASHORE, lengths_doubtful
+from appliance.instrument.machine.alerts import lengths_doubtful
+from appliance.instrument.machine.ashore import ASHORE
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.machine.conditions import LOST_CODES
 from appliance.instrument.machine.keys import meaning

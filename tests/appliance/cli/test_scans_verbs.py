@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from appliance.desk.scripting import open_dive
-from appliance.instrument.machine.alerts import ASHORE
+from appliance.instrument.machine.ashore import ASHORE
 from appliance.measure.calibration.file import encode_calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.verdict import Verdict

@@ -14,7 +14,7 @@ import pytest
 from appliance.instrument.machine import alerts as rules
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.alerts import ASHORE
+from appliance.instrument.machine.ashore import ASHORE
 from appliance.instrument.machine.conditions import may_light, refusal
 from appliance.instrument.machine.leading import (
     Leader,
