@@ -12,7 +12,6 @@ from appliance.cli.desk import (
     WithObjects,
     library_root,
     object_named,
-    opened_scans,
     scan_in,
     writable_as,
     writing,
@@ -21,9 +20,7 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine
 
 if TYPE_CHECKING:
-    from appliance.desk import About, FusedCloud, NominalSurface, StoredObject
-    from appliance.measure import Rigid
-    from appliance.store import Wish
+    from appliance.desk import StoredObject
 
 _PLACE = 6
 _FARTHEST_MM = 1e11
@@ -76,95 +73,43 @@ class Compare(WithObjects):
         root, name = library_root(wish), object_named(self.what)
         if name is None:
             scan_in(wish, self.what)
-        self._check(root)
-        stored = None if name is None else self.solved(wish, name)[1]
+        nominal = self._nominal(root)
+        what = scan_in(wish, self.what) if name is None else self.solved(wish, name)[1]
         compile_kernels()
-        from appliance.desk import compare, errors_of, figures_of, write_comparison
+        from appliance.desk import compare_stored
 
         with ProgressLine() as progress:
-            nominal = self._nominal_surface(root, wish, progress)
-            surface, about = self._surface(root, stored, wish, progress)
-            progress(f"laying it onto {nominal.name}")
-            found = compare(surface, nominal, self.limit, self._start(), None if stored is None else errors_of(stored))
-            for out in map(Path, self.out):
-                progress(f"writing {out}")
-                with writing(out):
-                    write_comparison(out, found, about, self.tolerance, stored)
-        figures = figures_of(found, self.tolerance)
-        summary = found.deviation.summary
-        counts = f"{summary.beyond} of them farther than {self.limit:g} mm, {summary.beside} beside an open border"
-        lines = [f"{about.title} against {nominal.name}: {summary.points} points, {counts}"]
-        if summary.rms_mm is not None:
+            title, found = compare_stored(
+                root, what, nominal, wish, [Path(out) for out in self.out], progress, writing,
+                spacing_mm=self.spacing, limit_mm=self.limit, tolerance_mm=self.tolerance, start=self.start,
+            )  # fmt: skip
+        counts = f"{found['beyond_limit']} of them farther than {self.limit:g} mm, {found['beside_border']} beside an open border"
+        lines = [f"{title} against {found['nominal']}: {found['points']} points, {counts}"]
+        if found["rms_mm"] is not None:
             lines.append(
-                f"deviation: mean {summary.mean_mm:+.3f}, RMS {summary.rms_mm:.3f}, {summary.least_mm:+.3f} to "
-                f"{summary.most_mm:+.3f} mm"
+                f"deviation: mean {found['mean_mm']:+.3f}, RMS {found['rms_mm']:.3f}, {found['least_mm']:+.3f} to "
+                f"{found['most_mm']:+.3f} mm"
             )
         if self.tolerance is not None:
-            lines.append(f"out of ± {self.tolerance:g} mm: {figures['out_of_tolerance_percent']:.2f} %")
-        self.tell(figures, [*lines, *(f"warning: {one}" for one in found.warnings)])
+            lines.append(f"out of ± {self.tolerance:g} mm: {found['out_of_tolerance_percent']:.2f} %")
+        self.tell(found, [*lines, *(f"warning: {one}" for one in found["warnings"])])
         return Exit.OK
 
-    def _check(self, root: Path) -> None:
-        """Raises ObjectError for an object under ``root`` that is not there, NominalError for a CAD model that is not,
-        UsageError for files that cannot be written, and MissingLibraryError where what reads or writes them is absent:
-        before minutes of work."""
+    def _nominal(self, root: Path) -> Path | StoredObject:
+        """Return what is compared with. Raises ObjectError for an object under ``root`` that is not there, NominalError
+        for a CAD model that is not, UsageError for files that cannot be written, and MissingLibraryError where what
+        reads or writes them is absent: before minutes of work."""
         from appliance.base import require
         from appliance.desk import checked_drawing, read_object
 
         require("igl", "libigl", "a comparison")
         name = object_named(self.nominal)
+        nominal: Path | StoredObject = Path(self.nominal)
         if name is not None:
             require("skimage.measure", "scikit-image", "the mesh of an object")
-            read_object(root, name)
+            nominal = read_object(root, name)
         elif checked_drawing(Path(self.nominal)) != ".stl":
             require("trimesh", "trimesh", "a CAD model")
         for out in map(Path, self.out):
             writable_as(out, "a comparison")
-
-    def _start(self) -> Rigid | None:
-        import numpy as np
-
-        from appliance.measure import Rigid, rotation_matrix
-
-        if self.start is None:
-            return None
-        return Rigid(rotation_matrix(np.radians(self.start[3:])), np.array(self.start[:3]))
-
-    def _surface(
-        self, root: Path, stored: StoredObject | None, wish: Wish, progress: ProgressLine
-    ) -> tuple[FusedCloud, About]:
-        """Return the points that are compared, of the object or of the scan."""
-        import numpy as np
-
-        from appliance.desk import CAMERA_FRAME, About, PlacedScan, about_object, fuse, organised_scan, surface_of
-
-        if stored is not None:
-            return surface_of(root, stored, wish, progress, self.spacing), about_object(stored)
-        with opened_scans(wish, (self.what,)) as ((source,), _):
-            made = organised_scan(source, source.calibration_for(wish), progress)
-        # One scan has no other to be placed beside.
-        placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
-        return fuse([placed], self.spacing), About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)
-
-    def _nominal_surface(self, root: Path, wish: Wish, progress: ProgressLine) -> NominalSurface:
-        """Return what is compared with. Raises NominalError, ObjectError."""
-        from appliance.desk import (
-            VOXEL_MM,
-            NominalSurface,
-            errors_of,
-            laid_onto_something,
-            mesh_of_surface,
-            nominal_of_mesh,
-            read_nominal,
-            read_object,
-            surface_of,
-        )
-
-        name = object_named(self.nominal)
-        if name is None:
-            return NominalSurface(Path(self.nominal).name, read_nominal(Path(self.nominal)))
-        other = read_object(root, name)
-        # What the two are laid onto each other by, no error of the other's frame is left in.
-        surface = laid_onto_something(surface_of(root, other, wish, progress, self.spacing), errors_of(other))
-        mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * self.spacing))
-        return NominalSurface(f"object {other.name}", nominal_of_mesh(mesh), mesh.sigma_mm)
+        return nominal

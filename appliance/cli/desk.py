@@ -43,17 +43,12 @@ class WithObjects(WithCalibration):
     def solved(self, wish: Wish, name: str) -> tuple[Path, StoredObject]:
         """Return the storage root and a solved object, and say which scans are in none of its files, since they were
         added later. Raises ObjectError, before anything that computes is loaded where there is none."""
-        from appliance.desk import ADDED_SINCE, read_object
+        from appliance.desk import ADDED_SINCE, solved_object
 
         root = library_root(wish)
-        found = read_object(root, name)
-        from appliance.desk import errors_of
-
-        errors_of(found)  # says where it is not solved
-        left_out = {} if found.places is None else found.places.left_out
-        since = ", ".join(scan for scan, why in left_out.items() if why == ADDED_SINCE)
-        if since:
-            complain(f"object '{found.name}': without {since}, {ADDED_SINCE}", as_json=self.json)
+        found = solved_object(root, name)
+        if found.added_since:
+            complain(f"object '{found.name}': without {', '.join(found.added_since)}, {ADDED_SINCE}", as_json=self.json)
         return root, found
 
 

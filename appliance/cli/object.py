@@ -16,7 +16,7 @@ from appliance.cli.output import Exit, ProgressLine, UsageError, complain
 from appliance.cli.places import WithCalibration, WithRoot
 
 if TYPE_CHECKING:
-    from appliance.desk import MemberScan, Places, StoredObject
+    from appliance.desk import Places, StoredObject
 
 LEAST_SCANS = 2
 """Placed scans that make an object."""
@@ -91,19 +91,22 @@ class SolveObject(WithCalibration):
     def run(self) -> Exit:
         use_one_blas_thread(os.environ)
         wish = self.wish()
-        from appliance.desk import published_object, read_object, update_object
+        from appliance.desk import read_object
 
         root = library_root(wish)
         more = self.scans or self.taken_as is not None
         found = _added(self, root) if more else read_object(root, self.name)
         compile_kernels()
-        from appliance.desk import solve_object
+        from appliance.desk import solve_object, tell_health
+        from appliance.store import StorageError
 
         with ProgressLine() as progress:
-            answer = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
-        # What was added in these minutes stays.
-        solved = update_object(root, self.name, lambda now: published_object(now, answer))
-        _tell_health(root, solved, as_json=self.json)
+            solved = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
+        try:
+            tell_health(root, solved)
+        except StorageError as error:
+            # The object is solved and kept: what it says of the calibration can be written by solving it again.
+            complain(f"not written to the calibration's health: {error}", as_json=self.json)
         self.tell(_document(solved), _lines(solved))
         placed = 0 if solved.places is None else len(solved.places.places)
         if placed < LEAST_SCANS:
@@ -112,55 +115,15 @@ class SolveObject(WithCalibration):
         return Exit.OK if placed == len(solved.scans) else Exit.LEFT_OUT
 
 
-def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
-    """Write what the overlaps tell of the calibration beside what its scans told; the instrument reads it at its next
-    start."""
-    from appliance.calibrate import HealthFile, told_by_overlaps
-    from appliance.desk import overlap_news
-    from appliance.store import StorageError, hold_lock
-
-    told = overlap_news(solved)
-    if told is None:
-        return
-    calibration_hash, news = told
-    try:
-        # The running service keeps the trend in memory and would write it over this.
-        with hold_lock(root):
-            file = HealthFile(root, calibration_hash)
-            file.write(told_by_overlaps(file.read(), news))
-    except StorageError as error:
-        # The object is solved and kept: what it says of the calibration can be written by solving it again.
-        complain(f"not written to the calibration's health: {error}", as_json=as_json)
-
-
 def _added(verb: AddToObject | SolveObject, root: Path) -> StoredObject:
     """Return the object with the verb's scans added, those named and those of the instrument's object ``taken_as`` that
     it has not; it is made where there is none. Raises UsageError, ScanError, ObjectError."""
-    from appliance.desk import StoredObject, object_exists, read_object, update_object, with_scans
+    # All of them are looked up before the first byte is read.
+    named = [scan_in(verb.wish(), scan) for scan in verb.scans]
+    taken = [scan_in(verb.wish(), scan) for scan in _taken_as(root, verb.taken_as)]
+    from appliance.desk import add_to_object
 
-    stored = read_object(root, verb.name) if object_exists(root, verb.name) else None
-    # All of them are looked up before the first byte is read, and before what reads them is imported.
-    folders = [scan_in(verb.wish(), scan) for scan in verb.scans]
-    folders_taken = [scan_in(verb.wish(), scan) for scan in _taken_as(root, verb.taken_as)]
-    named = tuple(_member(root, folder) for folder in folders)
-    taken = [_member(root, folder) for folder in folders_taken]
-
-    def more(now: StoredObject | None) -> StoredObject:
-        begun = StoredObject(verb.name) if now is None else now
-        have = {one.frames_sha256 for one in (*begun.scans, *named)}
-        return with_scans(begun, (*named, *(one for one in taken if one.frames_sha256 not in have)))
-
-    more(stored)  # a scan that is refused leaves no folder behind
-    return update_object(root, verb.name, more)
-
-
-def _member(root: Path, folder: Path) -> MemberScan:
-    """Return a scan as a member of an object. Raises ScanError."""
-    from appliance.desk import member_of
-    from appliance.store import StoredScan
-
-    StoredScan.refuse_damage(folder)
-    return member_of(root, folder)
+    return add_to_object(root, verb.name, named, taken)
 
 
 def _taken_as(root: Path, number: int | None) -> Sequence[str]:

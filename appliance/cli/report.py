@@ -61,11 +61,11 @@ class MakeReport(WithObjects):
         return Exit.OK
 
     def _of_table(self, table: Path, out: Path) -> Exit:
-        from appliance.desk import read_table, season_page
+        from appliance.desk import page_of_table
 
-        rows = read_table(table)
-        write_files({out: season_page(rows, str(table)).encode()})
-        self.tell({"page": str(out), "scans": len(rows)}, [f"{out}  {len(rows)} scans"])
+        page, count = page_of_table(table)
+        write_files({out: page.encode()})
+        self.tell({"page": str(out), "scans": count}, [f"{out}  {count} scans"])
         return Exit.OK
 
     def _of_object(self, name: str, out: Path) -> Exit:
@@ -75,11 +75,11 @@ class MakeReport(WithObjects):
 
         require("plotly", "plotly", "a page with a surface that can be turned")
         compile_kernels()
-        from appliance.desk import report_of, surface_of, write_report
+        from appliance.desk import report_of_object, write_report
 
         with ProgressLine() as progress:
-            surface = surface_of(root, solved, wish, progress, self.spacing)
+            report = report_of_object(root, solved, wish, progress, self.spacing)
             with writing(out):
-                write_report(out, report_of(solved, surface))
+                write_report(out, report)
         self.tell({"object": solved.name, "files": [str(out)]}, [str(out)])
         return Exit.OK

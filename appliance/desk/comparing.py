@@ -3,7 +3,8 @@ from it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,20 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import one_line, refuse_wrong_fields
-from appliance.desk.export.content import About
+from appliance.base import Progress, one_line, refuse_wrong_fields
+from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_surface
-from appliance.desk.object_errors import laid_onto_something
+from appliance.desk.object_errors import errors_of, laid_onto_something
 from appliance.desk.object_report import report_of
 from appliance.desk.object_store import StoredObject
+from appliance.desk.objects import about_object, surface_of
+from appliance.desk.organised import organised_scan
 from appliance.desk.registration.joint import JointErrors
 from appliance.desk.registration.reference import FITS_MM, FreeWay, LaidOnto, OrientedPoints, PlacesOn, lay_onto
 from appliance.desk.report.content import Report, ReportNominal
 from appliance.desk.report.page import write_report
 from appliance.desk.surface.deviation import LIMIT_MM, Deviation, NominalTree, deviations, spread_over
-from appliance.desk.surface.fusion import FusedCloud
-from appliance.desk.surface.nominal import Nominal
-from appliance.measure import Rigid, rotation_vector
+from appliance.desk.surface.fusion import FusedCloud, PlacedScan, fuse
+from appliance.desk.surface.nominal import Nominal, nominal_of_mesh, read_nominal
+from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
+from appliance.measure import Rigid, rotation_matrix, rotation_vector
+from appliance.store import SourceScan, Wish
 
 PAGE = ".html"
 SURE = 2.0
@@ -114,6 +119,63 @@ def compare(
     laid = replace(laid, pose=pose, elsewhere=tuple(elsewhere))
     warnings = (*_warnings(laid), *_beside(deviation), *_bent(surface, deviation))
     return Comparison(surface, laid, nominal.name, nominal.triangles.origin_mm, deviation, warnings)
+
+
+def compare_stored(
+    root: Path,
+    what: Path | StoredObject,
+    nominal: Path | StoredObject,
+    wish: Wish,
+    outs: Sequence[Path],
+    progress: Progress,
+    writing: Callable[[Path], AbstractContextManager[None]],
+    *,
+    spacing_mm: float,
+    limit_mm: float,
+    tolerance_mm: float | None,
+    start: Sequence[float] | None,
+) -> tuple[str, Mapping[str, Any]]:
+    """Compare a scan (its folder), or the surface of a solved object, with a CAD model (its file) or another object, and
+    write it to ``outs``; return what was compared, and the comparison in numbers, JSON-ready.
+
+    ``start``: where it lies, x, y, z in mm and the turn as axis times angle in degrees. ``writing``: entered while a
+    file is written. Raises ScanError, CalibrationError, NominalError, ObjectError, SurfaceMatchError, ExportError,
+    StorageError, MissingLibraryError.
+    """
+    reference, errors, stored = _nominal_surface(root, nominal, wish, progress, spacing_mm), None, None
+    if isinstance(what, StoredObject):
+        surface, about = surface_of(root, what, wish, progress, spacing_mm), about_object(what)
+        errors, stored = errors_of(what), what
+    else:
+        surface, about = _surface_of_scan(what, wish, progress, spacing_mm)
+    progress(f"laying it onto {reference.name}")
+    begin = None if start is None else Rigid(rotation_matrix(np.radians(start[3:])), np.array(start[:3]))
+    found = compare(surface, reference, limit_mm, begin, errors)
+    for out in outs:
+        progress(f"writing {out}")
+        with writing(out):
+            _write(out, found, about, tolerance_mm, stored)
+    return about.title, _figures(found, tolerance_mm)
+
+
+def _surface_of_scan(folder: Path, wish: Wish, progress: Progress, spacing_mm: float) -> tuple[FusedCloud, About]:
+    progress(f"comparing checksums of {folder.name}")
+    source = SourceScan.open(folder, wish, whole=True)
+    made = organised_scan(source, source.calibration_for(wish), progress)
+    # One scan has no other to be placed beside.
+    placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
+    return fuse([placed], spacing_mm), About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)
+
+
+def _nominal_surface(
+    root: Path, nominal: Path | StoredObject, wish: Wish, progress: Progress, spacing_mm: float
+) -> NominalSurface:
+    if isinstance(nominal, Path):
+        return NominalSurface(nominal.name, read_nominal(nominal))
+    # What the two are laid onto each other by, no error of the other's frame is left in.
+    surface = laid_onto_something(surface_of(root, nominal, wish, progress, spacing_mm), errors_of(nominal))
+    mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm))
+    return NominalSurface(f"object {nominal.name}", nominal_of_mesh(mesh), mesh.sigma_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +296,7 @@ def _pose_words(other: Rigid, best: Rigid) -> str:
     return f"{_start_words(other)} ({how})"
 
 
-def write_comparison(
+def _write(
     path: Path, found: Comparison, about: About, tolerance_mm: float | None, stored: StoredObject | None
 ) -> None:
     """Write a comparison: points with their deviation (.ply .e57 .las) in the nominal surface's frame, or a page
@@ -267,7 +329,7 @@ def _report(found: Comparison, about: About, tolerance_mm: float | None, stored:
     )
 
 
-def figures_of(found: Comparison, tolerance_mm: float | None) -> Mapping[str, Any]:
+def _figures(found: Comparison, tolerance_mm: float | None) -> Mapping[str, Any]:
     """Return a comparison in numbers, JSON-ready; lengths in mm."""
     summary, laid = found.deviation.summary, found.laid
     near = np.abs(found.deviation.deviation_mm)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from appliance import __version__
+from appliance.base import Progress
 from appliance.desk.object_errors import length_between
 from appliance.desk.object_store import ComparedScans, Places, ScanPlace, StoredObject
+from appliance.desk.objects import surface_of
 from appliance.desk.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict, when
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.measure import rotation_vector
+from appliance.store import Wish
 
 SHOWN_DIGITS = 12
 _UNCHECKED = "in no loop: nothing checks it; one more scan across both would"
@@ -40,6 +44,14 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
         surface=surface,
         warnings=places.warnings,
     )
+
+
+def report_of_object(root: Path, solved: StoredObject, wish: Wish, progress: Progress, spacing_mm: float) -> Report:
+    """Return the page's content for a solved object, with its surface, a point about every ``spacing_mm``.
+
+    Raises ScanError, CalibrationError.
+    """
+    return report_of(solved, surface_of(root, solved, wish, progress, spacing_mm))
 
 
 def _scan(name: str, places: Places) -> ReportScan:

@@ -189,6 +189,11 @@ class StoredObject:
     """``None``: never solved. Scans that were added since are left out of them (``ADDED_SINCE``)."""
     schema: int = 1
 
+    @property
+    def added_since(self) -> tuple[str, ...]:
+        """The scans that were added after the others were placed."""
+        return () if self.places is None else tuple(n for n, why in self.places.left_out.items() if why == ADDED_SINCE)
+
 
 def _refuse_names(stored: StoredObject) -> None:
     """Raises ValueError for a name in it that no part of a path may be called: clouds are kept under those of
@@ -249,6 +254,16 @@ def read_object(root: Path, name: str) -> StoredObject:
     # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's
     # folder.
     return replace(found, name=name)
+
+
+def solved_object(root: Path, name: str) -> StoredObject:
+    """Read an object that has places. Raises ObjectError for any other, before anything that computes is loaded where
+    there is none."""
+    found = read_object(root, name)
+    from appliance.desk.object_errors import errors_of
+
+    errors_of(found)  # says where it is not solved
+    return found
 
 
 def object_exists(root: Path, name: str) -> bool:

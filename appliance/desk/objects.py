@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance import __version__
 from appliance.base import Progress, part_of, silent
-from appliance.calibrate import OverlapNews
+from appliance.calibrate import HealthFile, OverlapNews, told_by_overlaps
 from appliance.desk import object_store as objects
 from appliance.desk.export.content import OBJECT_FRAME, About
 from appliance.desk.object_errors import errors_of, in_the_frame, packed
@@ -33,7 +33,7 @@ from appliance.desk.registration.joint import JointErrors, joint_errors
 from appliance.desk.registration.solve import Compared, Solved, middle_of, solve
 from appliance.desk.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
 from appliance.measure import Calibration, OrganisedCloud, ReadyScan, matrix3, ready
-from appliance.store import FRAME_FILES, Chosen, ScanError, SourceScan, StoredScan, Wish
+from appliance.store import FRAME_FILES, Chosen, ScanError, SourceScan, StoredScan, Wish, hold_lock
 
 CLEAR_FACTOR = 4.0
 """Variance factor from which on the pairs contradict each other by more than they state."""
@@ -60,6 +60,27 @@ def member_of(root: Path, folder: Path) -> MemberScan:
     whole = folder.absolute()
     inside = whole.is_relative_to(root.absolute())
     return MemberScan(manifest.scan_id, str(whole.relative_to(root.absolute()) if inside else whole), sums)
+
+
+def add_to_object(root: Path, name: str, named: Sequence[Path], taken: Sequence[Path]) -> StoredObject:
+    """Add scans, by their folders, to an object, which is made where there is none: those ``named``, and of those
+    ``taken`` the ones that it has not. Return it, durable.
+
+    Raises ObjectError for a scan that it has already, ScanError for one whose frames are damaged, StorageError.
+    """
+    for folder in (*named, *taken):
+        StoredScan.refuse_damage(folder)
+    first, others = (tuple(member_of(root, one) for one in folders) for folders in (named, taken))
+
+    def more(now: StoredObject | None) -> StoredObject:
+        begun = StoredObject(name) if now is None else now
+        have = {one.frames_sha256 for one in (*begun.scans, *first)}
+        return objects.with_scans(begun, (*first, *(one for one in others if one.frames_sha256 not in have)))
+
+    more(
+        objects.read_object(root, name) if objects.object_exists(root, name) else None
+    )  # a refused scan leaves no folder behind
+    return objects.update_object(root, name, more)
 
 
 def clouds_of(root: Path, stored_object: StoredObject, wish: Wish, progress: Progress) -> Iterator[MemberCloud]:
@@ -122,10 +143,12 @@ def light_of(calibration: Calibration) -> NDArray[np.float64]:
 def solve_object(
     root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, *, with_shared_error: bool = False
 ) -> StoredObject:
-    """Find where every scan of an object lies and return the object with its places, not yet written.
+    """Find where every scan of an object lies, write it down, and return the object as it is stored then; what was added
+    meanwhile stays, without a place.
 
     ``with_shared_error``: the depth error that all scans share is estimated from their overlaps, and taken out. Raises
-    ObjectError for fewer than two scans; ScanError, CalibrationError.
+    ObjectError for fewer than two scans, and where the object was made again meanwhile, or solved with more scans;
+    ScanError, CalibrationError, StorageError.
     """
     if len(stored_object.scans) < 2:
         raise ObjectError(
@@ -157,7 +180,8 @@ def solve_object(
     # Of several calibrations the first's volume: what they differ by is in no budget, and said.
     joint = joint_errors(solved.placed, used[0].rig.volume)
     places = _places(solved, scans, clouds, with_shared_error, known_before(stated), joint, facts)
-    return replace(stored_object, places=places)
+    answer = replace(stored_object, places=places)
+    return objects.update_object(root, answer.name, lambda now: objects.published_object(now, answer))
 
 
 def _facts(member: MemberCloud) -> CloudFacts:
@@ -317,7 +341,20 @@ def surface_of(
     return in_the_frame(fuse(placed_scans(root, stored_object, wish, progress), spacing_mm), errors)
 
 
-def overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:
+def tell_health(root: Path, solved: StoredObject) -> None:
+    """Write what an object's overlaps tell of its calibration beside what its scans told; the instrument reads it at its
+    next start. Raises StorageError, also where a service holds ``root``."""
+    told = _overlap_news(solved)
+    if told is None:
+        return
+    calibration_hash, news = told
+    # The running service keeps the trend in memory and would write it over this.
+    with hold_lock(root):
+        file = HealthFile(root, calibration_hash)
+        file.write(told_by_overlaps(file.read(), news))
+
+
+def _overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:
     """Return the hash of the calibration that an object's scans share and what their overlaps tell of it; ``None``:
     nothing."""
     places = stored_object.places

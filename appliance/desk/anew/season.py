@@ -10,9 +10,11 @@ import html
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from statistics import median
 
 from appliance.base import Page
+from appliance.desk.anew.results import read_table
 from appliance.measure import Grade
 
 Cells = Mapping[str, str]
@@ -26,6 +28,12 @@ _BINS = 400
 """Places along a chart; where several scans of a group share one, the lowest and the highest are drawn."""
 _MOST = 1e12
 """Largest number of a table that is believed: axes of larger ones would not be finite."""
+
+
+def page_of_table(table: Path) -> tuple[str, int]:
+    """Return the page about the season of a table, and how many scans it has. Raises ResultsError."""
+    rows = read_table(table)
+    return season_page(rows, str(table)), len(rows)
 
 
 def season_page(rows: Sequence[Cells], source: str) -> str:
