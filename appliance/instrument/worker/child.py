@@ -16,10 +16,12 @@ from collections.abc import Callable
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from appliance.base import importing, use_one_blas_thread
-from drivers.api import Clock
+
+if TYPE_CHECKING:  # drivers.api brings NumPy, which must not be here before its number of threads is set
+    from drivers.api import Clock
 
 KILL_TIMEOUT_S = 2.0
 """Longest wait for a process that was killed, or that has closed its pipe."""
