@@ -49,12 +49,9 @@ if TYPE_CHECKING:
         Page,  # A page in the making, from its head on: one file of HTML with its pictures in it
     )
     from .plot import (
-        DIVERGING,  # Colours from blue to red through white: negative, none, positive
-        SEQUENTIAL,  # Colours of even steps, also in grey and for those who see no red or green
+        ColourScale,  # Colours from the lowest value to the highest: sequential, diverging, greys
         bars,  # Draw a bar for each name, full for a share of 1
-        coloured,  # Return the colour of each value on a scale of colours
         draw_curves,  # Draw curves by name into axes that hold all of them; a PNG
-        hex_of,  # Return a colour of three numbers 0..255 as HTML writes it
         histogram,  # Draw how many values lie where between two ends
         minus,  # Return a number in digits with a minus sign as long as a plus
         number_text,  # Return a number as an axis has it

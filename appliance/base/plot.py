@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Container, Mapping, Sequence
+from enum import Enum
 from typing import Any
 
 import cv2
@@ -15,13 +16,36 @@ _LEFT, _RIGHT, _TOP, _FOOT = 70, 20, 30, 44
 _INK, _LINE = (51, 39, 28), (229, 221, 213)
 _COLOURS = ((158, 105, 17), (30, 38, 179), (82, 127, 26), (0, 106, 178), (120, 60, 120), (90, 90, 90))
 TICKS = 5
-SEQUENTIAL = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-"""Viridis, by S. van der Walt and N. Smith: even steps, also in grey and for those who see no red or green."""
-DIVERGING = ((33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 165, 130), (178, 24, 43))
-"""Blue to red through white, after C. Brewer's RdBu: negative, none, positive."""
 BARS = 61
 _WIDE, _HIGH, _BASE, _LINE_PX = 640, 240, 200, 17
 _MUTED = "#5b6b7b"
+
+
+class ColourScale(Enum):
+    """Colours 0..255 from the lowest value to the highest, evenly apart."""
+
+    SEQUENTIAL = (68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)
+    """Viridis, by S. van der Walt and N. Smith: even steps, also in grey and for those who see no red or green."""
+    DIVERGING = (33, 102, 172), (146, 197, 222), (247, 247, 247), (244, 165, 130), (178, 24, 43)
+    """Blue to red through white, after C. Brewer's RdBu: negative, none, positive."""
+    GREYS = (20, 20, 20), (250, 250, 250)
+
+    def of(self, values: NDArray[Any], low: float, high: float) -> NDArray[np.float32]:
+        """Return the colour of each of the values (n,), the first one at ``low`` and the last at ``high``: (n, 3)
+        float32, 0..255; light grey for NaN."""
+        scale = np.asarray(self.value, np.float32)
+        part = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0) * (len(scale) - 1)
+        known = np.isfinite(part)
+        place = np.where(known, part, 0.0)
+        k = np.minimum(place.astype(np.int64), len(scale) - 2)
+        rest = (place - k)[:, None].astype(np.float32)
+        between = scale[k] * (1 - rest) + scale[k + 1] * rest
+        return np.asarray(np.where(known[:, None], between, np.float32(200)), np.float32)
+
+    @property
+    def stops(self) -> list[tuple[float, str]]:
+        """Share of the way from the lowest value to the highest, and colour as HTML writes it, of each colour."""
+        return [(k / (len(self.value) - 1), _hex(colour)) for k, colour in enumerate(self.value)]
 
 
 def draw_curves(
@@ -71,26 +95,6 @@ def png(image: NDArray[np.uint8]) -> bytes:
     return bytes(data)
 
 
-def coloured(
-    values: NDArray[Any], low: float, high: float, colours: Sequence[tuple[int, int, int]]
-) -> NDArray[np.float32]:
-    """Return the colour of each of the values (n,), from the first of ``colours`` at ``low`` to the last at ``high``:
-    (n, 3) float32, 0..255; light grey for NaN."""
-    scale = np.asarray(colours, np.float32)
-    part = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0) * (len(scale) - 1)
-    known = np.isfinite(part)
-    place = np.where(known, part, 0.0)
-    k = np.minimum(place.astype(np.int64), len(scale) - 2)
-    rest = (place - k)[:, None].astype(np.float32)
-    found: NDArray[np.float32] = np.where(known[:, None], scale[k] * (1 - rest) + scale[k + 1] * rest, np.float32(200))
-    return found
-
-
-def hex_of(colour: Sequence[float]) -> str:
-    """Return a colour of three numbers 0..255 as HTML writes it."""
-    return "#" + "".join(f"{round(part):02x}" for part in colour)
-
-
 def histogram(
     values: NDArray[Any],
     low: float,
@@ -110,12 +114,12 @@ def histogram(
         return 20 + (value - low) / (high - low) * (_WIDE - 40)
 
     drawn = []
-    colours = coloured(0.5 * (edges[1:] + edges[:-1]), low, high, DIVERGING).tolist()
+    colours = ColourScale.DIVERGING.of(0.5 * (edges[1:] + edges[:-1]), low, high).tolist()
     for edge, count, colour in zip(edges, counts, colours, strict=False):
         tall = (_BASE - 16) * int(count) / most
         drawn.append(
             f'<rect x="{x(float(edge)):.1f}" y="{_BASE - tall:.1f}" width="{wide - 1:.1f}" height="{tall:.1f}" '
-            f'fill="{hex_of(colour)}" stroke="{_MUTED}" stroke-width=".4"/>'
+            f'fill="{_hex(colour)}" stroke="{_MUTED}" stroke-width=".4"/>'
         )
     drawn += [
         f'<line x1="{x(mark):.1f}" x2="{x(mark):.1f}" y1="8" y2="{_BASE}" stroke="#b3261e" stroke-dasharray="5 4"/>'
@@ -148,6 +152,10 @@ def bars(shares: Mapping[str, float], marked: Container[str] = ()) -> str:
         f'<svg width="480" viewBox="0 0 480 {_LINE_PX * len(shares) + 8}" font-size="12" role="img" '
         f'aria-label="Bars">{"".join(parts)}</svg>'
     )
+
+
+def _hex(colour: Sequence[float]) -> str:
+    return "#" + "".join(f"{round(part):02x}" for part in colour)
 
 
 def minus(text: str) -> str:

@@ -50,11 +50,9 @@ class Evaluate(WithCalibration):
             step = part_of(progress, SCANS_CHECKED, 1.0)
             SourceScan.instrument_of(sources, wish)  # refuses two
             evaluation = run_evaluation(scans, sources, SourceScan.one_calibration(sources, wish).calibration, step)
-        from appliance.measure import as_html, as_json
-
-        content = as_json(evaluation)
+        content = evaluation.as_json()
         text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        write_files({page: as_html(evaluation).encode(), data: text.encode()})
+        write_files({page: evaluation.as_html().encode(), data: text.encode()})
         self.tell(content, _lines(content, page))
         # The report is there either way; a program that only looks at the code must not take a missing artefact for a
         # good one.

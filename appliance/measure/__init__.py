@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from .accept.report import (
         Evaluation,  # All scans and what they have in common
         Item,  # One scan of the evaluation, with where it came from
-        as_html,  # Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere
-        as_json,  # Return the evaluation JSON-ready; errors in percent, lengths in mm, unknown values null
     )
     from .accept.result import (
         LENGTHS,  # The calibrated lengths that an artefact may have

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.base import Html, Page, bars, coloured, draw_curves, histogram
+from appliance.base import ColourScale, Html, Page, bars, draw_curves, histogram
 from appliance.base.plot import BARS, HEIGHT_PX, WIDTH_PX
 
 
@@ -92,8 +92,9 @@ def test_a_bar_is_as_long_as_its_share_and_red_where_it_is_marked() -> None:
 
 
 def test_colours_lie_between_those_of_the_scale_and_nothing_is_light_grey() -> None:
-    found = coloured(np.array([-5.0, 0.0, 0.25, 1.0, np.nan]), 0.0, 1.0, ((0, 0, 0), (100, 200, 40)))
-    assert found.tolist() == [[0, 0, 0], [0, 0, 0], [25, 50, 10], [100, 200, 40], [200, 200, 200]]
+    found = ColourScale.GREYS.of(np.array([-5.0, 0.0, 0.25, 1.0, np.nan]), 0.0, 1.0)
+    assert found.tolist() == [[20] * 3, [20] * 3, [77.5] * 3, [250] * 3, [200] * 3]
+    assert ColourScale.DIVERGING.stops[::2] == [(0.0, "#2166ac"), (0.5, "#f7f7f7"), (1.0, "#b2182b")]
 
 
 def test_a_curve_goes_from_corner_to_corner_of_its_axes_and_a_mark_is_red() -> None:

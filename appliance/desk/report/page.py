@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import Page, hex_of, histogram, minus, needed, number_text
+from appliance.base import Page, histogram, minus, needed, number_text
 from appliance.desk.report.content import (
     Report,
     ReportBudget,
@@ -106,7 +106,7 @@ def turned(shown: ShownSurface, up: Vector) -> tuple[str, str]:
 def _trace(shown: ShownSurface) -> dict[str, Any]:
     first = shown.colourings[0]
     places = {axis: _packed(shown.points_mm[:, k], "<f4") for k, axis in enumerate("xyz")}
-    scale = _scale(first)
+    scale = first.scale.stops
     hover = "x %{x:.2f}  y %{y:.2f}  z %{z:.2f} mm<extra></extra>"
     if shown.faces is None:
         marker = {
@@ -146,11 +146,7 @@ def _layout(shown: ShownSurface, up: Vector) -> dict[str, Any]:
 
 
 def _as_json(one: Colouring) -> dict[str, Any]:
-    return {"values": _packed(one.values, "<f4"), "scale": _scale(one), "low": one.low, "high": one.high}
-
-
-def _scale(one: Colouring) -> list[tuple[float, str]]:
-    return [(k / (len(one.colours) - 1), hex_of(colour)) for k, colour in enumerate(one.colours)]
+    return {"values": _packed(one.values, "<f4"), "scale": one.scale.stops, "low": one.low, "high": one.high}
 
 
 def _packed(values: NDArray[Any], kind: str) -> dict[str, str]:
@@ -429,10 +425,7 @@ def colour_bar(one: Colouring) -> str:
     """Return the scale of a colouring with its ends and middle; empty for a plain picture."""
     if one.name == "Picture":
         return ""
-    stops = "".join(
-        f'<stop offset="{k / (len(one.colours) - 1):.3f}" stop-color="{hex_of(colour)}"/>'
-        for k, colour in enumerate(one.colours)
-    )
+    stops = "".join(f'<stop offset="{at:.3f}" stop-color="{colour}"/>' for at, colour in one.scale.stops)
     name = f"bar-{one.name.lower()}"
     ticks = "".join(
         f'<text x="{10 + 400 * part:.0f}" y="40" text-anchor="{anchor}">{html.escape(number_text(one.low + part * (one.high - one.low)))}</text>'

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import DIVERGING, SEQUENTIAL, coloured
+from appliance.base import ColourScale
 from appliance.desk.report.content import Report
 
 MOST_TURNED = 60_000
 """Points or vertices that a browser on a plain computer turns smoothly."""
-GREYS = ((20, 20, 20), (250, 250, 250))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,11 +26,11 @@ class Colouring:
     high: float
     """Values of the first and the last colour."""
     unit: str
-    colours: tuple[tuple[int, int, int], ...]
+    scale: ColourScale
 
     def rgb(self) -> NDArray[np.float32]:
         """Return (n, 3) float32, 0..255: the colour of each value."""
-        return coloured(self.values, self.low, self.high, self.colours)
+        return self.scale.of(self.values, self.low, self.high)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,11 +62,14 @@ def shown(report: Report) -> ShownSurface | None:
             2.0 * nominal.tolerance_mm if nominal.tolerance_mm else float(np.percentile(near, 99)) if len(near) else 1.0
         )
         found.insert(
-            0, Colouring("Deviation", deviation * np.float32(1000), -1000 * reach, 1000 * reach, "µm", DIVERGING)
+            0,
+            Colouring(
+                "Deviation", deviation * np.float32(1000), -1000 * reach, 1000 * reach, "µm", ColourScale.DIVERGING
+            ),
         )
     most = int(surface.views.max())
     if most > 1:
-        found.append(Colouring("Scans", surface.views.astype(np.float32), 1.0, float(most), "", SEQUENTIAL))
+        found.append(Colouring("Scans", surface.views.astype(np.float32), 1.0, float(most), "", ColourScale.SEQUENTIAL))
     return ShownSurface(surface.points_mm, surface.normals, None, tuple(found))
 
 
@@ -91,19 +93,19 @@ def thinned(full: ShownSurface, most: int = MOST_TURNED) -> ShownSurface:
         _, once = np.unique(np.sort(faces[~flat], axis=1), axis=0, return_index=True)
         faces = faces[~flat][once]
     colourings = tuple(
-        Colouring(one.name, one.values[first], one.low, one.high, one.unit, one.colours) for one in full.colourings
+        Colouring(one.name, one.values[first], one.low, one.high, one.unit, one.scale) for one in full.colourings
     )
     return ShownSurface(full.points_mm[first], full.normals[first], faces, colourings)
 
 
 def _grey(grey: NDArray[np.uint8]) -> Colouring:
     low, high = (float(value) for value in np.percentile(grey, (1, 99)))
-    return Colouring("Picture", grey.astype(np.float32), low, max(high, low + 1.0), "", GREYS)
+    return Colouring("Picture", grey.astype(np.float32), low, max(high, low + 1.0), "", ColourScale.GREYS)
 
 
 def _sigma(sigma_mm: NDArray[np.float32]) -> Colouring:
     low, high = (1000.0 * float(value) for value in np.nanpercentile(sigma_mm, (2, 98)))
-    return Colouring("Sigma", sigma_mm * np.float32(1000), low, max(high, low + 0.1), "µm", SEQUENTIAL)
+    return Colouring("Sigma", sigma_mm * np.float32(1000), low, max(high, low + 0.1), "µm", ColourScale.SEQUENTIAL)
 
 
 def _cells(

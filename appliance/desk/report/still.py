@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import SEQUENTIAL, coloured, png
+from appliance.base import ColourScale, png
 from appliance.desk.report.content import Vector
 from appliance.desk.report.shown import Colouring, ShownSurface
 
@@ -86,7 +86,7 @@ def picture_of_scan(points_mm: NDArray[np.float32], grey: NDArray[np.uint8]) -> 
     column = _SCAN_PX[0] / 2 + (across - (across.min() + across.max()) / 2) * px
     row = _SCAN_PX[1] / 2 + (down - (down.min() + down.max()) / 2) * px
     low, far = (float(value) for value in np.percentile(points[:, 2], (2, 98)))
-    by_depth = coloured(points_mm[:, 2], low, max(far, low + 0.1), SEQUENTIAL)
+    by_depth = ColourScale.SEQUENTIAL.of(points_mm[:, 2], low, max(far, low + 0.1))
     bright = np.clip(grey / max(float(np.percentile(grey, 98)), 1.0), 0.0, 1.0)
     image = _splats(column, row, -points[:, 2], by_depth * (_AMBIENT + (1 - _AMBIENT) * bright)[:, None], _SCAN_PX)
     return png(image[:, :, ::-1])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from appliance.base import DIVERGING, Page, coloured, histogram, png
+from appliance.base import ColourScale, Page, histogram, png
 from appliance.measure.accept.acceptance import Symbol, overall
 from appliance.measure.accept.points import OUTLIER_SHARE, NotFound, Used
 from appliance.measure.accept.result import Artefact, Result
@@ -45,20 +45,50 @@ class Evaluation:
         """True if every artefact was found."""
         return not any(isinstance(item.result.fit, NotFound) for item in self.items)
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the evaluation JSON-ready; errors in percent, lengths in mm, unknown values null."""
+        return {
+            "schema": SCHEMA,
+            "title": TITLE,
+            "about": dict(self.about),
+            "reference_mm": self.reference_mm,
+            "outliers_allowed_percent": 100.0 * OUTLIER_SHARE,
+            "complete": self.complete,
+            "limits_kept": overall(q for item in self.items for q in item.result.quantities).value,
+            "summary": summary(self),
+            "scans": [_item(item) for item in self.items],
+        }
 
-def as_json(evaluation: Evaluation) -> dict[str, Any]:
-    """Return the evaluation JSON-ready; errors in percent, lengths in mm, unknown values null."""
-    return {
-        "schema": SCHEMA,
-        "title": TITLE,
-        "about": dict(evaluation.about),
-        "reference_mm": evaluation.reference_mm,
-        "outliers_allowed_percent": 100.0 * OUTLIER_SHARE,
-        "complete": evaluation.complete,
-        "limits_kept": overall(q for item in evaluation.items for q in item.result.quantities).value,
-        "summary": summary(evaluation),
-        "scans": [_item(item) for item in evaluation.items],
-    }
+    def as_html(self) -> str:
+        """Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
+        content = self.as_json()
+        page = Page(TITLE, about=content["about"])
+        page.heading("Largest errors, mean noise")
+        page.facts(content["summary"])
+        page.note(
+            "E_L = (measured − calibrated)/calibrated. E_F = range of the distances to the best-fit plane / d_r, "
+            f"d_r = {self.reference_mm:g} mm; E_F,sys is that of a bivariate cubic through them. At most "
+            f"{100 * OUTLIER_SHARE:g} % of a surface's points are removed as outliers."
+        )
+        page.note(
+            "PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS = its "
+            "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the distances "
+            "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept when "
+            f"it is for every value within them. Limits: {content['limits_kept']}."
+        )
+        for item, written in zip(self.items, content["scans"], strict=True):
+            page.heading(f"Scan {item.scan}: {item.result.artefact.value}")
+            # On the page as in the JSON: an artefact that was not found must not look like one without errors.
+            if written["reason"] is not None:
+                page.problem(f"Not evaluated: {written['reason']}.")
+            page.facts({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")})
+            for key in ("lengths", "quantities", "surfaces"):
+                if written[key]:
+                    page.rows(written[key])
+            for name, used in item.result.surfaces.items():
+                _add_pictures(page, name, used, self.left_width_px)
+            page.facts(written["provenance"])
+        return page.as_html()
 
 
 def summary(evaluation: Evaluation) -> dict[str, float | None]:
@@ -85,38 +115,6 @@ def _largest(results: Sequence[Result], symbol: Symbol) -> float | None:
     values = [q.value_mm for result in results for q in result.quantities if q.symbol is symbol]
     # PS and SD have signs, which say whether a ball or the bar came out too large or too small.
     return max(values, key=abs, default=None)
-
-
-def as_html(evaluation: Evaluation) -> str:
-    """Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
-    content = as_json(evaluation)
-    page = Page(TITLE, about=content["about"])
-    page.heading("Largest errors, mean noise")
-    page.facts(content["summary"])
-    page.note(
-        "E_L = (measured − calibrated)/calibrated. E_F = range of the distances to the best-fit plane / d_r, "
-        f"d_r = {evaluation.reference_mm:g} mm; E_F,sys is that of a bivariate cubic through them. At most "
-        f"{100 * OUTLIER_SHARE:g} % of a surface's points are removed as outliers."
-    )
-    page.note(
-        "PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS = its "
-        "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the distances "
-        "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept when "
-        f"it is for every value within them. Limits: {content['limits_kept']}."
-    )
-    for item, written in zip(evaluation.items, content["scans"], strict=True):
-        page.heading(f"Scan {item.scan}: {item.result.artefact.value}")
-        # On the page as in the JSON: an artefact that was not found must not look like one without errors.
-        if written["reason"] is not None:
-            page.problem(f"Not evaluated: {written['reason']}.")
-        page.facts({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")})
-        for key in ("lengths", "quantities", "surfaces"):
-            if written[key]:
-                page.rows(written[key])
-        for name, used in item.result.surfaces.items():
-            _add_pictures(page, name, used, evaluation.left_width_px)
-        page.facts(written["provenance"])
-    return page.as_html()
 
 
 def _item(item: Item) -> dict[str, Any]:
@@ -186,5 +184,5 @@ def deviation_map(used: Used, width_px: int, limit_mm: float) -> bytes:
     cell = (v // step) * width + u // step
     count = np.bincount(cell, minlength=height * width)
     mean = np.bincount(cell, used.residual_mm, minlength=height * width) / np.maximum(count, 1)
-    image = np.where(count[:, None] > 0, coloured(mean, -limit_mm, limit_mm, DIVERGING), _EMPTY)
+    image = np.where(count[:, None] > 0, ColourScale.DIVERGING.of(mean, -limit_mm, limit_mm), _EMPTY)
     return png(image.reshape(height, width, 3)[:, :, ::-1].astype(np.uint8))

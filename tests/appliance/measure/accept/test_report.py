@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.accept.acceptance import Quantity, Symbol
 from appliance.measure.accept.points import NotFound, Used
-from appliance.measure.accept.report import Evaluation, Item, as_html, deviation_map, summary
+from appliance.measure.accept.report import Evaluation, Item, deviation_map, summary
 from appliance.measure.accept.result import Artefact, Length, Result
 
 
@@ -73,7 +73,7 @@ def test_the_summary_has_the_largest_error_of_each_kind_in_percent_and_the_mean_
 
 
 def test_the_page_says_what_was_not_evaluated_and_escapes_what_people_wrote() -> None:
-    text = as_html(evaluation(bar(200.1)))
+    text = evaluation(bar(200.1)).as_html()
     assert text.endswith("</html>\n")
     assert "Scan &lt;0&gt;: ball-bar" in text
     assert "Not evaluated: why." in text
