@@ -1,13 +1,20 @@
-"""Owns the long computations of a calibration in water, as jobs for ``Background``: examine a recording, solve, verify.
+"""Owns the steps of the guided calibration in water that take long: to examine a recording, and to adjust.
 
-It also owns how the artefacts must be held: limits of pose, size and fit, and which of them a found artefact breaks
-first.
+The diver records the ball bar twice (M1, M2), a plane twice (M3, M4), and the bar once more (VERIFY); see
+``guide.Step``.
 
-The limits are wide enough for hands, and narrow enough that no two steps accept the same pose. Bars tilted in depth are
-what the published search of distances needs; which end is nearer, and how the planes lean, changes no result and is not
-judged (``docs/calibrate-under-water.md``). Angles are in the rig frame, which follows from the calibration.
+    examine_recording         whether this stored scan may be used for that step, and if not, why (``RecordingCheck``)
+    solve_calibration         adjustment to M1 to M4, and the bar's length of VERIFY before and after
+    judge_bar, judge_plane    limits of pose, size and fit; the first one that is broken is reported
+    start_of                  the calibration to begin with: a given file, else the one in air, else the one in use
 
-It also owns what a calibration in water begins with: a file that was named, the calibration in air, or the one in use.
+The instrument runs the first two in a background process (``instrument/service/calibrating.py``). Each therefore takes
+plain values and, as its last argument, a progress.
+
+The limits of pose are wide enough for hand-held artefacts, and narrow enough that a recording fits one step only. The
+bars must be tilted in depth, because the method needs different distances. Which end is nearer, and how the planes are
+inclined, does not matter (``docs/calibrate-under-water.md``). Angles are in the rig frame, which follows from the
+calibration.
 """
 
 from __future__ import annotations

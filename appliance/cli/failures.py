@@ -1,5 +1,11 @@
-"""Errors that end a verb: their exit codes, and the last words of a service for the safe screen. They are known by
-their names, so that telling a mistake loads nobody who may make one."""
+"""Owns what happens when an error ends a command: its exit code, and the service's error file for the safe screen.
+
+Errors are listed by name (``module:class``), not by class. So an exit code is found without importing the modules that
+define all the other errors. If you move or rename a listed class, change its name here; a test finds stale names. A new
+error that a user can cure must be added, or it ends as a fault of the program.
+
+The error file is ``last-words.json`` in the service's run-time folder. ``systemd/kingfisher_safe`` reads it.
+"""
 
 from __future__ import annotations
 

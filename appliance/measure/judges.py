@@ -28,9 +28,9 @@ from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import CameraNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.points.crew import WorkItem, WorkList
-from appliance.measure.points.images import PixelGrid, ScanImages
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import Cloud
+from appliance.measure.scan_images import PixelGrid, ScanImages
 from appliance.measure.verdict import Judgement
 from appliance.measure.verdicts.fringes import NAME as FRINGES
 from appliance.measure.verdicts.fringes import judge_fringes

@@ -36,9 +36,9 @@ from appliance.measure.news import (
     WorkProgress,
 )
 from appliance.measure.points.crew import WorkItem, WorkList, answers
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import Cloud
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.causes import with_causes
 from appliance.measure.verdicts.holes import grid_step_px, judge_distance, judge_holes

@@ -33,13 +33,13 @@ from appliance.measure.motion.estimate import estimate
 from appliance.measure.motion.redecode import compensate
 from appliance.measure.points import straighten
 from appliance.measure.points.fuse import fuse
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.register import register_exposures
 from appliance.measure.points.surface import surface_of
 from appliance.measure.points.table import Cloud
 from appliance.measure.points.veil import warm_up as warm_veil
 from appliance.measure.procedure import SequenceProcessor
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.identity.judge import judge_identity
 from appliance.measure.verdicts.light.fit import warm_up as warm_light

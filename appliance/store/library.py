@@ -8,9 +8,9 @@
     <root>/next-id            see ``appliance.store.names``
     <root>/room               space for the next scan, see ``appliance.store.room``
 
-Which object a scan belongs to, as the diver said it, its manifest carries. A number is given once: ``choices.json``
-remembers the largest one, and where that file was lost, or came from elsewhere, the manifests tell. Numbers ascend with
-the scans', so that the newest scan that carries one carries the largest.
+A scan may belong to an object; its manifest then has the object's number. A number is never given twice.
+``choices.json`` remembers the largest number. If that file is lost or from elsewhere, the manifests are read instead:
+the newest scan with a number has the largest one.
 
 Nothing in here deletes a scan. One process writes (``appliance.store.lock``), from one thread at a time; any number
 may read.

@@ -15,8 +15,8 @@ from appliance.measure.light.noise import StereoNoise, camera_noise
 from appliance.measure.light.patterns import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water as SetWater
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdicts.water.judge import WaterJudgement, judge_water
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E

@@ -12,7 +12,7 @@ from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure, Span, ladder
 from appliance.measure.light.noise import StereoNoise, camera_noise
 from appliance.measure.light.patterns import PatternSequence, build_sequence
-from appliance.measure.points.images import ScanImages
+from appliance.measure.scan_images import ScanImages
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from appliance.measure.decode.decoder import CameraDecoder
-from appliance.measure.points.images import ScanImages
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdicts.window import Windows, look_at_windows
 from tests.support.rendered import RenderedScan
 

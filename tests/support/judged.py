@@ -13,8 +13,8 @@ from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import StereoNoise, camera_noise
 from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.water import Water
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdicts.motion.judge import MotionJudgement, judge_motion
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
 from tests.support.moved import FRAME_S

@@ -9,8 +9,8 @@ from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
 from appliance.measure.light.sides import SIDES
 from appliance.measure.motion.prior import LEVER_MM
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.scan_images import ScanImages
 from hw_sim.objects.motion import object_pose
 from tests.support.rendered import Accuracy, RenderedScan, judge
 from tests.support.truth import left_to_rig

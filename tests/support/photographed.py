@@ -15,7 +15,7 @@ from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import FULL_DN, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
 from appliance.measure.light.patterns import Direction, PatternSequence, build_sequence
-from appliance.measure.points.images import ScanImages
+from appliance.measure.scan_images import ScanImages
 
 WHITE_DN_PER_US = 0.030
 """Of white on an albedo of 1: 360 DN in 12 ms."""

@@ -1,11 +1,13 @@
-"""Owns an artefact at its unknown place: its parameters, where camera-1 rays meet it, and what its certificate adds.
+"""Owns the pose of an artefact in a calibration in water: its first estimate, its parameters, and its residuals.
 
-It also owns what a calibration leaves of a recording: transfer errors in px, with the artefact put where it fits best.
+    triangulate, fit_plane, fit_sphere    the first estimate, from the matched pixels of a recording
+    PlanePlace, BarPlace                  parameters of a plane or a ball bar: where a ray meets it, and the
+                                          observations that its certificate adds
+    first_place                           the first estimate as such parameters, without rays at grazing incidence
+    residuals_of                          residuals of a recording in px; the pose is adjusted, the rig is not
 
-The same measure for every method, however it was found: the ray of the left pixel meets the artefact, the point is seen
-by the right camera, and there it misses the matched pixel.
-
-It also owns the first guess of an artefact: points of two rays each, and the plane or sphere that fits them best.
+The residual is the same for every calibration method. The ray of the left pixel is intersected with the artefact. That
+point is projected into the right camera. The residual is its distance, in x and y, from the matched right pixel.
 """
 
 from __future__ import annotations

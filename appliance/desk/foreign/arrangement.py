@@ -1,12 +1,19 @@
-"""Owns the tests of all that is said: by each camera's images (``assumptions``), and by rays what is said of the cameras
-and, where one is a projector, of the pattern on it: hypotheses, and what each explains.
+"""Owns the tests of an image set description: whether the images agree with what it says of cameras and projector.
 
-Points of every so many pixels are made along epipolar curves, as described and otherwise. Three things can contradict them.
-*Share*: cameras that look elsewhere have few points in common.
-*Sides*: a camera and a projector see a surface from the same side; of a pattern that runs the other way one would see it from behind.
-*Aside*: across the disparity nothing has put a point where it is. There the other direction's coordinate, or the texture of the
-bright images, tells how far its place in the right image is from where it should be.
-A word fits where all its alternatives are contradicted and what was said is not; where an alternative is not, nothing has checked it.
+``examine`` does two kinds of test. ``assumptions.py`` tests the images of each camera alone. This module tests cameras,
+or camera and projector, together. It makes a coarse cloud along epipolar curves as described, and one for each
+alternative: R transposed, left and right exchanged, another fringe period, and so on. Three quantities can contradict a
+cloud:
+
+    share        of the left pixels with coordinates, how many have a point. Low if the cameras look elsewhere.
+    same side    how much of the surface both see from the same side. Low if the pattern runs the other way.
+    aside        across the disparity, in px: where the other direction or the texture shows a point in the right
+                 image, less where the point is projected to. Large if the poses are wrong.
+
+Each statement of the description is then
+    FITS         if the description is not contradicted, but all alternatives are,
+    WRONG        if an alternative is clearly better, or the description is contradicted,
+    UNCHECKED    if an alternative is as good, or nothing tells.
 """
 
 from __future__ import annotations

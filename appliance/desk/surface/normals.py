@@ -1,11 +1,11 @@
-"""Owns the normals of an organised cloud: planes through the points that each pixel's neighbours see on the same
-surface.
+"""Owns the normals of an organised cloud. Each is the normal of a plane fitted to the points around a pixel.
 
-The plane is a least-squares one with errors along the pixel's own ray, since that is where a point's errors lie.
-Neighbours count as far as a way that goes outwards only leads to them, from pixel to pixel and over no step
-(``steps.py``). Symbols: u is the ray, e and f complete it to a frame; a, b and c are a neighbour's coordinates along e,
-f and u from the middle, s and t the slopes of c = c0 + s a + t b. The normal is (s, t, −1): it points to the camera,
-always.
+Only points on the same surface are used. A neighbour counts if a path leads to it from the middle pixel, outwards, from
+pixel to pixel, without crossing a step in depth (``steps.py``).
+
+The fit is least squares with errors along the middle pixel's ray, since a point's error lies along its ray. Symbols: u
+is the ray; e and f complete it to a frame. a, b and c are a neighbour's coordinates along e, f and u, relative to the
+middle point. The plane is c = c0 + s a + t b. The normal (s, t, −1) always points towards the camera.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""Owns everything the instrument knows about itself at one moment, as one frozen value.
+"""Owns the state of the machine: everything the instrument knows about itself at one moment, as frozen values.
 
-Nothing here decides; ``appliance.instrument.machine.step`` does. Times are ns of the host's monotonic clock, as last
-told by a ``Tick``.
+    State       what the instrument is doing; the names are promised in ``docs/protocols/status.md``
+    Machine     the whole: a ``State``, and all that is remembered beside it
+    Settings    limits and deadlines that the machine is given once
+    others      parts of ``Machine``: the scan in hand, notice, menu, gallery, calibration, temperatures, and
+    Transfer    whether scans can be fetched from a desk, at which address, and with how many keys; the diver switches
+                it on in the menu, another program serves, and its status is copied here
+    Failure     why a task of the calibration failed: a kind that the screen has words for, and details for the log
 
-It also owns what the instrument knows of the transfer of scans to a desk: whether it is served, where, and for how many
-keys.
-
-The diver switches it with the menu's TRANSFER (``Choices.transfer``); another program serves, and tells.
-
-It also owns why something wanted for the calibration came to nothing: a kind that the screen has words for, and the
-log's sentence.
+Nothing here decides; ``appliance.instrument.machine.step`` does. Times are ns of the host's monotonic clock, as given by
+the latest ``Tick``.
 """
 
 from __future__ import annotations

@@ -1,20 +1,16 @@
-"""Owns the measurement of the distance from a pair of live images: two pointers, two cameras, refracted rays.
+"""Owns the distance to the object, measured from the two laser dots in one stereo pair of live images.
 
-A dot counts when both cameras see it and agree: their rays meet, and they meet on the pointer's beam. Where only one
-sees it, its ray meets the beam, which is good enough as soon as the beam was learned. What is ambiguous is left out.
+    Ranger                finds the laser dots, and gives the distance and, with both dots, the tilt
+    OtherCamera           for a dot that one camera sees: whether the other has anything as bright along that ray
+    shines_in_the_dark    names the pointers whose dot is in the dark frame of a sequence, though lasers must be off
 
-It also owns the second camera's testimony on a dot that only one camera sees: that it sees nothing like it anywhere on
-that ray.
+Both cameras see a dot: it counts if their refracted rays meet, and meet on the pointer's beam. One camera sees it: the
+ray is intersected with the beam. Such a dot counts beside the other pointer's dot on the same surface. Alone, it must
+be bright, stay where it is, and the other camera must see nothing like it along the ray: a lit corner, a print or a
+speck near the cameras would be seen there, too. Ambiguous dots do not count.
 
-What is bright and no dot is seen by both cameras: a lit corner, a print, a speck in the water near the cameras. Then
-the other one has it somewhere on the image of the first one's ray. Where that image is not in its picture it cannot
-tell.
-
-It also owns the proof from images that no laser shone in a sequence: its dark frame has no dot that its bright one does
-not explain.
-
-What prints and pebbles reflect of ambient light looks like a dot too. But then the projector's light makes it brighter
-still, in the ratio of both lights, which the surroundings tell; a laser's dot stays as bright as it is.
+In a dark frame, print may look like a dot. The projector's light makes print brighter in the bright frame; a laser dot
+stays as it is. Positions are in the rig frame.
 """
 
 from __future__ import annotations

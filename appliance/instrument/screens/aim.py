@@ -21,7 +21,8 @@ from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
-from appliance.instrument.screens.frame import alerts_top, draw_marks, draw_title, room_between, words_of
+from appliance.instrument.screens.frame import alerts_top, draw_title, room_between, words_of
+from appliance.instrument.screens.laser_marks import draw_marks
 from appliance.instrument.screens.review import known
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
 from appliance.instrument.screens.views import AimView, Gauge

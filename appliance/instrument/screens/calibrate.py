@@ -32,7 +32,8 @@ from appliance.instrument.machine.states import FailureKind, Task
 from appliance.instrument.machine.words import STEP_NAMES, Label, Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
-from appliance.instrument.screens.frame import alerts_top, draw_marks, draw_title
+from appliance.instrument.screens.frame import alerts_top, draw_title
+from appliance.instrument.screens.laser_marks import draw_marks
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
 from appliance.instrument.screens.views import CalibrateView
 from appliance.measure import STANDARD, STANDARD_MM, WorkingVolume

@@ -1,8 +1,4 @@
-"""Owns what surrounds the content of every screen: title, key labels at the edge, and the alert above all else.
-
-It also owns the marks in the live pictures where the laser dots are going to be seen: what the diver lays on what is
-measured.
-"""
+"""Owns what surrounds the content of every screen: title, key labels at the edge, and the alert above all else."""
 
 from __future__ import annotations
 
@@ -10,13 +6,9 @@ import re
 from collections.abc import Sequence
 from typing import assert_never
 
-import numpy as np
-from numpy.typing import NDArray
-
 from appliance.instrument.machine.alerts import Alert, Severity
 from appliance.instrument.machine.leading import in_full
 from appliance.instrument.machine.words import Label, Language, Text, worded
-from appliance.instrument.ranging.reach import Place, Track
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, KEY_CORNERS, TITLE
@@ -201,42 +193,3 @@ def alert_colours(severity: Severity, time_s: float) -> tuple[theme.Colour, them
             return theme.PANEL, theme.WHITE, theme.LINE
         case unknown:
             assert_never(unknown)
-
-
-_RING_PX, _RIM_PX = 22.0, 3.0
-_END_PX = 6.0
-_NOTHING = theme.INK.faded(0.0)
-
-
-def draw_marks(
-    canvas: Canvas,
-    tracks: Sequence[Track],
-    pixels: NDArray[np.uint8],
-    left: float,
-    top: float,
-    width: float,
-    height: float,
-    seen: bool,
-) -> None:
-    """Draw a ring for each dot at the working distance, and two points where it is at the ends of the measuring volume.
-
-    ``pixels`` (h, w) is the picture in the box, in its middle and as large as fits; ``seen``: a dot was found, so that
-    the marks need not call for attention.
-    """
-    shape = pixels.shape[1] / pixels.shape[0]
-    shown_width, shown_height = min(width, height * shape), min(height, width / shape)
-    left, top = left + (width - shown_width) / 2, top + (height - shown_height) / 2
-    colour = theme.WHITE if seen else theme.YELLOW
-
-    def dot(at: Place, size: float, fill: theme.Colour, rim: theme.Colour | None = None) -> None:
-        x, y = left + at[0] * shown_width, top + at[1] * shown_height
-        edge = None if rim is None else (rim, _RIM_PX)
-        canvas.box(x - size / 2, y - size / 2, size, size, fill, size / 2, edge)
-
-    for track in tracks:
-        for end in (track.near, track.far):
-            # Each mark has a dark rim: the live picture behind it may be white or black.
-            dot(end, _END_PX + 2 * 2.0, theme.INK)
-            dot(end, _END_PX, colour)
-        dot(track.middle, _RING_PX + 2.0, _NOTHING, theme.INK)
-        dot(track.middle, _RING_PX, _NOTHING, colour)

@@ -1,9 +1,10 @@
-"""Owns the screen after a scan: the cloud, the verdict in a word, and the numbers behind it.
+"""Owns the two screens that show a scan: the review after a capture, and the gallery of scans on the disk.
 
-It also owns the numbers that a scan is judged by, as a column: name, value, unit, and which are left out where room is
-short.
+    draw_review                  the cloud, the verdict as one word, and the figures
+    draw_gallery                 the stored preview of one scan, its verdict and its figures
+    draw_verdict, draw_figures   what both have in the right column; if room is short, the last figures are left out
 
-It also owns the screen of one scan on the disk: its stored picture, and what was said of it.
+``known`` and ``many`` format numbers for other screens, too.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Owns what the disk's thread does with a scan: write its frames, publish or reject it, and say what came of that.
+"""Owns the disk work for scans: the thread that does it, its tasks, and the values that they work on.
 
-It also owns what is known of the scan in hand, from its first frame to its folder: values only; ``ScanController``,
-``WorkerReports`` and ``ScanFiles`` change them.
+    DiskQueue       the thread ``kf-storage``: one task after the other, in the order in which they were asked for
+    ScanRoom        the room for the next scan: allocated before the capture, counted, and asked for again if missing
+    ScanInMemory    what is known of the scan in hand, from its first frame to its folder; values only
+    ScanFiles       the tasks: write raw frames, publish or reject a scan, test the disk
 
-It also owns whether there is room for the next scan: allocated before the shot, counted, and asked for again where
-there is none.
-
-It also owns the disk's thread, ``kf-storage``: one task after the other, and the events that answer those that were
-asked for.
+Each task of ``ScanFiles`` returns events for the machine. ``ScanController`` (``scans.py``) asks for the tasks;
+``WorkerReports`` (``worker_reports.py``) enters clouds and verdicts into ``ScanInMemory``. What lies on the disk, and
+in which form, is the business of ``appliance.store``.
 """
 
 from __future__ import annotations

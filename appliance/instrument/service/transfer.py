@@ -1,9 +1,10 @@
-"""Owns the note that switches the transfer of scans on, and what the program that serves tells in return.
+"""Owns the service's side of the transfer of scans to a desk: it switches the server on, and reads the server's status.
 
-    /run/kingfisher/transfer-on                  the note, in the folder that the unit gives to this service
-    /run/kingfisher-transfer/status.json         what ``systemd/kingfisher_transfer`` tells
+    /run/kingfisher/transfer-on                  flag file: the transfer is wanted; written here
+    /run/kingfisher-transfer/status.json         status of the server; written by ``systemd/kingfisher_transfer``
 
-The service has no right to start anything: a unit waits for the note. At a desk there is neither.
+The service may not start other programs. A systemd unit waits for the flag file and starts the server. Where the
+process has no ``RUNTIME_DIRECTORY`` (at a desk), there are no such files: switching does nothing.
 """
 
 from __future__ import annotations

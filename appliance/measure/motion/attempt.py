@@ -14,8 +14,8 @@ from appliance.measure.cloud import Found
 from appliance.measure.light.water import Water
 from appliance.measure.motion.estimate import MotionEstimate, estimate
 from appliance.measure.motion.redecode import compensate
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.scan_images import ScanImages
 
 LEAST_KEPT = 0.8
 """Share of the plain cloud's points below which a compensated cloud is not shown in its place."""

@@ -44,7 +44,7 @@ from appliance.measure.motion.residuals import (
     accumulate,
 )
 from appliance.measure.motion.stripes import Information, trajectory_from_stripes
-from appliance.measure.points.images import ScanImages
+from appliance.measure.scan_images import ScanImages
 
 Array = NDArray[np.float64]
 

@@ -33,8 +33,8 @@ from appliance.measure.motion.displacement import (
 )
 from appliance.measure.motion.estimate import WORKING_WIDTH_PX, MotionEstimate, noise_dn
 from appliance.measure.motion.phase_solver import MAX_T, RedecodedMaps, Sources, Terms, depth_rows, solve_rows
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.rows import LeftMaps
+from appliance.measure.scan_images import ScanImages
 
 Map = NDArray[np.float32]
 

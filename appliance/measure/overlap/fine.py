@@ -1,7 +1,13 @@
-"""Owns the fine pose of one scan relative to another: planes against planes and paint against paint, and what holds it.
+"""Owns the fine registration of two scans: the pose of scan B in the frame of scan A, and how well it is determined.
 
-Patches of scan B are laid upon scan A and moved as ``equations.py`` says, whose symbols are used here, laid again,
-until they stay.
+It is an ICP with two residuals for each patch of B that lies on A: the distance from A's plane, and the difference of
+texture (``paint`` in the code). ``lay`` finds the corresponding patches by projecting B into A's image.
+``equations.py`` gives the step, and defines the symbols used here. ``refine`` repeats both, with a shrinking distance
+limit, until the pose no longer moves.
+
+``Fit`` has the pose, its covariance, and what the caller needs to accept or reject it: overlap, outliers, and how far
+each direction is determined beyond noise (``held``). ``BowNews`` is what this pair contributes to the estimate of the
+depth error that all scans of one calibration share.
 """
 
 from __future__ import annotations

@@ -1,4 +1,12 @@
-"""Owns where points are left: columns in one block of memory, which two processes may share."""
+"""Owns the point cloud of one scan: ``Cloud``, and ``PointTable``, the memory that its points are written into.
+
+A ``PointTable`` is one block of memory, divided into columns: coordinates, ray gap, sigma, pixel, modulation, grey
+value. The block may be shared memory, so that two processes use the same points. ``put`` copies a ``Cloud`` in;
+``cloud`` copies the points that were found out, as one ``Cloud``.
+
+Callers allocate ``POINT_BYTES`` for each point of a table, and ``CLOUD_BYTES`` for each point of a cloud. The order of
+the columns is private to this module.
+"""
 
 from __future__ import annotations
 

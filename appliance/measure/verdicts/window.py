@@ -22,7 +22,7 @@ from appliance.measure.decode.decoder import Mask
 from appliance.measure.light.noise import FULL_DN
 from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES
-from appliance.measure.points.images import PixelGrid, ScanImages
+from appliance.measure.scan_images import PixelGrid, ScanImages
 from appliance.measure.verdict import Verdict
 from appliance.measure.verdicts.light.fit import medians_of
 

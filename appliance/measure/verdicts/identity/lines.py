@@ -3,7 +3,7 @@
 The samples lie along a few whole rows and columns, where one stripe follows the next. Half way between a sample's
 darkest and brightest value a Gray image's bit is told only as long as the water's backscatter is fainter than the
 object. Beyond, coarse stripes that illuminate the water turn bits over, in good scans too. What decoding does about
-that (``reconstruct.decode.backscatter``) is done here along the lines: the fringes give the object's light, and sure
+that (``appliance.measure.decode.backscatter``) is done here along the lines: the fringes give the object's light, and sure
 samples how much of the backscatter each image illuminates. Across the base line nothing need be done: there the water
 is illuminated by the same stripe as what it hides.
 """

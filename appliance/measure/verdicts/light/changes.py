@@ -1,15 +1,17 @@
-"""Owns whether light that is not the projector's changed during a sequence, where, how often, and what that does to
-phases.
+"""Owns changes of the ambient light during a sequence: where, how strong, at which frequency, and the phase bias.
 
-Of four sine images I0..I3, (I0 − I2, I3 − I1) is 2B (cos φ, sin φ): a circle about the origin whose radius is known
-from bright and dark. Extra light δ that differs between the images shifts the circle by (δ0 − δ2, δ3 − δ1), and by just
-that it biases the phase. So the shift is fitted in blocks of the image, from the length of the vector over its
-direction; the fringes themselves, motion along them and the projector's harmonics have no such term. Beside it are
-fitted smooth terms, the projector's third harmonic, and the water's backscatter, which is in the light but not in the
-fringes and so shortens the circle of dark surfaces more than that of bright ones. What is finer than a block (a net of
-caustics) is in I0 − I1 + I2 − I3, which has neither fringe nor texture, and gives the third difference of a direction:
-what neighbouring pixels have there in common is light, for noise they have not. A level common to all four images of a
-direction is neither seen nor harmful.
+Principle. The four sine images I0..I3 of one direction give (I0 − I2, I3 − I1) = 2B (cos φ, sin φ). That is a circle
+about the origin, and bright and dark image tell its radius. Ambient light that changes by δ0..δ3 moves the circle's
+centre to (δ0 − δ2, δ3 − δ1). The same shift biases the phase.
+
+Coarse changes. The centre is fitted in each block of the image (``fit.py``), from the vector's length as a function of
+its direction. Fringes, and motion along them, do not move the centre. Fitted as well: smooth terms, the projector's
+third harmonic, and backscatter, which shortens the circle of dark surfaces more than that of bright ones.
+
+Fine changes (caustics). I0 − I1 + I2 − I3 contains neither fringe nor texture; the code calls it the third difference.
+What neighbouring pixels have in common there is light; what they have not is noise.
+
+A level that is common to all four images of a direction is not seen, and does no harm.
 """
 
 from __future__ import annotations

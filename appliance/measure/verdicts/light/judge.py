@@ -20,7 +20,7 @@ from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import FULL_DN
 from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.points.images import ScanImages
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.light.changes import Changes, EarlyFit, find_frequency_hz, measure_changes
 from appliance.measure.verdicts.light.levels import Levels, Sample, light_of, measure_levels, sample

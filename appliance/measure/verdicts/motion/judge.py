@@ -19,9 +19,9 @@ from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import CameraNoise
 from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.sigma import four_step_variance_px2
 from appliance.measure.points.table import Cloud
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.measure.verdicts.motion.cells import RunSums

@@ -37,9 +37,9 @@ from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import FULL_DN, CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import Cloud
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Verdict
 from appliance.measure.verdicts.water.beam import half_field, shape_of_glow
 

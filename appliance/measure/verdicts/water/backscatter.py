@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.light.noise import FULL_DN, MAD_TO_SIGMA, CameraNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
-from appliance.measure.points.images import PixelGrid
 from appliance.measure.points.quality import median
+from appliance.measure.scan_images import PixelGrid
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

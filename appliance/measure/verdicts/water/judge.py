@@ -1,10 +1,14 @@
-"""Owns what a scan says about the water it was taken in: attenuation, backscatter, specks, and whether they made the
-scan poor.
+"""Owns the verdict on the water of a scan: attenuation, backscatter, specks, and whether they made the scan poor.
 
-The backscatter's *share* of the light is measured. Attenuation follows from how the backscatter grows over the image: a
-ray that enters the beam farther out gathers light that has come a longer way. What the object sends back says nothing
-about attenuation, for nobody knows its albedo; so backscatter as a fraction of the light of an object is stated for a
-supposed one.
+Only the left camera's images are used. ``backscatter.py`` measures, in cells of the image, how much light the water
+sends back; ``beam.py`` says how far each ray runs through the projector's beam. From these follow:
+
+- Attenuation. A ray that enters the beam farther out collects light that has travelled farther, so backscatter changes
+  over the image. Least squares over the cells give the attenuation and its standard error.
+- Halo: the object's own light, scattered by small angles into dark stripes. It follows the object's image, not the
+  ray's path, and is subtracted from the backscatter.
+- Backscatter relative to the light of a surface. The albedo of the object is unknown; ``ALBEDO`` is assumed. For the
+  same reason the object's light tells nothing about attenuation.
 """
 
 from __future__ import annotations
@@ -18,8 +22,8 @@ from numpy.typing import NDArray
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.water import sight_m
-from appliance.measure.points.images import PixelGrid, ScanImages
 from appliance.measure.points.table import Cloud
+from appliance.measure.scan_images import PixelGrid, ScanImages
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.water.backscatter import (
     CELLS,
@@ -68,7 +72,7 @@ DIRTY_MASKED, DIRTY_BACKSCATTER, DIRTY_SPECKS = 0.25, 0.25, 0.02
 backscatter, or when specks disturb so much of it."""
 MOST_BACKSCATTER = 0.30
 """Share of backscatter from which on the scan is poor however much of it has coordinates: here and there the
-backscatter outshines the object, and the Gray code has to be read through it (``reconstruct.decode.backscatter``)."""
+backscatter outshines the object, and the Gray code has to be read through it (``appliance.measure.decode.backscatter``)."""
 HIDDEN = 0.25
 """Largest share of the object that may be lost where the backscatter outshines it."""
 

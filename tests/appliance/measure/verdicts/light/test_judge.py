@@ -12,7 +12,7 @@ from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.measure.light.noise import TYPICAL, StereoNoise, camera_noise
 from appliance.measure.light.patterns import Direction, build_sequence
-from appliance.measure.points.images import ScanImages
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement
 from appliance.measure.verdicts.light.changes import LightLevel, find_frequency_hz
 from appliance.measure.verdicts.light.fit import quantile_of

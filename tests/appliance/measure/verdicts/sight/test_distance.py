@@ -11,9 +11,9 @@ import pytest
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.light.noise import TYPICAL_PAIR, CameraNoise
 from appliance.measure.light.patterns import Direction, build_sequence
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import PointTable
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdicts.sight.judge import (
     COLUMNS,
     ROWS,

@@ -9,9 +9,9 @@ from appliance.measure.cloud import CloudSummary
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.noise import CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, build_sequence
-from appliance.measure.points.images import ScanImages
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import Cloud
+from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdicts.sight.judge import distance_of, look, see
 from tests.support import synthetic
 

@@ -1,6 +1,8 @@
-"""Owns the images of a scan, as every judge and the motion compensation are given them.
+"""Owns what judges and motion compensation read: the frames of one scan with their decoding, and a grid of pixels.
 
-It also owns taking every n-th pixel of single frames, as these arrive.
+``ScanImages`` holds the whole sequence of both cameras, decoded; it exists after the last frame. ``PixelGrid`` keeps
+every n-th pixel of some frames of one camera. It is filled as the frames arrive, so that the judges of water and window
+need not read whole frames afterwards.
 """
 
 from __future__ import annotations
