@@ -79,10 +79,14 @@ class Compare(WithObjects):
         from appliance.desk import compare_stored
 
         with ProgressLine() as progress:
-            title, found = compare_stored(
-                root, what, nominal, wish, [Path(out) for out in self.out], progress, writing,
-                spacing_mm=self.spacing, limit_mm=self.limit, tolerance_mm=self.tolerance, start=self.start,
-            )  # fmt: skip
+            compared = compare_stored(
+                root, what, nominal, wish, progress, spacing_mm=self.spacing, limit_mm=self.limit, start=self.start
+            )
+            for out in map(Path, self.out):
+                progress(f"writing {out}")
+                with writing(out):
+                    compared.write(out, self.tolerance)
+        title, found = compared.about.title, compared.figures(self.tolerance)
         counts = f"{found['beyond_limit']} of them farther than {self.limit:g} mm, {found['beside_border']} beside an open border"
         lines = [f"{title} against {found['nominal']}: {found['points']} points, {counts}"]
         if found["rms_mm"] is not None:

@@ -3,8 +3,7 @@ from it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -121,26 +120,39 @@ def compare(
     return Comparison(surface, laid, nominal.name, nominal.triangles.origin_mm, deviation, warnings)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredComparison:
+    """A comparison of what is stored, and what was compared."""
+
+    found: Comparison
+    about: About
+    stored: StoredObject | None
+    """The object that the points are of; ``None``: they are of one scan."""
+
+    def write(self, out: Path, tolerance_mm: float | None) -> None:
+        """Write points or a page, by the suffix. Raises ExportError, StorageError, MissingLibraryError."""
+        _write(out, self.found, self.about, tolerance_mm, self.stored)
+
+    def figures(self, tolerance_mm: float | None) -> Mapping[str, Any]:
+        """Return the comparison in numbers, JSON-ready; lengths in mm."""
+        return _figures(self.found, tolerance_mm)
+
+
 def compare_stored(
     root: Path,
     what: Path | StoredObject,
     nominal: Path | StoredObject,
     wish: Wish,
-    outs: Sequence[Path],
     progress: Progress,
-    writing: Callable[[Path], AbstractContextManager[None]],
     *,
     spacing_mm: float,
     limit_mm: float,
-    tolerance_mm: float | None,
     start: Sequence[float] | None,
-) -> tuple[str, Mapping[str, Any]]:
-    """Compare a scan (its folder), or the surface of a solved object, with a CAD model (its file) or another object, and
-    write it to ``outs``; return what was compared, and the comparison in numbers, JSON-ready.
+) -> StoredComparison:
+    """Compare a scan (its folder), or the surface of a solved object, with a CAD model (its file) or another object.
 
-    ``start``: where it lies, x, y, z in mm and the turn as axis times angle in degrees. ``writing``: entered while a
-    file is written. Raises ScanError, CalibrationError, NominalError, ObjectError, SurfaceMatchError, ExportError,
-    StorageError, MissingLibraryError.
+    ``start``: where it lies, x, y, z in mm and the turn as axis times angle in degrees. Raises ScanError,
+    CalibrationError, NominalError, ObjectError, SurfaceMatchError, MissingLibraryError.
     """
     reference, errors, stored = _nominal_surface(root, nominal, wish, progress, spacing_mm), None, None
     if isinstance(what, StoredObject):
@@ -150,12 +162,7 @@ def compare_stored(
         surface, about = _surface_of_scan(what, wish, progress, spacing_mm)
     progress(f"laying it onto {reference.name}")
     begin = None if start is None else Rigid(rotation_matrix(np.radians(start[3:])), np.array(start[:3]))
-    found = compare(surface, reference, limit_mm, begin, errors)
-    for out in outs:
-        progress(f"writing {out}")
-        with writing(out):
-            _write(out, found, about, tolerance_mm, stored)
-    return about.title, _figures(found, tolerance_mm)
+    return StoredComparison(compare(surface, reference, limit_mm, begin, errors), about, stored)
 
 
 def _surface_of_scan(folder: Path, wish: Wish, progress: Progress, spacing_mm: float) -> tuple[FusedCloud, About]:
