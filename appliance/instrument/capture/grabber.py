@@ -1,10 +1,12 @@
-"""Owns the thread of one camera: what it is waiting for, and where its frames go.
+"""Owns the thread of one camera: what it waits for, and where its frames go.
 
-One thread per camera, named ``kf-camera-left`` and ``kf-camera-right``; it alone calls the camera. Others give orders
-(idle, live, record) and read results. A lost camera ends the thread; the service opens a new one.
+    Grabber          one camera in its own thread, ``kf-camera-left`` or ``kf-camera-right``; a context manager
+    SideRecording    one side of a sequence being recorded
+    Timeouts         how long a capture waits for what the projector paces: in its periods, and never less than a host
+                     may be late
 
-It also owns how long capture waits for what the projector paces: in its periods, and never less than a host may be
-late.
+The thread alone calls the camera. Others give orders (idle, live, record) and read results. A lost camera ends the
+thread; the service opens a new one.
 """
 
 from __future__ import annotations

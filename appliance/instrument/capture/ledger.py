@@ -1,10 +1,12 @@
 """Owns the comparison of the four witnesses of a sequence: flips, pulses, left frames, right frames.
 
+    Ledger, audit          what the witnesses say, and their first disagreement
+    SyncMap, map_vsync     which of the board's vertical syncs is which flip of the projector, between three clocks
+    agreed_frames, …       how far they agree, and what is wrong with one side alone
+
 Each witness alone can be fooled; together they cannot: a flip that came late, a pulse that was not fired, a frame that
 was dropped, doubled, swapped or cut all make two of them disagree. Any disagreement is a named fault. Nothing is
 interpolated.
-
-It also owns the bridge between three clocks: which of the board's vertical syncs is which flip of the projector.
 """
 
 from __future__ import annotations

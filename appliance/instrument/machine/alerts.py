@@ -1,14 +1,11 @@
-"""Owns the diver's words for every fault, in each language: one row each. Which of them leads:
-``appliance.instrument.machine.leading``.
+"""Owns the diver's words for every fault, in each language: one row each in ``RULES``.
+
+    Rule        a row: severity, what the fault spoils, headline and action
+    Alert       one message as it is shown, made of a row and a fault's numbers
+    lasting     what is wrong until it ends by itself or is mended
 
 A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether
-they fit their room is measured.
-
-It also owns what to look at ashore, inside of the housing, for each fault that a diver can only switch off and on
-against.
-
-The screen has no room for it, and a diver no use; it stands in the journal beside the fault, in ``scans show``, and in
-``docs/faults.md``.
+they fit their room is measured. Which message leads is decided in ``leading.py``.
 """
 
 from __future__ import annotations

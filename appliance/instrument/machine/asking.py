@@ -1,14 +1,12 @@
-"""Owns the question that stands before every switching off that the diver wants: two answers, the harmless one
-selected.
+"""Owns two answers of the diver: to the question before every switching off, and to a lasting warning.
+
+    ask, pressed, unanswered               the question whether to switch off; STAY ON is selected first
+    pending_fault, with_acknowledged, …    BACK takes the warning that is shown in full for known, and does nothing else
 
 Leak, heat and supply do not ask, nor does the operating system (``appliance.instrument.machine.safety``).
 
-It also owns what the diver acknowledges: BACK takes the lasting warning that is shown in full for known, and does
-nothing else.
-
-From then on a small mark is left of it on every screen. It is shown in full again when it comes anew, for another
-reason, or noticeably worse (``appliance.instrument.machine.alerts``). What is critical stays as it is for as long as it
-lasts.
+Of a warning that is known a small mark is left on every screen. It is shown in full again when it comes anew, for
+another reason, or noticeably worse. What is critical stays as it is for as long as it lasts.
 """
 
 from __future__ import annotations

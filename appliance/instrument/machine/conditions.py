@@ -1,6 +1,9 @@
-"""Owns what lasts: how telemetry and devices turn into conditions, with debouncing and hysteresis.
+"""Owns the conditions: what is wrong for as long as it lasts, and what the instrument may do meanwhile.
 
-It also owns what the instrument may do at a moment: shine, scan, go on with a capture. Pure questions to a ``Machine``.
+    raised, cleared, device_up, …    telemetry and devices become conditions, with debouncing and hysteresis
+    may_shine, may_lase, refusal, …  what the instrument may do now: shine, scan, go on with a capture
+
+The second group only asks a ``Machine`` and changes nothing.
 """
 
 from __future__ import annotations

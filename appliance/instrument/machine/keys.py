@@ -1,7 +1,7 @@
-"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back or
-wants a still hand: rejecting a scan, a second exposure, putting a calibration away, and asking whether to switch off.
+"""Owns what the four keys do in each state, and the labels beside them.
 
-It also owns the labels beside the four keys: what a press would do now.
+A press has one meaning in each state. Holding a key is for what cannot be taken back, or needs a still hand: rejecting
+a scan, a second exposure, putting a calibration away, and asking whether to switch off.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""Owns which messages a screen shows, and which one of them leads: the one that is read first, in full, with what to
-do.
+"""Owns which messages a screen shows, and which one leads: the one that is read first, in full, with what to do.
+
+    alerts, leader, in_full, …    the messages of a machine in their order, and the one that leads
+    guidance_said                 words and arrow while the next view of an object is chosen
+    overlap_said                  words about the overlap of the latest scan with the one before
 
 The graver leads. Among equally grave ones the order is that of remedies: what keeps the instrument dark, what forbids a
 scan, what made the scan worthless or wrong; then the place from the outside in: how far, whose light, how still, what
 water, and the exposure last, for each of them changes what is right for those behind it. All else follows, small.
-
-It also owns what the diver reads, and which way is shown, while the next view of an object is chosen.
-
-It also owns what the diver reads about the overlap of the latest scan with the one before.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""Owns what is known of a laser pointer's beam: a line in the instrument, as drawn at first, then as its dots show it.
+"""Owns the beams of the laser pointers, and the rig frame that they are given in.
+
+    RigFrame       the instrument's own frame as a calibration states it; distances are told along its axis
+    PointerBeam    one pointer's beam: a line, as drawn at first, then as its dots show it
+    Pointers       both pointers as drawn
 
 The line is x = x0 + sx (z − z0), y = y0 + sy (z − z0) in the rig frame. Its four values have a covariance, that of the
 drawing's tolerance in the beginning; each dot that both cameras saw makes it smaller (Kalman's update for a constant).
-
-It also owns the instrument's own frame as a calibration states it: where its axis is, on which distances are told.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Owns what the laser dots say about where the object is, and whether that is near enough and far enough to scan.
+"""Owns what the laser dots tell the diver: whether the object is near and far enough, and where to aim.
 
-It also owns where the laser dots are going to be seen in the live pictures: marks for the diver to aim at what is to be
-measured.
+Range, Reach, reach_of    distance and tilt of the object, and the advice about the distance
+Track, Marks, marks_of    where the dots will appear in the live images: marks for the diver to aim with
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Owns the screen on which the diver chooses the place: both live pictures, the distance, what is left.
+"""Owns the screen on which the diver chooses the place: both live images, the distance, and the
+numbers.
 
-It also owns the picture of a distance: how far the object is, how it is turned, and in a word what to do about it.
-
-It also owns how the way to the next view is drawn on the left live picture: an arrow at its border, and words at its
-lower edge.
+    draw_aim         the screen
+    draw_gauge       the distance: a word, a scale, mm, and the surface as seen from above (``tilt_icon``)
+    draw_guidance    the way to the next view: an arrow at the border of the left image, and words at its lower edge
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Owns the screens of the calibration: a step that records, the adjustment, and what it gave.
+"""Owns the screens of the calibration: a step that records, the adjustment, and its result.
 
-It also owns the drawings of how an artefact is held: as the instrument sees it, and beside that from above or from the
-side.
+draw_calibrate                the screen of the state
+sketch_front, sketch_depth    how an artefact is held: as the instrument sees it, and from above or from the side
+refusal_words                 words about a recording that cannot be used
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Owns the screens that wait: recording, checking, computing, saving, switching off.
+"""Owns the screens without a live image or a cloud: those that wait, and those on which nothing may shine.
 
-It also owns the screens on which nothing may shine: the pause to cool down, and the end of light after a leak.
+draw_progress, draw_saving, draw_shutdown    recording, checking, computing, saving, switching off
+draw_cooling, draw_safe                      the pause to cool down, and the end of light after a leak
 """
 
 from __future__ import annotations

@@ -1,6 +1,10 @@
-"""Owns the start and the end of the service: what is opened in which order, and what the exit code says.
+"""Owns the start and the end of the service: what is opened in which order, and the exit code.
 
-It also owns what is known of the starts before this one: whether the last run ended well, and what became of an update.
+run                        the service, until it is switched off
+this_run, recovered        what the diver is told of the start before: how it ended, what became of an update, which
+                           scans were found unpublished
+installation               name of the installed version
+ask_power_off, …           the flag file that makes a unit switch the machine off
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Owns the calibration under way: its session on the disk, its long computations in the background, and what they
-answer.
+"""Owns the calibration under way: its session on the disk, and its long computations in the background.
 
-It also owns one process for long computations, so that neither keys nor screen wait for them. It does one job at a
-time.
+    CalibrationController    session, recordings and answers; neither a device nor a decision
+    Background               one process for long computations, so that neither keys nor screen wait for them
 
-A job is a function of a module, its arguments, and a way to say how far it is; all of them travel between processes.
-The process stays warm for the next job. One that dies, or is no longer wanted, is killed; the next job starts another.
+A job is a function of a module, its arguments, and a progress; all of them travel between processes. One job is done at
+a time, and the process stays warm for the next one. One that dies, or is no longer wanted, is killed; the next job
+starts another.
 """
 
 from __future__ import annotations

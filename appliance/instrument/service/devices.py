@@ -1,8 +1,8 @@
-"""Owns which devices a rig has and how each is opened: the composition root.
+"""Owns the devices of a rig: which there are, how each is opened, and how it is kept open. The composition root.
 
-It also owns the thread that waits for the diver's keys, ``kf-keys``.
-
-It also owns the life of one device: opened in the background, closed when lost, opened again with growing pauses.
+Devices             all devices; a context manager
+DeviceSupervisor    one device: opened in the background, closed when lost, opened again with growing pauses
+KeyReader           the thread ``kf-keys``, which waits for the diver's keys
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Owns what the heartbeat is put together from: one controller per duty, made by ``app`` and called by ``loop`` alone.
+"""Owns what the heartbeat works with: one controller per duty, made by ``app`` and called by ``loop`` alone.
 
-It also owns the live views: cameras fired without a sequence, their light and their lasers, and the latest image of
-each.
+Parts        devices and controllers of the running instrument
+Beginning    what is known before the first heartbeat
+LiveViews    cameras fired without a sequence, their light and their lasers, and the latest image of each
 """
 
 from __future__ import annotations

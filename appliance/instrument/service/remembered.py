@@ -1,15 +1,11 @@
-"""Owns what the diver chose, as it is remembered on the disk over a restart: one small checksummed file.
+"""Owns what is remembered over a restart: two small files, each with its checksum.
 
-    <root>/choices.json
+    ChoicesFile    <root>/choices.json              what the diver chose
+    BeamsFile      <root>/calibration/beams.json    what was learned of the laser pointers' beams
 
-Only what differs from the rig file is written, so that a corrected rig file still counts for the rest.
-
-It also owns what was learned of the laser pointers' beams, as it is remembered on the disk over a restart: one small
-checksummed file.
-
-    <root>/calibration/beams.json
-
-What was learned belongs to one calibration, whose frame it is in, and to one drawing: a file of others is not used.
+Of the choices only what differs from the rig file is written, so that a corrected rig file still counts for the rest.
+What was learned of the beams belongs to one calibration, whose frame it is in, and to one drawing: a file of others is
+not used.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """Owns the step from what the instrument knows to what its screen shows.
 
-It also owns the words and values of the menu's rows.
+view_of                               the screen for a machine, with what its keys mean now
+Facts, Surroundings                   what a view needs besides the machine
+menu_view, value_of, question_view    the pages of the menu, with words and values of their rows
+held_against                          what is held against the scan in hand
 """
 
 from __future__ import annotations

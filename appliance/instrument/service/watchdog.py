@@ -1,10 +1,11 @@
-"""Owns what the running service tells its manager: ready, alive, what it does, and how its self-test ended.
+"""Owns the talk with the service manager, systemd.
+
+    ServiceManager    the datagrams of sd_notify(3), and how often the manager wants a sign of life
+    Watchdog          what is told after each heartbeat: ready, alive, what the service does, how its self-test ended
 
 A sign of life is earned: it is sent from the heartbeat only, after a beat that came to its end, and only while the
 worker process answers or is known not to be there. A loop that hangs, or that has lost sight of its worker, falls
 silent.
-
-It also owns the talk with the service manager: the datagrams of sd_notify(3), and how often it wants a sign of life.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Owns the watch over the calibration in use: its trend in memory, what the diver is told, and when it is written down.
+"""Owns two watches over many scans.
 
-It also owns the watch over the cameras' windows: what stays soft at one place of the image while the scene changes is
-the window.
+    CalibrationWatch    the calibration in use: the trend of its ray gaps, what the diver is told, when it is written
+    WindowWatch         the cameras' windows: what stays soft at one place of the image while the scene changes
 
-Of each cell of each camera's image a sum is kept of how far its fall exceeds what is forgiven, per scan at most so much
-that three scans are needed; a scan that shows it clean takes away. Kept in memory only: a window is wiped between two
-dives, and three scans find a scratch again.
+Of each cell of each camera's image the window's watch keeps a sum of how far its fall exceeds what is forgiven, per
+scan at most so much that three scans are needed; a scan that shows it clean takes away. It is kept in memory only: a
+window is wiped between two dives, and three scans find a scratch again.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Owns the life of a child process: started with a pipe, spoken to, listened to, ended, and killed where it does not
-end.
+"""Owns child processes: their life, and whether they get on.
 
-It also owns whether a process gets on, by one rule: while it owes an answer, it shows progress within a limit.
-
-It also owns what a process takes of the machine, as Linux tells it.
+ChildProcess            one process: started with a pipe, spoken to, listened to, ended, killed where it does not end
+Liveness                one rule: while a process owes an answer, it shows progress within a limit
+own_memory_mb, cpu_s    what a process takes of the machine, as Linux tells it
 """
 
 from __future__ import annotations

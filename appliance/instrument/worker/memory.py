@@ -1,11 +1,12 @@
-"""Owns the memory that a cloud passes through from the worker to the service, what the worker may take, and what the
-parent holds.
+"""Owns the memory of the worker process and of its parent.
 
-It also owns the place in shared memory where a live picture lies while the worker looks at it: one picture, behind the
-points.
+    CloudMemory, SharedPoints                  blocks for points: a cloud passes through them from worker to service
+    LivePicture                                the place of one live image, behind the points
+    ParentMemory                               the shared memory itself, made by the parent
+    limit_memory, give_back_memory, …          what the worker may take, and what it gives back
 
-The parent writes it and says so by ``LookAt``; the child copies it when it reads that. Not before the answer, or a
-scan, or so long that none is expected any more, another one is written: so one place is enough, and nothing is queued.
+The parent writes a live image and says so by ``LookAt``; the child copies it when it reads that. No other one is written
+before the answer, or a scan, or until none is expected any more: so one place is enough, and nothing is queued.
 """
 
 from __future__ import annotations

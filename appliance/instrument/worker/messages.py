@@ -1,10 +1,11 @@
-"""Owns the messages between the worker process and its parent, pickled on one pipe: orders to it, its signs of life,
-and ``News``.
+"""Owns the messages between the worker process and its parent, pickled on one pipe.
+
+    WorkOrder, WorkLimits    what a worker is started for, and the bounds of what it may take
+    Begin … Ping             orders to the worker
+    Ready, Pong, …           its signs of life; its results are ``appliance.measure.News``
 
 A ticket numbers the sequences that were begun; news of an earlier one are of no interest any more. Pixels and points
 are never in a message: frames lie in the shared store, clouds in shared memory, where ``Found`` says which part.
-
-It also owns what a worker process is started for, and the bounds of what it may take before it is started again.
 """
 
 from __future__ import annotations

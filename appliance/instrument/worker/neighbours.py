@@ -1,14 +1,10 @@
-"""Owns what the worker keeps of the scan before, to tell how much of a new one lies on it: small copies, never frames
-or full clouds.
+"""Owns what the worker does in its pauses: it compares scans, and looks at live images of a diver who aims.
 
-Nothing here is done while a scan is recorded or computed: the new scan is noted in passing (25 ms at 1600 × 1200,
-behind the full cloud) and compared piece by piece while there is nothing else to do. A message that comes waits for one
-piece at most, and a new scan ends the comparison for good.
+    Neighbours    the scan that was kept last and the one in hand, as small copies: how much of the new one lies on it
+    Onlooker      the live images: where the diver aims, with what the neighbours have kept
 
-It also owns what the worker does with the live pictures of a diver who aims: one at a time, piece by piece, in its
-pauses.
-
-As with the comparison of scans, a message waits for one piece at most, and a scan that begins ends it.
+A new scan is noted in passing (25 ms at 1600 × 1200, behind the full cloud). Everything else is done piece by piece
+while there is nothing else to do: a message waits for one piece at most, and a scan that begins ends it.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """Owns the warm process in which scans are reconstructed, so that computing never delays a vertical blank.
 
+    ReconstructionWorker    the parent's end
+    ScanInWork              the scan begun last
+    Looking                 live images handed to the worker: one at a time, the latest, a third of a processor at most
+
 The parent sends small messages; pixels stay in the shared frame store and points come back through shared memory. A
 worker that dies, does not get on or takes too much memory is killed and started again, and the scan it had is processed
 again from the raw frames, which are untouched by all of that. The child's side is ``serve``; ``Liveness`` judges
 whether it gets on.
-
-It also owns when a live picture is handed to the worker, and which answer counts: one picture at a time, the latest,
-and a third of a processor at most.
 """
 
 from __future__ import annotations
