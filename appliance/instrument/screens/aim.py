@@ -1,9 +1,8 @@
-"""Owns the screen on which the diver chooses the place: both live images, the distance, and the
-numbers.
+"""Owns the screen on which the diver chooses the place: both live images, the distance, and the numbers.
 
-    draw_aim         the screen
-    draw_gauge       the distance: a word, a scale, mm, and the surface as seen from above (``tilt_icon``)
-    draw_guidance    the way to the next view: an arrow at the border of the left image, and words at its lower edge
+draw_aim         the screen
+draw_gauge       the distance: a word, a scale, mm, and the surface as seen from above (``tilt_icon``)
+draw_guidance    the way to the next view: an arrow at the border of the left image, and words at its lower edge
 """
 
 from __future__ import annotations
