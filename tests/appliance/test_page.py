@@ -68,12 +68,13 @@ def test_cells_have_as_many_digits_as_are_worth_reading() -> None:
 
 def test_the_histogram_is_as_high_as_the_commonest_value_and_marks_what_it_is_told() -> None:
     rng = np.random.default_rng(1)
-    values = np.append(rng.normal(0.0, 100.0, 20000), [np.nan, 5000.0])
+    values = np.append(rng.normal(0.0, 100.0, 20000), [np.nan, *[5000.0] * 300])
     svg = histogram(values, -300.0, 300.0, "deviation in µm", (-150.0, 150.0), 30.0)
     tall = np.array([float(one) for one in re.findall(r'height="([\d.]+)" fill="#', svg)])
     assert len(tall) == BARS
     assert tall.max() == 184.0
     assert abs(int(tall.argmax()) - BARS // 2) <= 3
+    assert tall[-1] > 5.0 * tall[-2], "what lies farther out is in the last one"
     # Bars are 600 / 61 µm wide; one standard deviation off the middle, a normal curve has e^-0.5 of its height.
     assert tall[[20, 40]] / tall[27:34].mean() == pytest.approx([np.exp(-0.5)] * 2, abs=0.08)
     assert re.findall(r'<line x1="([\d.]+)" x2="[\d.]+" y1="8"', svg) == ["170.0", "470.0"]
