@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from argparse import ArgumentTypeError
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,9 +12,9 @@ from appliance.base import require
 from appliance.cli.archive import storage_root
 from appliance.cli.arguments import Verb, number, operand, option, path_option, switch, whole
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, ProgressLine, UsageError, time_text
+from appliance.cli.output import Exit, ProgressLine, UsageError
 from appliance.cli.places import measuring
-from appliance.store import Library, hold_lock
+from appliance.store import Library
 
 if TYPE_CHECKING:  # brings NumPy
     from appliance.store import ListedScan, ScanList
@@ -60,56 +57,29 @@ class Reprocess(Verb):
         storage_root("SOURCE", self.source)
         workers, scheduler = self._workers()
         measuring(self.calibration)
-        folders, scans, listed = self._scans()
+        folders, scans = self._scans()
         for library in ("distributed", "cryptography"):
             require(library, library, "reprocess")
-        begun_s = time.monotonic()
         if scheduler is None:
             compile_kernels()  # once, before any worker starts: each of them would compile the same minute
-        from appliance.desk import AGAIN, DONE, FAILED, Job, Results, program_digits, work_through_all
-        from appliance.store import load_calibration
+        from appliance.desk import ArchiveWork
 
-        results = Results.of(
-            self.out.absolute(),
-            {
-                "calibration": None if self.calibration is None else load_calibration(self.calibration).hash,
-                "foreign": self.foreign_calibration,
-                "water": self.water,
-                "clouds": not self.table_only,
-                "program": program_digits(),
-                "list": None if scans is None else repr(scans),
-                "reference_mm": 0.0 if scans is None else scans.reference_mm,
-            },
+        work = ArchiveWork(
+            folders=folders,
+            out=self.out,
+            scans=scans,
+            calibration=self.calibration,
+            foreign=self.foreign_calibration,
+            water=self.water,
+            clouds=not self.table_only,
+            scheduler=scheduler,
+            workers=workers,
+            limit_s=self.timeout_s,
         )
-        calibration = None if self.calibration is None else str(self.calibration.absolute())
-        jobs = [
-            Job(str(folder.absolute()), str(results.folder), calibration, listed.get(_number(folder)))
-            for folder in folders
-        ]
-        rows = []
-        with hold_lock(results.folder), ProgressLine() as progress:
-            swept = results.sweep()
-            with closing(work_through_all(jobs, scheduler, workers, self.timeout_s)) as coming:
-                for row in coming:
-                    rows.append(row)
-                    left = time_text((time.monotonic() - begun_s) / len(rows) * (len(jobs) - len(rows)))
-                    progress(f"{len(rows)} of {len(jobs)} scans, {left} left", len(rows) / len(jobs))
-            table = results.write_table(rows)
-        count = Counter(row["state"] for row in rows)
-        not_begun = len(jobs) - len(rows)
-        stopped = str(rows[-1]["reason"]) if not_begun else None
-        said = {FAILED: "failed", AGAIN: "left for the next call"}
-        self.tell(
-            {
-                "done": count[DONE], "failed": count[FAILED], "left": count[AGAIN], "not_begun": not_begun, "key": results.folder.name,
-                "table": str(table), "drafts_swept": swept, "s": time.monotonic() - begun_s, "stopped": stopped, "rows": rows,
-            },
-            [
-                *(f"{row['scan']}  {said[row['state']]}: {row['reason']}" for row in rows if row["state"] in said),
-                f"{count[DONE]} done, {count[FAILED]} failed, {count[AGAIN] + not_begun} left; {table}",
-            ],
-        )  # fmt: skip
-        return Exit.OK if count[DONE] == len(jobs) else Exit.FAILED
+        with ProgressLine() as progress:
+            report, lines = work.run(progress)
+        self.tell(report, lines)
+        return Exit.OK if report["done"] == len(folders) else Exit.FAILED
 
     def _workers(self) -> tuple[int | None, str | None]:
         """Return how many processes, or the address of a scheduler. Raises UsageError."""
@@ -120,8 +90,8 @@ class Reprocess(Verb):
         except ArgumentTypeError as error:
             raise UsageError(f"--workers {error}, or the address of a scheduler") from error
 
-    def _scans(self) -> tuple[Sequence[Path], ScanList | None, Mapping[str, ListedScan]]:
-        """Return the folders of the scans, and the list of artefacts with its entries by their number. Raises
+    def _scans(self) -> tuple[Mapping[Path, ListedScan | None], ScanList | None]:
+        """Return the folders of the scans, each with its entry in the list of artefacts, and that list. Raises
         UsageError, ListError, before any work."""
         folders = Library(self.source).folders(every=self.all)
         if not folders:
@@ -138,7 +108,7 @@ class Reprocess(Verb):
                 f"LIST {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their "
                 f"numbers"
             )
-        return folders, scans, listed
+        return {folder: listed.get(_number(folder)) for folder in folders}, scans
 
 
 def _number(folder: Path) -> str:

@@ -7,19 +7,11 @@ from typing import TYPE_CHECKING
 from appliance.base import lazy_face
 
 if TYPE_CHECKING:
-    from .anew.results import (
-        Results,  # Results of one key below out. Every method raises StorageError for what the disk refuses
-        program_digits,  # Return what of an installation decides about points
-    )
     from .anew.season import (
         page_of_table,  # Return the page about the season of a table, and how many scans it has. Raises ResultsError
     )
     from .anew.work import (
-        AGAIN,  # States of a row; one that is to be tried again is never published
-        DONE,  # States of a row; one that is to be tried again is never published
-        FAILED,  # States of a row; one that is to be tried again is never published
-        Job,  # Everything that one scan's task must know; small, and the same bytes on every computer
-        work_through_all,  # Yield a row of every job, as they are done by workers of scheduler
+        ArchiveWork,  # Scans of an archive that are to be reprocessed, how, and by whom
     )
     from .cloud_files import (
         ObjectFiles,  # The files of a solved object; its surface and the mesh of that are made once

@@ -20,7 +20,9 @@ import resource
 import socket
 import time
 import traceback
+from collections import Counter
 from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import islice
@@ -31,6 +33,7 @@ from uuid import uuid4
 from appliance.base import (
     KernelOrigin,
     MissingLibraryError,
+    Progress,
     missing_kernels,
     needed,
     raise_if_interrupted,
@@ -51,6 +54,7 @@ from appliance.store import (
     StoredScan,
     Wish,
     encode_ply,
+    hold_lock,
     load_calibration,
 )
 
@@ -209,6 +213,79 @@ class Job:
     """Calibration file; ``None``: each scan's own."""
     listed: ListedScan | None
     """The artefact that the scan shows; ``None``: none that is known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArchiveWork:
+    """Scans of an archive that are to be reprocessed, how, and by whom."""
+
+    folders: Mapping[Path, ListedScan | None]
+    """Folders of the scans, and the artefact that each shows; ``None``: none that is known."""
+    out: Path
+    """Folder of results, one below it for each way of making them."""
+    scans: ScanList | None
+    """The list that the artefacts are from."""
+    calibration: Path | None
+    """``None``: each scan's own."""
+    foreign: bool
+    water: tuple[float, float] | None
+    """Temperature in °C and salinity in PSU; ``None``: as recorded."""
+    clouds: bool
+    scheduler: str | None
+    workers: int | None
+    limit_s: float
+    """Time for one scan before it is begun again."""
+
+    def run(self, progress: Progress) -> tuple[dict[str, Any], list[str]]:
+        """Work through every scan that has no result yet, and write the table; return the report, JSON-ready, and its
+        lines.
+
+        Raises StorageError, CalibrationError, SchedulerError, MissingLibraryError.
+        """
+        begun_s = time.monotonic()
+        results = Results.of(
+            self.out.absolute(),
+            {
+                "calibration": None if self.calibration is None else load_calibration(self.calibration).hash,
+                "foreign": self.foreign,
+                "water": self.water,
+                "clouds": self.clouds,
+                "program": program_digits(),
+                "list": None if self.scans is None else repr(self.scans),
+                "reference_mm": 0.0 if self.scans is None else self.scans.reference_mm,
+            },
+        )
+        calibration = None if self.calibration is None else str(self.calibration.absolute())
+        jobs = [
+            Job(str(folder.absolute()), str(results.folder), calibration, listed)
+            for folder, listed in self.folders.items()
+        ]
+        rows = []
+        with hold_lock(results.folder):
+            swept = results.sweep()
+            with closing(work_through_all(jobs, self.scheduler, self.workers, self.limit_s)) as coming:
+                for row in coming:
+                    rows.append(row)
+                    left_s = (time.monotonic() - begun_s) / len(rows) * (len(jobs) - len(rows))
+                    progress(f"{len(rows)} of {len(jobs)} scans, {left_s / 60.0:.0f} min left", len(rows) / len(jobs))
+            table = results.write_table(rows)
+        count = Counter(row["state"] for row in rows)
+        not_begun = len(jobs) - len(rows)
+        told = {FAILED: "failed", AGAIN: "left for the next call"}
+        lines = [f"{row['scan']}  {told[row['state']]}: {row['reason']}" for row in rows if row["state"] in told]
+        lines.append(f"{count[DONE]} done, {count[FAILED]} failed, {count[AGAIN] + not_begun} left; {table}")
+        return {
+            "done": count[DONE],
+            "failed": count[FAILED],
+            "left": count[AGAIN],
+            "not_begun": not_begun,
+            "key": results.folder.name,
+            "table": str(table),
+            "drafts_swept": swept,
+            "s": time.monotonic() - begun_s,
+            "stopped": str(rows[-1]["reason"]) if not_begun else None,
+            "rows": rows,
+        }, lines
 
 
 def work_through_all(
