@@ -329,17 +329,15 @@ def _add_scans(made: Page, scans: Sequence[ReportScan]) -> None:
     )
     made.heading("Scans")
     made.table(columns, rows, "scans")
-    shown_ = [(scan, scan.picture_png) for scan in scans if scan.picture_png is not None]
-    if not shown_:
+    pictures = [(scan, scan.picture_png) for scan in scans if scan.picture_png is not None]
+    if not pictures:
         return
-    figures = "".join(
-        f'<figure><img alt="scan {html.escape(scan.name)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
-        f"<figcaption><b>{html.escape(scan.name)}</b> {_given(scan.points, _count)} points</figcaption></figure>"
-        for scan, png in shown_
-    )
     made.heading("Pictures")
     made.note("As the left camera sees them; yellow is near, dark is far, within each picture.")
-    made.add(f'<div class="pictures">{figures}</div>')
+    made.add('<div class="pictures">')
+    for scan, png in pictures:
+        made.figure(f"scan {scan.name}: {_given(scan.points, _count)} points", png)
+    made.add("</div>")
 
 
 def _add_pairs(made: Page, scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> None:

@@ -137,11 +137,6 @@ class ScanController:
         return self._calibration
 
     @property
-    def worker_settled(self) -> bool:
-        """The worker is warm, or it cannot be: nothing more is to be waited for at the start."""
-        return self._reports.settled
-
-    @property
     def settled(self) -> bool:
         """The frames in memory may be overwritten, as they are on the disk, or nobody wants them; and the disk has said
         whether there is room for the next ones."""

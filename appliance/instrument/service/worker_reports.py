@@ -58,8 +58,6 @@ class WorkerReports:
         """
         self._worker, self._calibration, self._clock, self._drop = worker, calibration, clock, drop
         self._windows = WindowWatch()
-        self.settled = False
-        """The worker is warm, or it cannot be: nothing more is to be waited for at the start."""
 
     def read(self, scan: ScanInMemory | None) -> list[on.Event]:
         """Return what the worker's next reports mean; ``scan`` is the one in hand, which is changed by them."""
@@ -80,7 +78,6 @@ class WorkerReports:
         """Return what the machine hears after ``report``; ``scan`` is the one in hand."""
         match report:
             case Ready():
-                self.settled = True
                 return [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartTested(Part.WORKER, True)]
             case LiveGuidance():
                 return [report]
@@ -107,7 +104,6 @@ class WorkerReports:
         saved."""
         if self._worker.pid is not None:
             return []
-        self.settled = True
         fault = Fault(FaultCode.RECONSTRUCTION_FAILED, why)
         return [on.ConditionRaised(fault), PartTested(Part.WORKER, False, Text.GIVEN_UP)]
 

@@ -44,7 +44,7 @@ def test_the_page_shows_every_scan_with_verdict_figures_and_picture(
     text = out.read_text()
     assert "default-src 'none'" in text, "it asks for nothing from outside"
     assert not re.search(r"(src|href)=.https?:", text)
-    (picture,) = re.findall(r'<img alt="scan 000001" src="data:image/png;base64,([^"]+)"', text)
+    (picture,) = re.findall(r'<img alt="scan 000001: [^"]+" src="data:image/png;base64,([^"]+)"', text)
     image = cv2.imdecode(np.frombuffer(base64.b64decode(picture), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     drawn = np.any(image != 255, axis=2)

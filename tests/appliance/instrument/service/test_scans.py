@@ -72,7 +72,7 @@ def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(desk: Desk
 
     def settled() -> bool:
         told.extend(event for event in scans.poll() if not isinstance(event, on.PartBusy))
-        return scans.worker_settled
+        return len(told) == 2
 
     desk.until(settled, 60.0)
     raised, tested = told
@@ -275,11 +275,10 @@ def test_of_another_scan_nothing_is_heard_and_news_of_none_are_told_as_they_are(
     )
     for fact in facts:
         assert heard.meant(News(3, fact)) == heard.reports.meant(News(4, fact), None) == []
-    assert (heard.scan.full, heard.scan.times_s, heard.reports.settled) == (None, {}, False)
+    assert (heard.scan.full, heard.scan.times_s) == (None, {})
     assert BAD.verdict not in heard.verdicts
     ready: list[on.Event] = [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartTested(Part.WORKER, True)]
     assert heard.reports.meant(Ready(), None) == ready
-    assert heard.reports.settled
     assert heard.reports.meant(LiveGuidance(None, 77, 0.1), None) == [LiveGuidance(None, 77, 0.1)]
 
 
@@ -364,5 +363,4 @@ def test_a_process_that_is_down_for_good_fails_what_it_had(
     events = heard.meant(WorkerFailure(DOWN.detail) if lost is None else lost)
     down = [on.ConditionRaised(DOWN), PartTested(Part.WORKER, False, Text.GIVEN_UP)]
     assert events == [*([] if lost is None else [lost]), *down]
-    assert heard.reports.settled
     assert heard.dropped == dropped, "the second sequence, and no more"
