@@ -54,14 +54,13 @@ if TYPE_CHECKING:
     from .health import (
         LEARNT_SCANS,  # Scans that teach a patch its reference
         OVERLAP_LIMIT,  # Score of an object's overlaps that alarms
+        THIRD_MODES,  # Names of the patterns of the third gap
         UNMEASURED,  # Methods of calibrations whose ports nobody measured: their rays miss each other anyway
         HealthFile,  # The memory of one calibration. One process writes, any number may read
-        HealthJudgement,  # Findings of one scan about the calibration
         HealthTrend,  # Everything remembered about one calibration
         OverlapNews,  # What one object's overlaps say of the smooth depth error
+        TrendPoint,  # One judged scan
         answered,  # Return the trend after an accepted length check
-        judge_health,  # Return the trend after one more scan (its number, where it has one already)
-        likeliest,  # Return the one change that explains amplitudes best
         told_by_overlaps,  # Return the trend after an object was solved
     )
     from .in_air import (
@@ -94,6 +93,12 @@ if TYPE_CHECKING:
         CertificateMissing,  # The artefact's certificate, or a number of it, is not stated
         NotConverged,  # The recordings can be used one by one, and no calibration fits all of them
         RecordingError,  # Recordings cannot be used for a calibration; the text says which, why and what to do
+    )
+    from .third_eye import (
+        FITTED_SCANS,  # Normal scans that the projector is fitted to
+        ThirdEye,  # The projector as a calibration's first scans show it
+        judge_with_projector,  # Return trend and projector after one more scan, and what is to be said about it
+        third_eye_file,  # Return the file of one calibration's projector
     )
     from .water.method import (
         BEFORE_OPERATOR,  # Names of the models that the published way goes through

@@ -11,6 +11,7 @@ amplitudes  least squares over the patches seen, with their standard deviations 
             the image so has wide standard deviations instead of a wrong verdict. Where the stated water changes, the height
             may change with it, as imperfect calibrations do. What backscatter may do wrongly has known shapes, and is
             adjusted along with the amplitudes.
+third gaps  where the projector was learnt (``calibrate.third_eye``), its gaps are judged beside the ray gaps in the same way.
 overlaps    of many scans of one object tell of a depth error that all share, which gaps do not see; their word is kept beside, and
             alarms where it is clear.
 sum         scores (amplitudes in standard deviations, with their direction) are added up by Crosier's multivariate CUSUM: a
@@ -31,19 +32,21 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base import ContentError, SealedFile
-from appliance.measure import MODES, PatchGaps
+from appliance.base import LEFT_OUT, ContentError, SealedFile
+from appliance.measure import MODES, TURNS, PatchGaps, in_words
 from appliance.store import FileSystem, LocalFileSystem, StorageError
 
 Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
+T = TypeVar("T")
 
 UNMEASURED = ("design", "air")
 """Methods of calibrations whose ports nobody measured: their rays miss each other anyway."""
@@ -58,10 +61,15 @@ TEACHES_UP_TO = 2.0
 """A scan after which the sum is larger teaches nothing: a knock must not become the reference."""
 LEAST_UM = 0.3
 """Scatter of an amplitude that remains with the best calibration."""
+THIRD_MODES = ("even", "across", "down", "corners")
+"""Patterns of the third gap (``calibrate.third_eye``)."""
 DRIFT_UM = (27.0, 3.6, 0.0, 0.0)
 """Standard deviation of amplitudes from mounts that turn with the temperature of the case: 0.003° about x (520 mm away)
 and about z (70 mm aside). Neither spoils a length, and so much leaves a knock of 0.02° to be found by the second scan.
 A turn about y spoils lengths, and is forgiven nothing."""
+THIRD_DRIFT_UM = (14.0, 2.0, 2.0, 2.0)
+"""The same of the third gap: turns of a camera about y by 0.003°, or of the projector by half of that, and what they tilt. A
+knock of 0.02° about y is 93 µm."""
 PATCH_UM = 0.5
 """Scatter of a patch that remains with the best calibration."""
 SHARE_KNOWN = 0.5
@@ -119,6 +127,10 @@ class TrendPoint:
     total: float
     """The sum after this scan; the alarm is at ``LIMIT``."""
     alarm: bool
+    third_um: Four | None = field(default=None, metadata=LEFT_OUT)
+    """Even, across, down, corners of the third gap; ``None``, as the next one: no projector was learnt, or too little of
+    the image shows it."""
+    third_sigma_um: Four | None = field(default=None, metadata=LEFT_OUT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +149,17 @@ class Reference:
     doubts_um: tuple[float, ...] = (0.0,) * (PatchGaps.COUNT * (PatchGaps.DOUBTS + 1))
     """Standard deviations of what backscatter did to the gaps, patch after patch: mean of the scans that taught it of
     ``PatchGaps.doubts_um`` and ``PatchGaps.shape_um``. The same causes are wrong in the same way in later scans."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThirdTrend:
+    """Memory of the third gaps of one fitted projector."""
+
+    projector: str | None = None
+    """Hash of the fit; ``None``: there was none."""
+    reference: Reference = Reference()
+    total: Four = (0.0, 0.0, 0.0, 0.0)
+    """Its share of the sum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +198,7 @@ class HealthTrend:
     """Length checks after which an alarm was taken back."""
     overlaps: tuple[OverlapNews, ...] = ()
     """Words of objects' overlaps, the latest of each object, oldest first."""
-
-    def alarmed(self, text: str) -> HealthTrend:
-        """Return the trend with these words for its finding."""
-        return replace(self, alarm=text)
+    third: ThirdTrend = field(default=ThirdTrend(), metadata=LEFT_OUT)
 
     def named(self, scan: str) -> HealthTrend:
         """Return the trend with the number that the latest scan gets on the disk."""
@@ -194,69 +214,86 @@ class HealthJudgement:
     alarm: bool
     text: str
     numbers: Mapping[str, float | None]
+    normal: bool = False
+    """The scan is beyond doubt: what is learnt may be learnt from it."""
 
 
-def judge_health(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple[HealthTrend, HealthJudgement]:
-    """Return the trend after one more scan (its number, where it has one already), and what is to be said about it."""
+def judge_health(
+    trend: HealthTrend, gaps: PatchGaps, scan: str | None = None, third: PatchGaps | None = None
+) -> tuple[HealthTrend, HealthJudgement]:
+    """Return the trend after one more scan (its number, where it has one already), and what is to be said about it.
+
+    ``third``: its third gaps, where a projector was learnt.
+    """
     if len(gaps.patch) < FEWEST_PATCHES:
         text = f"not judged: {len(gaps.patch)} of {PatchGaps.COUNT} patches seen, {FEWEST_PATCHES} are needed"
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
-    if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
+    if not _are_numbers(gaps):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
     veil_um = _veil_doubt_um(gaps)
     if veil_um > MOST_VEIL_UM:
         text = f"not judged: backscatter may move the gaps by {veil_um:.0f} µm, allowed are {MOST_VEIL_UM:.0f}; scan in clearer water"
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
-    # The three steps of the module's head. The median with the taught scans keeps one odd scan from widening its own
-    # limits.
-    rest_um = _rest(gaps)
-    usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
-    amplitudes, covariance = _compared(trend.reference, gaps, usual_um)
-    least_deg = found_from_deg(gaps, covariance)
-    z = _whitened(amplitudes, covariance)
-    total = _summed(np.array(trend.total), z)
+    # The three steps of the module's head, for the ray gap and for the third: their scores add up side by side.
+    found = [_found(trend.reference, gaps, DRIFT_UM, HEIGHT_PER_INDEX_UM)]
+    if third is not None and len(third.patch) >= FEWEST_PATCHES and _are_numbers(third):
+        found.append(_found(trend.third.reference, third, THIRD_DRIFT_UM, 0.0))
+    z = np.concatenate([_whitened(one.amplitudes_um, one.covariance) for one in found])
+    before = np.array([*trend.total, *trend.third.total])
+    total = _summed(before, np.pad(z, (0, len(before) - len(z))))
     size = float(np.linalg.norm(total))
+    least_deg = _found_from_deg(found)
     # An alarm stays until somebody answers it: it is not raised twice, and the sum that caused it is kept.
-    found = trend.alarm is None and size > LIMIT
+    raised = trend.alarm is None and size > LIMIT
+    amplitudes, sigmas = zip(*[(_four(one.amplitudes_um), _four(one.sigma_um)) for one in found], strict=True)
     point = TrendPoint(
-        scan, _four(amplitudes), _four(np.sqrt(np.diag(covariance))), rest_um, float(np.linalg.norm(z)), size,
-        found or trend.alarm is not None,
+        scan, amplitudes[0], sigmas[0], found[0].rest_um, float(np.linalg.norm(z)), size, raised or trend.alarm is not None,
+        *((amplitudes[1], sigmas[1]) if len(found) > 1 else ()),
     )  # fmt: skip
-    reference = trend.reference
     # The reference learns from scans that are beyond doubt; else a slow drift would teach itself to be normal.
-    if not point.alarm and size <= TEACHES_UP_TO:
-        reference = _taught(reference, gaps, rest_um)
-    text = _said(point, reference)
+    normal = not point.alarm and size <= TEACHES_UP_TO
+    references = [trend.reference, trend.third.reference]
+    if normal:
+        for k, one in enumerate(found):
+            references[k] = _taught(references[k], one.gaps, one.rest_um)
+    text = _said(point, references[0]) + (_explained(found) if point.alarm else "")
     if least_deg is not None and max(least_deg) > MATTERS_DEG and not point.alarm:
         text += f"; {_blind_to(least_deg)}{_veiled(gaps)}"
-    after = HealthTrend(
-        reference=reference,
-        total=_four(total),
+    after = replace(
+        trend,
+        reference=references[0],
+        total=_four(total[: len(MODES)]),
         judged=trend.judged + 1,
         points=(*trend.points, point)[-MOST_POINTS:],
-        alarm=trend.alarm or (text if found else None),
-        answers=trend.answers,
+        alarm=trend.alarm or (text if raised else None),
+        third=replace(trend.third, reference=references[1], total=_four(total[len(MODES) :])),
     )
-    return after, HealthJudgement(point, point.alarm, text, _numbers(point, gaps) | _turns(least_deg))
+    return after, HealthJudgement(point, point.alarm, text, _numbers(point, found) | _turns(least_deg), normal)
 
 
 def answered(trend: HealthTrend, answer: str) -> HealthTrend:
     """Return the trend after an accepted length check: the latest scan's state is normal from now on. ``answer`` says
     what was found."""
-    # The offset moves the expectation by whole patterns instead of patch by patch, and every patch keeps the weight of
-    # one scan at most, so that it follows what the next scans show.
-    latest = trend.points[-1].amplitudes_um if trend.points else (0.0,) * len(MODES)
-    reference = replace(
-        trend.reference,
-        offset_um=_four(np.array(trend.reference.offset_um) + np.array(latest)),
-        scans=tuple(min(n, 1) for n in trend.reference.scans),
-    )
+    nothing: Four = (0.0, 0.0, 0.0, 0.0)
+    point = trend.points[-1] if trend.points else None
+    third_um = next((one.third_um for one in reversed(trend.points) if one.third_um is not None), nothing)
     return replace(
         trend,
-        reference=reference,
-        total=(0.0, 0.0, 0.0, 0.0),
+        reference=_moved(trend.reference, nothing if point is None else point.amplitudes_um),
+        total=nothing,
         alarm=None,
         answers=(*trend.answers, answer)[-MOST_ANSWERS:],
+        third=replace(trend.third, reference=_moved(trend.third.reference, third_um), total=nothing),
+    )
+
+
+def _moved(reference: Reference, latest_um: Four) -> Reference:
+    # The offset moves the expectation by whole patterns instead of patch by patch, and every patch keeps the weight of
+    # one scan at most, so that it follows what the next scans show.
+    return replace(
+        reference,
+        offset_um=_four(np.array(reference.offset_um) + np.array(latest_um)),
+        scans=tuple(min(n, 1) for n in reference.scans),
     )
 
 
@@ -273,34 +310,73 @@ def told_by_overlaps(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
     return replace(trend, alarm=alarm, overlaps=(*others, news)[-MOST_OBJECTS:])
 
 
-def found_from_deg(gaps: PatchGaps, covariance: Array) -> tuple[float, float, float] | None:
-    """Return the smallest turns of the right camera about x, y, z that ``SCANS_TO_FIND`` scans like this one alarm at,
-    in degrees.
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """One kind of gap of one scan against its reference."""
 
-    ``covariance`` (4, 4) is that of the scan's amplitudes; ``None``: how they answer to turns was not asked.
-    """
-    if gaps.turns_um is None:
-        return None
+    gaps: PatchGaps
+    amplitudes_um: Array
+    """(4,)."""
+    covariance: Array
+    """(4, 4) in normal operation, µm²."""
+    rest_um: float
+
+    @property
+    def sigma_um(self) -> Array:
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def _are_numbers(gaps: PatchGaps) -> bool:
+    return all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes))
+
+
+def _found(reference: Reference, gaps: PatchGaps, drift_um: Four, per_index_um: float) -> _Found:
+    # The median with the taught scans keeps one odd scan from widening its own limits.
+    rest_um = _rest(gaps)
+    usual_um = float(np.median([*reference.rests_um, rest_um]))
+    return _Found(gaps, *_compared(reference, gaps, usual_um, drift_um, per_index_um), rest_um)
+
+
+def _found_from_deg(found: Sequence[_Found]) -> tuple[float, float, float] | None:
+    """Return the smallest turns of the right camera about x, y, z that ``SCANS_TO_FIND`` scans like this one alarm at,
+    in degrees; ``None``: how the amplitudes answer to turns was not asked."""
     # As many equal scores reach the limit when each exceeds the slack by its share of the limit.
     score = SLACK + LIMIT / SCANS_TO_FIND
-    per_deg = [float(np.linalg.norm(_whitened(turn, covariance))) for turn in gaps.turns_um]
-    x, y, z = (score / max(one, 1e-9) for one in per_deg)
+    per_deg = np.zeros(3)
+    for one in found:
+        if one.gaps.turns_um is None:
+            return None
+        per_deg += [float(np.linalg.norm(_whitened(turn, one.covariance))) ** 2 for turn in one.gaps.turns_um]
+    x, y, z = (score / max(one, 1e-9) for one in np.sqrt(per_deg))
     return x, y, z
 
 
-def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -> tuple[str, float, float]:
-    """Return the one change that explains amplitudes best: its name, its size, and the share (0..1) that it explains.
+def likeliest(amplitudes_um: Array, answers: Mapping[str, Array]) -> tuple[str, float, float]:
+    """Return the one change that explains amplitudes (n,) best: its name, its size, and the share (0..1) that it
+    explains.
 
-    ``answers`` are those of ``GapModes.of_parameters`` for the changes in question.
+    ``answers`` are the amplitudes (n,) per unit of each change in question.
     """
-    a = np.array(amplitudes_um)
     best = ("", 0.0, 0.0)
-    for name, (one, _) in answers.items():
-        size = float(one @ a / (one @ one))
-        share = 1.0 - float(np.sum((a - size * one) ** 2) / max(float(a @ a), 1e-12))
+    for name, one in answers.items():
+        size = float(one @ amplitudes_um / (one @ one))
+        left = float(np.sum((amplitudes_um - size * one) ** 2))
+        share = 1.0 - left / max(float(amplitudes_um @ amplitudes_um), 1e-12)
         if share > best[2]:
             best = (name, size, share)
     return best
+
+
+def _explained(found: Sequence[_Found]) -> str:
+    """Return which single turn of the right camera would look most like it; it is one of many, so only in words for a
+    technician."""
+    per_rad = [None if one.gaps.turns_um is None else np.degrees(one.gaps.turns_um) for one in found]
+    known = [turns_um for turns_um in per_rad if turns_um is not None]
+    if len(known) < len(found):
+        return ""
+    answers = dict(zip(TURNS, np.concatenate(known, axis=1), strict=True))
+    name, size, share = likeliest(np.concatenate([one.amplitudes_um for one in found]), answers)
+    return f"; most like {in_words(name, -size)} ({100.0 * share:.0f} %)" if name else ""
 
 
 def _rest(gaps: PatchGaps) -> float:
@@ -312,8 +388,11 @@ def _rest(gaps: PatchGaps) -> float:
     return math.sqrt(max(float(np.sum(left**2)) / freedom - float(np.mean(gaps.noise_um**2)), 0.0))
 
 
-def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[Array, Array]:
-    """Return amplitudes (4,) against the reference and their covariance in normal operation."""
+def _compared(
+    reference: Reference, gaps: PatchGaps, usual_um: float, drift_um: Four, per_index_um: float
+) -> tuple[Array, Array]:
+    """Return amplitudes (4,) against the reference and their covariance in normal operation; ``per_index_um``: what the
+    first may change by per unit of the water's index."""
     offset = np.array(reference.offset_um)
     # Model: gap = expected + modes · a + smooth rest + white noise. A patch without a reference has all of the rest,
     # one with a reference the share that changes with distance.
@@ -344,9 +423,9 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     # Floors that no number of patches takes away: the best calibration's scatter, mounts that follow the temperature,
     # the part of an accepted change that varies with distance, for height the index times the change of the stated
     # water, and of what backscatter did a share, as far as it did something else to the reference.
-    least = np.full(len(MODES), LEAST_UM**2) + np.square(DRIFT_UM) + (OFFSET_SHARE * offset) ** 2
+    least = np.full(len(MODES), LEAST_UM**2) + np.square(drift_um) + (OFFSET_SHARE * offset) ** 2
     if reference.water_index is not None:
-        least[0] += (HEIGHT_PER_INDEX_UM * (gaps.water_index - reference.water_index)) ** 2
+        least[0] += (per_index_um * (gaps.water_index - reference.water_index)) ** 2
     if gaps.veil_um is not None:
         independent = _solver(gaps.modes, np.diag(1.0 / (white + left_over**2 + shape**2)))
         least += (TAKEN_WRONGLY * share_new * (independent @ gaps.veil_um)) ** 2
@@ -448,7 +527,10 @@ def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
 
 
 def _said(point: TrendPoint, reference: Reference) -> str:
-    parts = ", ".join(f"{name} {value:+.1f} µm" for name, value in zip(MODES, point.amplitudes_um, strict=True))
+    named = [*zip(MODES, point.amplitudes_um, strict=True)]
+    if point.third_um is not None:
+        named += zip(THIRD_MODES, point.third_um, strict=True)
+    parts = ", ".join(f"{name} {value:+.1f} µm" for name, value in named)
     if point.alarm:
         return f"the ray gaps have changed since the calibration: {parts}; {point.score:.1f} standard deviations"
     taught = len(reference.rests_um)
@@ -473,10 +555,14 @@ def _turns(least_deg: tuple[float, float, float] | None) -> dict[str, float | No
     )
 
 
-def _numbers(point: TrendPoint, gaps: PatchGaps) -> dict[str, float | None]:
+def _numbers(point: TrendPoint, found: Sequence[_Found]) -> dict[str, float | None]:
     numbers: dict[str, float | None] = {}
-    for name, value, sigma in zip(MODES, point.amplitudes_um, point.sigma_um, strict=True):
-        numbers |= {f"{name}_um": value, f"{name}_sigma_um": sigma}
+    for names, one in zip((MODES, THIRD_MODES), found, strict=False):
+        for name, value, sigma in zip(names, one.amplitudes_um, one.sigma_um, strict=True):
+            numbers |= {f"{name}_um": float(value), f"{name}_sigma_um": float(sigma)}
+    if len(found) > 1:
+        numbers |= {"third_um": float(np.sqrt(np.mean(found[1].gaps.gap_um ** 2))), "third_rest_um": found[1].rest_um}
+    gaps = found[0].gaps
     if gaps.veil_um is not None:
         numbers |= {"veil_um": float(np.sqrt(np.mean(gaps.veil_um**2))), "veil_doubt_um": _veil_doubt_um(gaps)}
     numbers |= {"rest_um": point.rest_um, "score": point.score, "sum": point.total, "limit": LIMIT}
@@ -506,49 +592,68 @@ class _StoredHealth:
 
 def _refuse_impossible(stored: _StoredHealth) -> None:
     """Raises ValueError."""
-    reference = stored.trend.reference
     if stored.trend.judged < 0:
         raise ValueError(f"trend.judged is {stored.trend.judged}; allowed: whole numbers from 0")
-    if any(len(of) != PatchGaps.COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
-        raise ValueError(f"its reference has not {PatchGaps.COUNT} patches")
-    if len(reference.doubts_um) != PatchGaps.COUNT * (PatchGaps.DOUBTS + 1):
-        raise ValueError(f"its reference has not {PatchGaps.DOUBTS + 1} doubts of {PatchGaps.COUNT} patches")
+    for reference in (stored.trend.reference, stored.trend.third.reference):
+        if any(len(of) != PatchGaps.COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
+            raise ValueError(f"its reference has not {PatchGaps.COUNT} patches")
+        if len(reference.doubts_um) != PatchGaps.COUNT * (PatchGaps.DOUBTS + 1):
+            raise ValueError(f"its reference has not {PatchGaps.DOUBTS + 1} doubts of {PatchGaps.COUNT} patches")
 
 
 HEALTH = SealedFile(_StoredHealth, schema=1, max_bytes=1_000_000, indent=None, check=_refuse_impossible)
 
 
-class HealthFile:
-    """The memory of one calibration. One process writes, any number may read."""
+class LearntFile(Generic[T]):
+    """One thing learnt about one calibration, in a file of its own. One process writes, any number may read."""
 
-    def __init__(self, root: Path, calibration_hash: str, fs: FileSystem | None = None) -> None:
+    def __init__(
+        self, form: SealedFile[T], nothing: T, path: Path, calibration_hash: str, fs: FileSystem | None = None
+    ) -> None:
+        self._form, self._nothing = form, nothing
         self._fs: FileSystem = fs or LocalFileSystem()
         self._of: Mapping[str, str] = {"calibration": calibration_hash}
-        self.path = root / FOLDER / f"{calibration_hash[:16]}.json"
+        self.path = path
 
-    def read(self) -> HealthTrend:
-        """Read the remembered trend; an empty one where there is none, or none that can be read."""
+    def read(self) -> T:
+        """Read what is remembered; what nothing is known by where there is no file, or none that can be read."""
         try:
-            found = HEALTH.load(self.path, self._of, name=str(self.path))
+            found = self._form.load(self.path, self._of, name=str(self.path))
         except ContentError as error:
-            log.warning("%s; the trend of the ray gaps begins anew", error)
-            return HealthTrend()
-        return HealthTrend() if found is None else found.trend
+            log.warning("%s; it begins anew", error)
+            found = None
+        return self._nothing if found is None else found
 
-    def write(self, trend: HealthTrend) -> None:
+    def write(self, learnt: T) -> None:
         """Write it all down; it is durable on return. Raises StorageError."""
         self._fs.make_folders(self.path.parent)
         self._set_aside()
-        self._fs.replace_file(self.path, HEALTH.encode(_StoredHealth(trend), self._of))
+        self._fs.replace_file(self.path, self._form.encode(learnt, self._of))
 
     def _set_aside(self) -> None:
         """Move a file that cannot be read aside, so that it is not overwritten."""
         if not self.path.exists():
             return
         try:
-            HEALTH.decode(self.path.read_bytes(), str(self.path), self._of)
+            self._form.decode(self.path.read_bytes(), str(self.path), self._of)
         except OSError as error:
             raise StorageError.of("cannot read", self.path, error) from error
         except ContentError:
             with StorageError.naming("cannot rename", self.path):
                 self._fs.rename(self.path, self.path.with_suffix(".damaged"))
+
+
+class HealthFile:
+    """The memory of one calibration's trend."""
+
+    def __init__(self, root: Path, calibration_hash: str, fs: FileSystem | None = None) -> None:
+        self.path = root / FOLDER / f"{calibration_hash[:16]}.json"
+        self._file = LearntFile(HEALTH, _StoredHealth(HealthTrend()), self.path, calibration_hash, fs)
+
+    def read(self) -> HealthTrend:
+        """Read the remembered trend; an empty one where there is none, or none that can be read."""
+        return self._file.read().trend
+
+    def write(self, trend: HealthTrend) -> None:
+        """Write it all down; it is durable on return. Raises StorageError."""
+        self._file.write(_StoredHealth(trend))

@@ -16,7 +16,7 @@ from appliance.cli.places import WithRoot
 from appliance.store import CALIBRATION_FILE, hold_lock
 
 if TYPE_CHECKING:  # imported in the verbs, after what a wrong word needs
-    from appliance.calibrate import HealthTrend
+    from appliance.calibrate import HealthTrend, ThirdEye, TrendPoint
     from appliance.measure import Calibration
     from appliance.store import Rig
 
@@ -50,15 +50,16 @@ class ShowCalibration(WithRoot):
             write_files({self.out: encode_calibration(calibration)})
             self.tell({"file": str(self.out)}, [str(self.out)])
             return Exit.OK
-        from appliance.calibrate import HealthFile, describe_calibration
+        from appliance.calibrate import HealthFile, describe_calibration, third_eye_file
 
         content = describe_calibration(calibration)
         trend = HealthFile(rig.storage.root, calibration.hash).read()
+        eye = third_eye_file(rig.storage.root, calibration.hash).read()
         if self.json:
-            self.tell({**content, "health": _health(calibration, trend)})
+            self.tell({**content, "health": _health(calibration, trend, eye)})
         else:
             say_report(content)
-            self.tell(None, ["", *_health_lines(calibration, trend)])
+            self.tell(None, ["", *_health_lines(calibration, trend, eye)])
         return Exit.OK
 
     def _calibration(self, rig: Rig) -> Calibration:
@@ -160,7 +161,7 @@ class AcceptHealth(WithRoot):
         return Exit.OK
 
 
-def _health(calibration: Calibration, trend: HealthTrend) -> dict[str, Any]:
+def _health(calibration: Calibration, trend: HealthTrend, eye: ThirdEye) -> dict[str, Any]:
     """Return how the ray gaps have behaved since it is in use, JSON-ready."""
     from appliance.calibrate import UNMEASURED
     from appliance.measure import MODES
@@ -173,12 +174,14 @@ def _health(calibration: Calibration, trend: HealthTrend) -> dict[str, Any]:
         "alarm": trend.alarm,
         "answers": list(trend.answers),
         "reference_scans": len(trend.reference.rests_um),
+        **({} if eye.misfit_px is None else {"projector": {"hash": eye.hash, "misfit_px": eye.misfit_px}}),
         "overlaps": [{**asdict(one), "alarm": one.alarm} for one in trend.overlaps],
         "scans": [
             {
                 "scan": point.scan,
                 **{f"{name}_um": value for name, value in zip(MODES, point.amplitudes_um, strict=True)},
                 **{f"{name}_sigma_um": value for name, value in zip(MODES, point.sigma_um, strict=True)},
+                **_third(point),
                 "rest_um": point.rest_um,
                 "score": point.score,
                 "sum": point.total,
@@ -189,14 +192,28 @@ def _health(calibration: Calibration, trend: HealthTrend) -> dict[str, Any]:
     }
 
 
-def _health_lines(calibration: Calibration, trend: HealthTrend) -> list[str]:
-    from appliance.calibrate import LEARNT_SCANS, UNMEASURED
+def _third(point: TrendPoint) -> dict[str, float]:
+    from appliance.calibrate import THIRD_MODES
+
+    if point.third_um is None or point.third_sigma_um is None:
+        return {}
+    found: dict[str, float] = {}
+    for name, value, sigma in zip(THIRD_MODES, point.third_um, point.third_sigma_um, strict=True):
+        found |= {f"{name}_um": value, f"{name}_sigma_um": sigma}
+    return found
+
+
+def _health_lines(calibration: Calibration, trend: HealthTrend, eye: ThirdEye) -> list[str]:
+    from appliance.calibrate import FITTED_SCANS, LEARNT_SCANS, UNMEASURED
 
     if calibration.method in UNMEASURED:
         return [f"uncalibrated: this calibration ({calibration.method}) was never measured in water; no trend"]
     return [
         f"whether it still holds: {trend.judged} scans judged",
         f"reference   {len(trend.reference.rests_um)} of {LEARNT_SCANS} scans",
+        f"projector   {len(eye.scans)} of {FITTED_SCANS} scans"
+        if eye.misfit_px is None
+        else f"projector   fitted to {FITTED_SCANS} scans, misfit {eye.misfit_px:.2f} px",
         f"alarm       {trend.alarm or 'none'}",
         *(f"accepted    {answer}" for answer in trend.answers),
         *(
@@ -250,13 +267,16 @@ def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -
 
 
 def _points(trend: HealthTrend) -> str:
+    from appliance.calibrate import THIRD_MODES
     from appliance.measure import MODES
 
-    rows = []
-    for point in trend.points[-SHOWN:]:
-        amplitudes = [
-            f"{value:+.1f} ± {sigma:.1f}" for value, sigma in zip(point.amplitudes_um, point.sigma_um, strict=True)
-        ]
+    rows, shown = [], trend.points[-SHOWN:]
+    names = (*MODES, *(THIRD_MODES if any(point.third_um is not None for point in shown) else ()))
+    for point in shown:
+        values = [*zip(point.amplitudes_um, point.sigma_um, strict=True)]
+        values += zip(point.third_um or (), point.third_sigma_um or (), strict=True)
+        amplitudes = [f"{value:+.1f} ± {sigma:.1f}" for value, sigma in values]
+        amplitudes += ["-"] * (len(names) - len(values))
         last = f"{point.total:.1f}{'  ALARM' if point.alarm else ''}"
         rows.append((point.scan or "?", *amplitudes, f"{point.rest_um:.1f}", f"{point.score:.1f}", last))
-    return table(("SCAN", *(f"{name} µm" for name in MODES), "rest µm", "score", "sum"), rows)
+    return table(("SCAN", *(f"{name} µm" for name in names), "rest µm", "score", "sum"), rows)

@@ -88,6 +88,9 @@ if TYPE_CHECKING:
     from .calibration.parameters import (
         RIG_PARAMETERS,  # Names of the parameters of a rig that a covariance is of
     )
+    from .calibration.patches import (
+        true_matches,  # Return which values are no outliers of their patches
+    )
     from .calibration.response_file import (
         RESPONSE,  # File of the projector's measured response
         StoredResponse,  # A response and where it comes from. Raises ValueError for harmonics that no response has
@@ -188,6 +191,10 @@ if TYPE_CHECKING:
     )
     from .light.water import (
         Water,  # The water around the instrument, and the wavelength of the light that travels through it
+    )
+    from .motion.projector import (
+        ShownPoints,  # Points of one scan, and what the projector showed there
+        fit_projector_to,  # Fit the projector to the points of several scans
     )
     from .news import (
         Bracket,  # Outcome of a second exposure: the cloud of both, or the fault for which there is none

@@ -4,7 +4,8 @@ scans, and how soon they see a knock.
 Some instruments, each with its own lens, projector and cameras, scan whatever comes before them with a calibration that states
 the truth about them at the temperature of the case that they work at. Scans are at rest, in water up to 2 /m, some kelvins
 warmer or colder. In the end the right camera is turned by a fiftieth of a degree, about one axis before the renderer, and about
-each axis in the ray gaps of the last normal scans, by the amplitudes that the model gives such a turn.
+each axis in the last normal scans: the ray gaps by the amplitudes that the model gives such a turn, the third gaps by a calibration
+that is turned.
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge_health
-from appliance.measure.calibration.gaps import MODES
+from appliance.calibrate.third_eye import ThirdEye, judge_with_projector
+from appliance.measure.calibration.gaps import MODES, TURNS
+from appliance.measure.calibration.parameters import RIG_PARAMETERS
 from appliance.measure.cloud import PatchGaps
+from appliance.measure.light.model import StereoRig
 from bench.outside.draws import drawn_scene, joined
 from bench.outside.figures import CALIBRATION, false_alarms, median, rows_of
 from bench.outside.kept import Row, kept_row, kept_scan
@@ -58,15 +62,16 @@ def measure(
     for done, ((rig, _), row) in enumerate(zip(wanted, spread(work, wanted), strict=True), 1):
         say(f"health: {done} of {len(wanted)}", done / len(wanted))
         rows[rig].append(row)
-    return figures(rows, each), {"rows": {str(rig): found for rig, found in rows.items()}}
+    return figures(rows, each, seed), {"rows": {str(rig): found for rig, found in rows.items()}}
 
 
-def figures(rows: dict[int, list[Row]], each: int) -> list[Measured]:
-    """Return the figures of the rows of each rig, of which the first ``each`` are normal scans."""
+def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
+    """Return the figures of the rows of each rig of ``seed``, of which the first ``each`` are normal scans."""
+    rigs = {rig: _stated(rig, seed) for rig in rows}
     normal = [row for found in rows.values() for row in found[:each]]
     told, doubted, judged, largest, late, unsaid = 0, 0, 0, 0.0, [], 0
     for rig, found in rows.items():
-        said = list(followed(found))
+        said = list(followed(found, rigs[rig]))
         judged += sum(one.point is not None for one in said[:each])
         totals = [one.point.total for one in said[:each] if one.point is not None]
         largest = max([largest, *totals])
@@ -83,7 +88,7 @@ def figures(rows: dict[int, list[Row]], each: int) -> list[Measured]:
         tally(f"knocks of {KNOCK_DEG:g}° found within three judged scans", sum(late), len(late), at_least=float(len(late))),
         tally("knocks missed though each scan says that it would find them", unsaid, len(late), at_most=0.0),
     ]  # fmt: skip
-    measured += _turned_figures([list(_seen(found[:each])) for found in rows.values()])
+    measured += _turned_figures([(rigs[rig], list(_seen(found[:each]))) for rig, found in rows.items()])
     measured += false_alarms(normal)
     measured.append(tally(f"false alarms of {CALIBRATION}", doubted, len(normal), at_most=0.0))
     measured.append(tally("MOVED at rest", sum("MOVED" in row["faults"] for row in normal), len(normal), at_most=0.0))
@@ -92,12 +97,17 @@ def figures(rows: dict[int, list[Row]], each: int) -> list[Measured]:
     return measured
 
 
-def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
-    """Yield what the watch over the calibration says after each of an instrument's scans."""
-    trend = HealthTrend()
+def followed(rows: Iterable[Row], rig: StereoRig) -> Iterator[HealthJudgement]:
+    """Yield what the watch over the calibration, which states ``rig``, says after each of an instrument's scans."""
+    trend, eye = HealthTrend(), ThirdEye()
     for number, gaps in enumerate(_seen(rows), 1):
-        trend, said = judge_health(trend, gaps, f"{number:06d}")
+        trend, eye, said = judge_with_projector(trend, eye, rig, gaps, f"{number:06d}")
         yield said
+
+
+def _stated(rig: int, seed: int) -> StereoRig:
+    _, stated = health_world(rig, 0, seed)
+    return stated_truth(stated.rig, stated.scene).calibration.rig
 
 
 def _seen(rows: Iterable[Row]) -> Iterator[PatchGaps]:
@@ -111,14 +121,17 @@ def _seen(rows: Iterable[Row]) -> Iterator[PatchGaps]:
         }
         seen["patch"] = seen["patch"].astype(np.intp)
         seen["modes"] = seen["modes"].reshape(-1, len(MODES))
+        if seen.get("sample_px") is not None:
+            seen["sample_px"] = seen["sample_px"].reshape(-1, 6)
+            seen["pattern_size_px"] = tuple(int(px) for px in seen["pattern_size_px"])
         yield PatchGaps(**seen)
 
 
-def _turned_figures(instruments: Sequence[Sequence[PatchGaps]]) -> list[Measured]:
-    """Return how many turns about each axis, either way, are found where the gaps of the last three judged normal scans are moved by
-    them, and how many are not though each of these scans says that such a turn would be."""
+def _turned_figures(instruments: Sequence[tuple[StereoRig, Sequence[PatchGaps]]]) -> list[Measured]:
+    """Return how many turns about each axis, either way, are found where the last three judged normal scans are looked at with a
+    calibration that is turned by them, and how many are not though each of these scans says that such a turn would be."""
     found, tried, silent = [0, 0, 0], 0, 0
-    for scans in instruments:
+    for rig, scans in instruments:
         judged = [
             gaps
             for gaps in scans
@@ -126,16 +139,17 @@ def _turned_figures(instruments: Sequence[Sequence[PatchGaps]]) -> list[Measured
         ]
         if len(judged) <= SCANS_TO_FIND:
             continue
-        trend = HealthTrend()
+        trend, eye = HealthTrend(), ThirdEye()
         for gaps in judged[:-SCANS_TO_FIND]:
-            trend, _ = judge_health(trend, gaps)
+            trend, eye, _ = judge_with_projector(trend, eye, rig, gaps)
         tried += 2
         for axis in range(3):
             for turn_deg in (KNOCK_DEG, -KNOCK_DEG):
-                at, sees = trend, []
+                turned = RIG_PARAMETERS.changed(rig, np.radians(turn_deg), RIG_PARAMETERS.names.index(TURNS[axis]))
+                at, eye_now, sees = trend, eye, []
                 for gaps in judged[-SCANS_TO_FIND:]:
                     moved_um = gaps.gap_um + turn_deg * (gaps.modes @ _turns_um(gaps)[axis])
-                    at, said = judge_health(at, replace(gaps, gap_um=moved_um))
+                    at, eye_now, said = judge_with_projector(at, eye_now, turned, replace(gaps, gap_um=moved_um))
                     sees.append(_sees(said, axis))
                 found[axis] += at.alarm is not None
                 silent += at.alarm is None and all(sees)

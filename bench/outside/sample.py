@@ -28,7 +28,7 @@ def measure(
     for done, row in enumerate(spread(partial(_row, seed=seed, keep=keep, noise=noise), numbers), 1):
         say(f"sample: {done} of {len(numbers)}", done / len(numbers))
         rows.append(row)
-    return of_scenes(rows) + watched(rows), {"rows": rows, "numbers": numbers}
+    return of_scenes(rows) + watched(rows, seed), {"rows": rows, "numbers": numbers}
 
 
 def numbers_of(count: int, seed: int) -> list[int]:

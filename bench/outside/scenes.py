@@ -41,19 +41,20 @@ def measure(
     ):
         say(f"scenes: {done} of {len(wanted)}", done / len(wanted))
         rows[name].append(row)
-    found = of_scenes(rows[TOGETHER]) + watched(rows[TOGETHER])
+    found = of_scenes(rows[TOGETHER]) + watched(rows[TOGETHER], seed)
     return found, {"rows": rows, "families": of_families(rows, few)}
 
 
-def watched(rows: Sequence[Row]) -> list[Measured]:
-    """Return what the watch over the calibration says of the scans of each instrument in turn: every calibration here is exact,
-    and hands move."""
+def watched(rows: Sequence[Row], seed: int) -> list[Measured]:
+    """Return what the watch over the calibration says of the scans of each instrument of ``seed`` in turn: every calibration here is
+    exact, and hands move."""
     instruments: dict[int, list[Row]] = {}
     for row in rows:
         instruments.setdefault(row["rig_seed"], []).append(row)
     told, doubted, judged, largest = 0, 0, 0, 0.0
     for scans in instruments.values():
-        said = list(followed(scans))
+        world = scene_world(seed, scans[0]["number"])
+        said = list(followed(scans, stated_truth(world.rig, world.scene).calibration.rig))
         told += any(one.alarm for one in said)
         doubted += sum(bool(one.alarm) for one in said)
         judged += sum(one.point is not None for one in said)

@@ -18,21 +18,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate import UNMEASURED, HealthFile, HealthJudgement, HealthTrend, answered, judge_health, likeliest
+from appliance.calibrate import (
+    UNMEASURED,
+    HealthFile,
+    HealthTrend,
+    ThirdEye,
+    answered,
+    judge_with_projector,
+    third_eye_file,
+)
 from appliance.instrument.machine import events as on
 from appliance.measure import (
     CELLS,
     SIDES,
     SLACK,
-    TURNS,
     Calibration,
     Fault,
     FaultCode,
-    GapModes,
     PatchGaps,
     Verdict,
     Windows,
-    in_words,
 )
 from appliance.store import FileSystem, StorageError
 
@@ -53,8 +58,10 @@ class CalibrationWatch:
         self._calibration = calibration
         self._measured = calibration.method not in UNMEASURED
         self._file = HealthFile(self._root, calibration.hash, self._fs)
+        self._eye_file = third_eye_file(self._root, calibration.hash, self._fs)
         self.trend = self._file.read() if self._measured else HealthTrend()
-        self._written = self.trend
+        self._eye = self._eye_file.read() if self._measured else ThirdEye()
+        self._written, self._written_eye = self.trend, self._eye
 
     @property
     def fault(self) -> Fault | None:
@@ -68,14 +75,8 @@ class CalibrationWatch:
         if not self._measured:
             text = "not judged: the calibration was never measured in water"
             return Verdict(VERDICT, None, {}, text)
-        before = self.trend
-        self.trend, outcome = judge_health(before, gaps)
-        passed = None if outcome.point is None else not outcome.alarm
-        text = outcome.text + self._explained(outcome, gaps)
-        # The words are of the scan that brought the alarm; later ones only keep it.
-        if before.alarm is None and self.trend.alarm is not None:
-            self.trend = self.trend.alarmed(text)
-        return Verdict(VERDICT, passed, outcome.numbers, text)
+        self.trend, self._eye, said = judge_with_projector(self.trend, self._eye, self._calibration.rig, gaps)
+        return Verdict(VERDICT, None if said.point is None else not said.alarm, said.numbers, said.text)
 
     def answer(self, evidence: str) -> Callable[[], None] | None:
         """Take the alarm back, as a length check found lengths right; return what writes that down, as ``unwritten``;
@@ -94,16 +95,17 @@ class CalibrationWatch:
         if self.trend is self._written:
             return None
         self._written = self.trend = self.trend.named(scan)
-        file, trend = self._file, self.trend
-        return lambda: file.write(trend)
+        eye = None if self._eye is self._written_eye else self._eye
+        self._written_eye = self._eye
+        file, eye_file, trend = self._file, self._eye_file, self.trend
 
-    def _explained(self, outcome: HealthJudgement, gaps: PatchGaps) -> str:
-        """Return which single change would look most like it; it is one of many, so only in words for a technician."""
-        if outcome.point is None or not outcome.alarm:
-            return ""
-        answers = GapModes(self._calibration.rig, gaps.water_index).of_parameters(TURNS)
-        name, size, share = likeliest(outcome.point.amplitudes_um, answers)
-        return f"; most like {in_words(name, -size)} ({100.0 * share:.0f} %)" if name else ""
+        def write() -> None:
+            # The projector first: a trend may rest on it.
+            if eye is not None:
+                eye_file.write(eye)
+            file.write(trend)
+
+        return write
 
 
 def write_trend(write: Callable[[], None]) -> list[on.Event]:

@@ -16,7 +16,6 @@ change of the right camera, freed of the earlier ones:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,13 +33,11 @@ _PRIMARIES = (
     "right principal distance (px)",
     "right camera's turn y (rad)",
 )
-WATER_INDEX = "water index"
 TURNS = tuple(f"right camera's turn {axis} (rad)" for axis in "xyz")
 FIELD_NODES = (12, 9)
 FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
 """Depths, of the standard housing, of the lattice over the image on which amplitudes are normalised, inside the
 measuring volume."""
-INDEX_STEP = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,29 +115,6 @@ class GapModes:
         columns = [_gap(p, a, *rig.right.rays(right_px, self.water_index)) - base for rig in self._changed]
         return np.asarray(np.stack(columns, -1) @ self._mix)
 
-    def of_parameters(
-        self, names: Sequence[str] = (*RIG_PARAMETERS.names, WATER_INDEX)
-    ) -> dict[str, tuple[Array, float]]:
-        """Compute the amplitudes (4,) that a change of each named calibration number, or of the water's index, causes,
-        and the RMS of what the patterns do not hold, in µm per unit of that number."""
-        modes = self.at(*self.field_px)
-        found = {}
-        for k, name in enumerate(RIG_PARAMETERS.names):
-            if name not in names:
-                continue
-            step = float(RIG_PARAMETERS.steps[k])
-            plus, minus = (
-                signed_gap_mm(RIG_PARAMETERS.changed(self._rig, s, k), self.water_index, *self.field_px)
-                for s in (step, -step)
-            )
-            found[name] = _split(modes, 1000.0 * (plus - minus) / (2.0 * step))
-        if WATER_INDEX in names:
-            plus, minus = (
-                signed_gap_mm(self._rig, self.water_index + s, *self.field_px) for s in (INDEX_STEP, -INDEX_STEP)
-            )
-            found[WATER_INDEX] = _split(modes, 1000.0 * (plus - minus) / (2.0 * INDEX_STEP))
-        return found
-
 
 def in_words(parameter: str, change: float) -> str:
     """Return a turn of the right camera in a technician's words."""
@@ -151,8 +125,3 @@ def _gap(p: Array, a: Array, q: Array, b: Array) -> Array:
     across = np.cross(a, b)
     across *= np.sign(across[..., 1:2])
     return np.asarray(np.sum((p - q) * across, -1) / np.linalg.norm(across, axis=-1))
-
-
-def _split(modes: Array, gap_um: Array) -> tuple[Array, float]:
-    amplitudes, *_ = np.linalg.lstsq(modes, gap_um, rcond=None)
-    return np.asarray(amplitudes, np.float64), float(np.sqrt(np.mean((gap_um - modes @ amplitudes) ** 2)))

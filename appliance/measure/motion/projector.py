@@ -8,7 +8,9 @@ of the mounting.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,16 @@ _PRIOR_SD = np.array([0.02, 0.02, 0.02, 1.5, 1.5, 1.5, 0.2, 15.0, 15.0, 0.1, 0.1
 _STEP = np.array([1e-5] * 3 + [1e-3] * 3 + [1e-5] + [1e-2] * 2 + [1e-4] * 4 + [1e-2] + [1e-5] * 2)
 
 
+class ShownPoints(NamedTuple):
+    """Points of one scan, and what the projector showed there."""
+
+    water_index: float
+    points_mm: Array
+    """(n, 3) in the left camera frame."""
+    pattern_px: Array
+    """(n, 2) decoded pattern coordinates."""
+
+
 @dataclass(frozen=True, slots=True)
 class FittedProjector:
     """The projector as a camera in the left camera frame, and how well the points fit it."""
@@ -51,13 +63,19 @@ def fit_projector(
 
     ``size_px`` are width and height of the pattern. Raises ValueError for fewer than ``MIN_POINTS`` points.
     """
+    return fit_projector_to(rig, [ShownPoints(water_index, points_mm, pattern_px)], size_px)
+
+
+def fit_projector_to(rig: StereoRig, scans: Sequence[ShownPoints], size_px: tuple[int, int]) -> FittedProjector:
+    """Fit the projector to the points of several scans, as ``fit_projector`` does to those of one."""
+    points_mm, pattern_px = (np.concatenate([getattr(one, name) for one in scans]) for name in ShownPoints._fields[1:])
     if len(points_mm) < MIN_POINTS:
         raise ValueError(
             f"{len(points_mm)} points show the projector; needed are {MIN_POINTS}; scan more of the object"
         )
-    drawn = _drawn(rig, water_index, points_mm, pattern_px, size_px)
+    drawn = _drawn(rig, scans[0].water_index, points_mm, pattern_px, size_px)
     values = np.zeros(len(_PRIOR_SD))
-    residual = _residuals(drawn, values, water_index, points_mm, pattern_px)
+    residual = _residuals(drawn, values, scans)
     scale_px = _scale(residual)
     for _ in range(ITERATIONS):
         # Gauss-Newton: J by differences, Cauchy weights, the priors as one more residual each.
@@ -65,14 +83,14 @@ def fit_projector(
         for k, step in enumerate(_STEP):
             moved = values.copy()
             moved[k] += step
-            columns.append(((_residuals(drawn, moved, water_index, points_mm, pattern_px) - residual) / step).ravel())
+            columns.append(((_residuals(drawn, moved, scans) - residual) / step).ravel())
         J = np.stack(columns, -1)
         weight = 1.0 / (max(scale_px, NOISE_PX) ** 2 * (1.0 + (residual.ravel() / (CAUCHY_SIGMAS * scale_px)) ** 2))
         A = (J * weight[:, None]).T @ J + np.diag(1.0 / _PRIOR_SD**2)
         b = (J * weight[:, None]).T @ residual.ravel() + values / _PRIOR_SD**2
         step_taken = -np.linalg.solve(A, b)
         values = values + step_taken
-        residual = _residuals(drawn, values, water_index, points_mm, pattern_px)
+        residual = _residuals(drawn, values, scans)
         scale_px = _scale(residual)
         if np.all(np.abs(step_taken) < 1e-3 * _PRIOR_SD):
             break
@@ -134,10 +152,12 @@ def _changed(drawn: HousedCamera, values: Array) -> HousedCamera:
     )
 
 
-def _residuals(drawn: HousedCamera, values: Array, water_index: float, points_mm: Array, pattern_px: Array) -> Array:
+def _residuals(drawn: HousedCamera, values: Array, scans: Sequence[ShownPoints]) -> Array:
     """Return the differences (n, 2) px of modelled and decoded coordinates; 0 where a point is not seen."""
-    seen = _changed(drawn, values).project(points_mm, water_index)
-    return np.nan_to_num(seen - pattern_px)
+    camera = _changed(drawn, values)
+    return np.concatenate(
+        [np.nan_to_num(camera.project(one.points_mm, one.water_index) - one.pattern_px) for one in scans]
+    )
 
 
 def _scale(residual: Array) -> float:

@@ -304,6 +304,7 @@ class Pipeline:
             return found
         decoder = self._decoders["left"]
         gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays)
+        gaps = replace(gaps, pattern_size_px=(self._sequence.width_px, self._sequence.height_px))
         if self._veil is not None:
             gaps = without_veil(gaps, self._veil.gaps, (decoder.p_px.shape[1], decoder.p_px.shape[0]))
         return replace(found, gaps=gaps)

@@ -73,7 +73,7 @@ MAX_GAP_MM = np.float32(20.0)
 _DEPTHS_MM = (300.0, 900.0)
 """Depths of the standard housing between which gaps are taken."""
 _NAN = np.float32(np.nan)
-_COLUMNS = 5
+_COLUMNS = 7
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -86,7 +86,7 @@ def _sample(
     depths_mm: tuple[np.float32, np.float32],
     found: NDArray[np.float32],
 ) -> int:
-    """Write u, v, u', v' in px and the signed gap in mm of every ``stride``-th pixel that has a match; return how many."""
+    """Write u, v, u', v' in px, the signed gap in mm, p and q of every ``stride``-th pixel that has a match; return how many."""
     rows, columns = p_px.shape
     n = (columns + stride - 1) // stride
     s = np.full(SIZE, _NAN, np.float32)
@@ -109,6 +109,7 @@ def _sample(
                 found[count, 0], found[count, 1] = np.float32(x * stride), np.float32(y)
                 found[count, 2], found[count, 3] = s[U + x], s[V + x]
                 found[count, 4] = gap if cy > np.float32(0.0) else -gap
+                found[count, 5], found[count, 6] = s[P + x], s[Q + x]
                 count += 1
     return count
 
@@ -155,7 +156,7 @@ class GapSampler:
     ) -> PatchGaps:
         """Return the gaps of a decoded scan; ``right`` with its inverse map filled."""
         found = self._sampled(p_px, q_px, right, rays)
-        return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4])
+        return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4], found[:, 5:7])
 
 
 RIPPLE_SAMPLES = 2_500

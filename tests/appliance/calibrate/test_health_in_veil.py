@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ CAUSES = np.stack([0.5 * X + Y * Y, X + 0.5, X * Y - 0.3], -1)
 def gaps(rng: np.random.Generator, moved_um: Array, doubts_um: float | None) -> PatchGaps:
     """Return a scan whose gaps are moved by ``moved_um`` (48,), with ``doubts_um`` rms of each cause."""
     noise = np.full(PatchGaps.COUNT, 0.8)
-    known = {} if doubts_um is None else {
+    known: dict[str, Any] = {} if doubts_um is None else {
         "veil_um": np.zeros(PatchGaps.COUNT), "doubts_um": doubts_um * CAUSES, "shape_um": np.full(PatchGaps.COUNT, 0.1 * doubts_um)
     }  # fmt: skip
     return PatchGaps(

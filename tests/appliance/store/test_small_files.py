@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from appliance.base.sealed_file import ContentError
-from appliance.calibrate.health import MOST_POINTS, HealthFile, HealthTrend, Reference, TrendPoint
+from appliance.calibrate.health import MOST_POINTS, HealthFile, HealthTrend, Reference, ThirdTrend, TrendPoint
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
 from appliance.instrument.service.remembered import BeamsFile, ChoicesFile
@@ -113,7 +113,11 @@ def test_a_trend_says_nothing_that_cannot_be(health: HealthFile) -> None:
         Reference(gap_um=(1.0,) * (PatchGaps.COUNT - 1)), Reference(variance_um2=(1.0,) * (PatchGaps.COUNT + 1)), Reference(scans=(1,) * (PatchGaps.COUNT + 1)),
         Reference(doubts_um=(0.0,) * 7),
     )  # fmt: skip
-    for stored in (HealthTrend(judged=-1, alarm="turned"), *(HealthTrend(reference=one) for one in wrong)):
+    for stored in (
+        HealthTrend(judged=-1, alarm="turned"),
+        *(HealthTrend(reference=one) for one in wrong),
+        HealthTrend(third=ThirdTrend(reference=wrong[0])),
+    ):
         health.write(stored)
         assert health.read() == HealthTrend()
     for stored in (

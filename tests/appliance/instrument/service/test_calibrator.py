@@ -147,7 +147,7 @@ def test_a_recording_is_examined_and_entered_into_the_session(heard: Heard, step
     assert machine.started[-1].pipe.recv()[1:] == (examine_recording, (desk.rig, step, scans.folder(4)))
     check, verified, right = RecordingCheck(step, None, 0.03), Verified(0.0001, None, 0.00004), step is Step.VERIFY
     assert after(Examined(check, verified)) == [on.TrialExamined(4, check)]
-    scans.watch.trend = scans.watch.trend.alarmed("the ray gaps have grown")
+    scans.watch.trend = replace(scans.watch.trend, alarm="the ray gaps have grown")
     calibrating.accept(4, check)
     events = after()
     (session,) = [event for event in events if isinstance(event, Session)]
