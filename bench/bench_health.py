@@ -1,22 +1,24 @@
-"""Which changes of the instrument the ray gaps see from which size on, what that is in length, and how often they err."""
+"""Which changes of the instrument the gaps of rays and projector see from which size on, what that is in length, and how often
+they err."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.health import LIMIT, SLACK, HealthTrend, judge_health
+from appliance.calibrate.health import LIMIT, SLACK, HealthJudgement, HealthTrend, judge_health
+from appliance.calibrate.third_eye import ThirdEye, judge_with_projector
 from appliance.calibrate.water.method import Method
 from appliance.measure.cloud import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
 from bench.result import Measured
 from hw_sim.mount_shift import MountShift, with_mount_shifted
-from tests.support.gap_scans import Calibrated, calibrated, follow, learnt, scan
+from tests.support.gap_scans import Calibrated, calibrated, follow, scan
 
 RIGS = (1, 2, 5)
 TRIALS = 10
@@ -86,18 +88,48 @@ def _seen(change: Change, made: list[Calibrated]) -> Seen:
     for one in made:
         changed = change.make(one.truth, change.size)
         lengths.append(length_error_percent(one.truth, changed, one.rig) / change.size)
-        trend = learnt(one)
+        trend, eye = _learnt(one)
         pairs = []
         for trial in range(2 * TRIALS):
-            normal, other = (scan(one, t, np.random.default_rng([9, trial])) for t in (one.truth, changed))
-            pairs.append(_common(normal, other))
+            seen = [scan(one, t, np.random.default_rng([9, trial]), pattern=True) for t in (one.truth, changed)]
+            third = [eye.gaps(one.rig, gaps) for gaps in seen]
+            pairs.append((_Change(*seen), _Change(*third)))
         for scans, sizes in smallest.items():
             sizes.append(_smallest(trend, pairs, change, scans))
     first, second, tenth = (_median(sizes) for sizes in smallest.values())
     return Seen(change, first, second, tenth, float(np.median(lengths)))
 
 
-def _smallest(trend: HealthTrend, pairs: list[tuple[PatchGaps, PatchGaps]], change: Change, scans: int) -> float | None:
+class _Change:
+    """One kind of gap of a scan before and after a change, with the patches that both have."""
+
+    def __init__(self, normal: PatchGaps | None, other: PatchGaps | None) -> None:
+        if normal is None or other is None:
+            raise ValueError("the projector is not learnt; give more normal scans")
+        shared = np.intersect1d(normal.patch, other.patch)
+        self._normal, self._other = (_only(one, np.isin(one.patch, shared)) for one in (normal, other))
+
+    def at(self, share: float) -> PatchGaps:
+        """The gaps after so much of the change."""
+        moved_um = self._other.gap_um - self._normal.gap_um
+        return replace(self._normal, gap_um=self._normal.gap_um + share * moved_um)
+
+
+def _learnt(made: Calibrated) -> tuple[HealthTrend, ThirdEye]:
+    """What is remembered after twelve normal scans."""
+    rng = np.random.default_rng([1, made.truth.seed])
+    *_, (trend, eye, _) = _followed(made, (scan(made, made.truth, rng, pattern=True) for _ in range(12)))
+    return trend, eye
+
+
+def _followed(made: Calibrated, scans: Iterable[PatchGaps]) -> Iterator[tuple[HealthTrend, ThirdEye, HealthJudgement]]:
+    trend, eye = HealthTrend(), ThirdEye()
+    for gaps in scans:
+        trend, eye, said = judge_with_projector(trend, eye, made.rig, gaps)
+        yield trend, eye, said
+
+
+def _smallest(trend: HealthTrend, pairs: list[tuple[_Change, _Change]], change: Change, scans: int) -> float | None:
     """By bisection: what alarms in 95 of 100 trials within so many scans."""
 
     def seen(size: float) -> bool:
@@ -105,9 +137,8 @@ def _smallest(trend: HealthTrend, pairs: list[tuple[PatchGaps, PatchGaps]], chan
         blocks = range(0, len(pairs), max(scans, 2))
         for k in blocks:
             at = trend
-            for normal, other in pairs[k : k + scans]:
-                gap = normal.gap_um + size / change.size * (other.gap_um - normal.gap_um)
-                at, said = judge_health(at, replace(normal, gap_um=gap))
+            for rays, third in pairs[k : k + scans]:
+                at, said = judge_health(at, rays.at(size / change.size), None, third.at(size / change.size))
                 if said.alarm:
                     hits += 1
                     break
@@ -120,12 +151,6 @@ def _smallest(trend: HealthTrend, pairs: list[tuple[PatchGaps, PatchGaps]], chan
         middle = 0.5 * (low + high)
         low, high = (low, middle) if seen(middle) else (middle, high)
     return high
-
-
-def _common(a: PatchGaps, b: PatchGaps) -> tuple[PatchGaps, PatchGaps]:
-    """Both with the patches that both have."""
-    shared = np.intersect1d(a.patch, b.patch)
-    return _only(a, np.isin(a.patch, shared)), _only(b, np.isin(b.patch, shared))
 
 
 def _only(gaps: PatchGaps, which: NDArray[np.bool_]) -> PatchGaps:
@@ -145,14 +170,14 @@ def _median(values: list[float | None]) -> float | None:
 
 def _normal(made: Calibrated) -> list[float]:
     rng = np.random.default_rng([77, made.truth.seed])
-    scans = (scan(made, made.truth, rng) for _ in range(NORMAL_SCANS))
-    return [said.point.total for _, said in follow(HealthTrend(), scans) if said.point is not None]
+    scans = (scan(made, made.truth, rng, pattern=True) for _ in range(NORMAL_SCANS))
+    return [said.point.total for _, _, said in _followed(made, scans) if said.point is not None]
 
 
 def _false_alarms(bias: float) -> int:
     """Alarms of the sum when scores are normal, with a constant offset in one direction; each ends its chain."""
     rng = np.random.default_rng(5)
-    total = np.zeros((CHAINS, 4))
+    total = np.zeros((CHAINS, 8))
     alarms = 0
     for _ in range(LINKS):
         total += rng.normal(0.0, 1.0, total.shape)

@@ -59,7 +59,7 @@ class PatchGaps:
     """(k,) standard deviation of what is left of it, smooth over the image."""
     turns_um: NDArray[np.float64] | None = None
     """(3, 4) amplitudes per degree that the right camera is turned by, about x, y, z; ``None``: nobody asked."""
-    sample_px: NDArray[np.float64] | None = None
+    sample_px: NDArray[np.float32] | None = None
     """(m, 6) some true matches: left pixel, right pixel, pattern coordinates; ``None``: nobody asked."""
     pattern_size_px: tuple[int, int] | None = None
     """Width and height of the pattern, where there is a sample."""

@@ -9,19 +9,22 @@ from functools import cache
 import numpy as np
 
 from appliance.calibrate.health import HealthJudgement, HealthTrend, judge_health
+from appliance.calibrate.water.artefact import nearest_points
 from appliance.calibrate.water.bundle import adjust
 from appliance.calibrate.water.method import Method
 from appliance.measure.calibration.gaps import GapModes, signed_gap_mm
 from appliance.measure.calibration.patches import average
 from appliance.measure.cloud import PatchGaps
 from appliance.measure.light.model import StereoRig
-from hw_sim.truth import TrueRig
+from hw_sim.truth import TrueRig, project, ray
 from tests.support.calibrating import Pose, air_of, calibration_recordings, hidden_rig, record_plane, start_of
 from tests.support.truth import WATER
 
 POINTS = 4_000
 POINT_NOISE_PX = 0.06
 """Of a match, from camera noise."""
+COLUMN_NOISE_PX = 0.1
+"""Of a decoded pattern coordinate: a camera pixel sees 2.5 columns."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,11 @@ def calibrated(seed: int, method: Method = Method.SPLINE) -> Calibrated:
     return Calibrated(truth, rig, GapModes(rig, WATER.index))
 
 
-def scan(made: Calibrated, truth: TrueRig, rng: np.random.Generator, index: float = WATER.index) -> PatchGaps:
-    """A plane at a random pose, every other time far off the middle and turned, so that it covers part of the image."""
+def scan(
+    made: Calibrated, truth: TrueRig, rng: np.random.Generator, index: float = WATER.index, pattern: bool = False
+) -> PatchGaps:
+    """A plane at a random pose, every other time far off the middle and turned, so that it covers part of the image; with
+    ``pattern``, what the projector shows there is decoded, too."""
     aside = rng.uniform() < 0.5
     pose = Pose(
         (
@@ -52,10 +58,18 @@ def scan(made: Calibrated, truth: TrueRig, rng: np.random.Generator, index: floa
         ),
         (float(rng.uniform(-25, 25)), float(rng.uniform(-25, 25)), float(rng.uniform(-90, 90)) if aside else 0.0),
     )
-    seen = record_plane(truth, pose, "scan", POINTS, POINT_NOISE_PX, int(rng.integers(1 << 30)))
+    seed = int(rng.integers(1 << 30))
+    seen = record_plane(truth, pose, "scan", POINTS, POINT_NOISE_PX, seed)
     modes = made.modes if index == made.modes.water_index else GapModes(made.rig, index)
     gap_um = 1000.0 * signed_gap_mm(made.rig, index, seen.left_px, seen.right_px)
-    return average(modes, seen.left_px, seen.right_px, gap_um)
+    if not pattern:
+        return average(modes, seen.left_px, seen.right_px, gap_um)
+    # Without noise both rays meet on the plane.
+    exact = record_plane(truth, pose, "scan", POINTS, 0.0, seed)
+    points = nearest_points(*ray(truth, "left", exact.left_px), *ray(truth, "right", exact.right_px))
+    shown = project(truth, "projector", points) + rng.normal(0.0, COLUMN_NOISE_PX, (len(points), 2))
+    gaps = average(modes, seen.left_px, seen.right_px, gap_um, shown)
+    return replace(gaps, pattern_size_px=(1024, 768))
 
 
 def follow(trend: HealthTrend, scans: Iterable[PatchGaps]) -> Iterator[tuple[HealthTrend, HealthJudgement]]:

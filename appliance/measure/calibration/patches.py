@@ -62,7 +62,9 @@ def average(
         samples=len(gap_um),
         water_index=modes.water_index,
         turns_um=modes.turns_um,
-        sample_px=None if pattern_px is None else np.concatenate([left_px, right_px, pattern_px], -1)[few],
+        sample_px=None
+        if pattern_px is None
+        else np.concatenate([left_px, right_px, pattern_px], -1, dtype=np.float32)[few],
     )
 
 

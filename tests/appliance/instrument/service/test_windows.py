@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from appliance.calibrate.third_eye import FITTED_SCANS
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.alerts import alert_of
 from appliance.instrument.service.watches import CalibrationWatch, WindowWatch
@@ -125,6 +126,20 @@ def test_an_alarm_belongs_to_its_calibration(tmp_path: Path) -> None:
     again = CalibrationWatch(tmp_path, CALIBRATION)
     assert again.fault == watch.fault
     assert [point.scan for point in again.trend.points] == ["000001", "000002", "000003"]
+
+
+def test_the_projector_is_learnt_over_starts_of_the_instrument_and_finds_a_turn_about_y(tmp_path: Path) -> None:
+    rng, turned = np.random.default_rng(4), with_mount_shifted(MADE.truth, MountShift("right", yaw_deg=0.02))
+    for number in range(1, FITTED_SCANS + 4):
+        watch = CalibrationWatch(tmp_path, CALIBRATION)
+        verdict = watch.judge(scan(MADE, MADE.truth if number <= FITTED_SCANS + 1 else turned, rng, pattern=True))
+        assert ("even_um" in verdict.numbers) == (number > FITTED_SCANS)
+        write = watch.unwritten(f"{number:06d}")
+        assert write is not None
+        write()
+    assert abs(verdict.numbers["even_um"] or 0.0) > 80.0
+    assert watch.fault is not None
+    assert "about its y axis" in watch.fault.detail
 
 
 def test_a_length_check_takes_the_alarm_back_for_good(tmp_path: Path) -> None:
