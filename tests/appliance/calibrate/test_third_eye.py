@@ -100,11 +100,11 @@ def test_where_the_ray_gap_sees_nothing_of_a_turn_about_y_the_third_gap_does(usu
 
 
 def test_a_scan_says_which_turn_three_like_it_would_find(usual: Watched) -> None:
-    """A score of 4 each, to which both gaps add as squares; of 0.02° the third has 93 µm even, of 14 forgiven, and 9.5 µm across, of 2."""
+    """A score of 4 each, to which both gaps add as squares; of 0.02° the third has 93 µm even, of 14 forgiven, and 9.5 µm across, of 6."""
     gaps = OWN.seen(TRUTH, 50, tall=0.2)
     both, rays = judge_with_projector(*usual, OWN.rig, gaps)[2], judge_health(usual[0], gaps)[1]
     per_deg2 = [(4.0 / (said.numbers["found_y_deg"] or 1.0)) ** 2 for said in (both, rays)]
-    assert 0.02 * (per_deg2[0] - per_deg2[1]) ** 0.5 == pytest.approx(math.hypot(93.0 / 14.0, 9.5 / 2.0), rel=0.1)
+    assert 0.02 * (per_deg2[0] - per_deg2[1]) ** 0.5 == pytest.approx(math.hypot(93.0 / 14.0, 9.5 / 6.0), rel=0.1)
 
 
 def test_the_third_gap_is_what_half_the_angle_leaves_of_a_turn_about_y(usual: Watched) -> None:
