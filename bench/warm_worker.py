@@ -33,9 +33,7 @@ def worker(scan: ScanFrames, starts: int, paced_scans: int) -> Iterator[Measured
         store = stack.enter_context(FrameStore(*scan.frames["left"].shape))
         for side in SIDES:
             store.frames(side)[...] = scan.frames[side]
-        order = WorkOrder(
-            scan.calibration, synthetic.WATER, scan.sequence.period_px, scan.sequence.width_px, scan.sequence.height_px
-        )
+        order = WorkOrder(scan.calibration, synthetic.WATER, scan.sequence)
         for start in range(starts + 1):
             begun_s = time.monotonic()
             with ReconstructionWorker(order, store, clock) as process:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from appliance.base import ContentError, SealedFile, read_bounded
 from appliance.calibrate.air.board import BoardDesign
-from appliance.measure import FULL_DN, SIDES, build_sequence
+from appliance.measure import FULL_DN, SIDES
 from appliance.store import KNOWN, MANIFEST_FILE, LocalFileSystem, StorageError, StoredScan, picture_head
 
 Image = NDArray[np.uint8]
@@ -215,8 +215,7 @@ def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
     assert pair.right is not None
     if pair.left == pair.right:
         scan = StoredScan.load(pair.left)
-        made = scan.manifest.record.sequence
-        bright = build_sequence(made.period_px, made.width_px, made.height_px).bright
+        bright = scan.sequence.bright
         left, right = (np.array(scan.frames[side][bright]) for side in SIDES)
     else:
         left, right = (_picture(path, (width_px, height_px)) for path in (pair.left, pair.right))

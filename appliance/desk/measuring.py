@@ -26,7 +26,6 @@ from appliance.measure import (
     Response,
     StoredNoise,
     StoredResponse,
-    build_sequence,
     measure_bend,
     of_side,
 )
@@ -44,8 +43,7 @@ def response_of_scan(rig: Rig, folder: Path, progress: Progress) -> tuple[Stored
     Raises ScanError, ResponseError.
     """
     scan = StoredScan.load(folder, only_raw=True)
-    record = scan.manifest.record
-    sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
+    record, sequence = scan.manifest.record, scan.sequence
     # A scan drawn for a response shows what is left of it: without that very response its codes are not known.
     drawn_for = _drawn_for(rig, scan.manifest.scan_id, record.response_hash)
     seen = []
@@ -91,8 +89,7 @@ def exposure_found(source: SourceScan) -> ExposureFound:
     Raises ScanError, also for one that shows too little to tell.
     """
     scan = StoredScan.load(source.scan.folder, only_raw=True)
-    record = scan.manifest.record
-    sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
+    record, sequence = scan.manifest.record, scan.sequence
     decoders = []
     for side in SIDES:
         frames = scan.frames[side]
@@ -122,8 +119,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
     Raises ScanError, NoiseError.
     """
     scan = StoredScan.load(folder, only_raw=True)
-    made = scan.manifest.record.sequence
-    sequence = build_sequence(made.period_px, made.width_px, made.height_px)
+    sequence = scan.sequence
     # The gain is the scan's own where it says so; full well, read noise and black level are the camera's and stand in
     # the rig file only.
     expected = Instrument(rig).noise(Instrument(rig).exposure_of_scan(scan.manifest.record))

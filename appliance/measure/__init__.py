@@ -155,6 +155,7 @@ if TYPE_CHECKING:
         BRIGHT_CODE,  # Code of white
         DARK_CODE,  # Code of black
         PERIODS_PX,  # Periods of fringes that sequences are built for, px
+        STEP_ORDERS,  # Orders in which a sequence may project its steps of 90°: that of the instrument, and the rising one
         Direction,  # The pattern coordinate along which a pattern varies
         Kind,  # What a pattern shows
         Pattern,  # One frame of the sequence. index is the Gray bit (0 = most significant) or the sine step (0..3)

@@ -95,7 +95,7 @@ class Gatherer:
         self._averager.push(frames, index)
         for grid in self._grids:
             grid.push(frames, index)
-        if index == self._sequence.axis(Direction.X).sine[-1]:
+        if index == self._sequence.axis(Direction.X).last:
             variance_dn2 = self._noise.dark_variance_dn2, self._noise.dn_per_e
             self._of_x = (
                 fit_early(self._sampler.grey, self._sequence),

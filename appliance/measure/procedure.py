@@ -172,9 +172,11 @@ class SequenceProcessor:
             # It solves phases from the frames anew, and compares: with maps as they were decoded.
             plain = begun() if begun is not None else pipeline.find_full(straightened=False)
             begun = None
-            tried = attempt(pipeline, plain, images, self._calibration, self._water)
-            full = tried.found or pipeline.find_full()
             motion = said["motion"]
+            percent = motion.verdict.numbers["added_noise_percent"]
+            added = None if percent is None else 0.01 * percent
+            tried = attempt(pipeline, plain, images, self._calibration, self._water, added)
+            full = tried.found or pipeline.find_full()
             if tried.found is not None:
                 self._compensated = True
                 said["motion"] = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
@@ -308,7 +310,7 @@ def _compensation(tried: Attempt, frame_s: float) -> Verdict:
     lasted_s = frame_s * (motion.frames[-1] - motion.frames[0])
     x, y, z = (motion.motion_mm[-1, :3] - motion.motion_mm[0, :3]) / lasted_s
     numbers: dict[str, float | None] = {
-        "error_before": motion.error_before,
+        "error_before": tried.error_before,
         "error_after": tried.error_after,
         "noise_factor": motion.noise_factor,
         "speed_x_mm_s": float(x),

@@ -35,7 +35,6 @@ from appliance.measure import (
     Kind,
     PatternSequence,
     StereoNoise,
-    build_sequence,
     of_side,
 )
 from appliance.store import scan as stored
@@ -206,8 +205,7 @@ class Salvaged:
         if second is not None:
             manifest = replace(manifest, record=replace(manifest.record, second=None))
             notes.append("only the first exposure was used")
-        made = manifest.record.sequence
-        sequence = build_sequence(made.period_px, made.width_px, made.height_px)
+        sequence = StoredScan(folder, manifest, {}).sequence
         frames, variance = {}, dict.fromkeys(SIDES, 1.0)
         for side in SIDES:
             frames[side] = frames_as_they_are(folder, manifest, frames_file(side))

@@ -42,6 +42,12 @@ class SequenceInfo:
         names = tuple(pattern.name for pattern in sequence.patterns)
         return cls(sequence.period_px, sequence.width_px, sequence.height_px, names)
 
+    def described(self) -> PatternSequence:
+        """Return the sequence that is described. Raises ValueError where none has these patterns."""
+        from appliance.measure import PatternSequence
+
+        return PatternSequence.of_names(self.period_px, self.width_px, self.height_px, self.patterns)
+
 
 @dataclass(frozen=True, slots=True)
 class SecondSequence:

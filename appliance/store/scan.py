@@ -178,11 +178,11 @@ class StoredScan:
 
     @property
     def sequence(self) -> PatternSequence:
-        """The patterns it was recorded with."""
-        from appliance.measure import build_sequence
-
-        made = self.manifest.record.sequence
-        return build_sequence(made.period_px, made.width_px, made.height_px)
+        """The patterns it was recorded with, in their order. Raises ScanError where there is no such sequence."""
+        try:
+            return self.manifest.record.sequence.described()
+        except ValueError as error:
+            raise ScanError(f"{self.folder}: {error}") from error
 
     def water(self, calibration: Calibration) -> Water:
         """Return the water it was recorded in, as its manifest says; else that of the ``calibration``."""

@@ -63,7 +63,7 @@ def _outside(base: Base, scene: Scene, taken: Exposure, keep: Path | None) -> Re
         both = np.load(path)
         frames = {"left": both[0], "right": both[1]}
     else:
-        frames = dict(record_sequence(renderer, PERIOD_PX, exposure_s, taken.gain_db).noisy)
+        frames = dict(record_sequence(renderer, build_sequence(PERIOD_PX), exposure_s, taken.gain_db).noisy)
         if path is not None:
             _keep(path, frames)
     return RenderedScan(renderer, build_sequence(PERIOD_PX), frames, exposure_s, frame_s)

@@ -23,6 +23,7 @@ from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
 from appliance.measure.motion.attempt import Attempt, attempt
 from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.verdicts.motion.judge import judge_motion
 from bench.result import Measured
 from bench.verdict.calibrations import KINDS, Own, TrueScene, calibration_of
 from bench.verdict.compensation_cases import (
@@ -130,7 +131,9 @@ class Judge:
             plain = pipeline.table.cloud(found)
             begun_s = time.process_time()
             images = recorded(scan, pipeline, self._noise(scan))
-            tried = attempt(pipeline, found, images, calibration, self._water(scan))
+            water = self._water(scan)
+            added = judge_motion(images, plain, calibration.rig, water.index).added
+            tried = attempt(pipeline, found, images, calibration, water, added)
             cpu_s = time.process_time() - begun_s
             time_s = tried.motion.reference_s if tried.motion is not None else 10.5 * FRAME_S
             true = self._true(scan, calibration.rig, time_s)
@@ -204,7 +207,7 @@ def _expected(tried: Attempt) -> dict[str, float | None]:
     """What the attempt thinks of it."""
     motion = tried.motion
     return {
-        "expected_before": None if motion is None else motion.error_before,
+        "expected_before": tried.error_before,
         "expected_after": tried.error_after,
         "ripple_after": None if motion is None else motion.ripple_after,
         "noise_factor": None if motion is None else motion.noise_factor,

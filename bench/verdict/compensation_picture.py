@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from appliance.measure.cloud import Found
 from appliance.measure.motion.attempt import attempt
 from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.verdicts.motion.judge import judge_motion
 from bench.verdict.compensation_cases import NAMED, OBJECTS
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
@@ -36,7 +37,9 @@ def main(path: Path) -> None:
     with Pipeline(calibration, WATER, moving.sequence) as pipeline:
         found = _push(pipeline, moving)
         plain = pipeline.table.cloud(found)
-        tried = attempt(pipeline, found, recorded(moving, pipeline), calibration, WATER)
+        images = recorded(moving, pipeline)
+        added = judge_motion(images, plain, calibration.rig, WATER.index).added
+        tried = attempt(pipeline, found, images, calibration, WATER, added)
         if tried.motion is None or tried.found is None:
             raise SystemExit(f"the scan was not compensated: {tried.why}")
         time_s, compensated = tried.motion.reference_s, pipeline.table.cloud(tried.found)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import StereoNoise
-from appliance.measure.light.patterns import build_sequence
+from appliance.measure.light.patterns import STEPS, build_sequence
 from appliance.measure.light.water import Water
 from bench.verdict.motion_cases import FRAME_S, TRUTH_SET, Case, without_fish
 from hw_sim.rendering.render import Renderer
@@ -111,7 +111,7 @@ class KeptScans:
         return {"left": both[0], "right": both[1]}
 
     def _name(self, case: Case, scene: Scene) -> str:
-        what = repr((scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, self.width_px, FRAME_S))
+        what = repr((scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, self.width_px, FRAME_S, STEPS))
         return f"{case.seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npy"
 
 
@@ -119,7 +119,7 @@ def kept_scan(
     folder: Path | None, scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int, frame_s: float
 ) -> RenderedScan:
     """As ``render_scan``, with frames from ``folder`` where they are there, and kept there where not; ``None`` keeps nothing."""
-    what = repr((scene, truth_set, width_px, period_px, frame_s))
+    what = repr((scene, truth_set, width_px, period_px, frame_s, STEPS))
     name = f"scan-{seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npy"
     if folder is None or not (folder / name).exists():
         scan = render_scan(scene, truth_set, seed, width_px, period_px, frame_s=frame_s)

@@ -142,7 +142,7 @@ def examine(case: Case, kept: Scans) -> Judged:
     noise_of_points_mm, added, lost = harm(case, standing, moved, recorded, water, noise)
     undone = None
     if moving.judgement.verdict.passed is False:
-        undone = compensated(case, standing, moved, recorded, water, noise)
+        undone = compensated(case, standing, moved, recorded, water, noise, moving.added)
     bright = recorded[Take.MOVING].noisy["left"][build_sequence(case.period_px).bright]
     return Judged(case, noise_of_points_mm, added, lost, still, moving, undone, bright)
 
@@ -179,6 +179,7 @@ def compensated(
     recorded: Mapping[Take, Recorded],
     water: Water,
     stated: StereoNoise,
+    judged_to_add: float | None,
 ) -> float | None:
     """Return how far the points of the moving recording err when they are shown with the movement undone, over those at rest, both with
     noise; ``None`` where compensation is not shown, NaN where too few points tell."""
@@ -187,7 +188,7 @@ def compensated(
         rest = cloud_of(pipeline, recorded[Take.REST].noisy)
         moving = recorded[Take.MOVING]
         images, _ = as_judged(pipeline, moving.noisy, case.gain_db, moving.exposure_s, stated)
-        tried = attempt(pipeline, pipeline.find_full(straightened=False), images, calibration, water)
+        tried = attempt(pipeline, pipeline.find_full(straightened=False), images, calibration, water, judged_to_add)
         if tried.found is None:
             return None
         assert tried.motion is not None, "what is shown has a moment that it belongs to"

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import StereoNoise, camera_noise
-from appliance.measure.light.patterns import build_sequence
+from appliance.measure.light.patterns import STEPS, PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
 from bench.outside.world import FRAME_S, TRIGGER_DELAY_US, World, world_with
@@ -51,7 +51,7 @@ class OutsideScans:
     def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> Recorded:
         """The frames of a take, with the noise that they were read out with."""
         world = _world_of(case, take)
-        what = repr((world.scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, WIDTH_PX, FRAME_S))
+        what = repr((world.scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, WIDTH_PX, FRAME_S, STEPS))
         name = f"outside-{case.seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npz"
         if self._folder is not None and (self._folder / name).exists():
             with np.load(self._folder / name) as kept:
@@ -60,7 +60,9 @@ class OutsideScans:
         renderer = world.renderer()
         share = case.exposure_s * 10.0 ** (case.gain_db / 20.0) / SHARE_OF_S
         exposure_s = suited_s(renderer, case.gain_db, share)
-        found = record_sequence(renderer, case.period_px, exposure_s, case.gain_db, list(Take).index(take))
+        found = record_sequence(
+            renderer, build_sequence(case.period_px), exposure_s, case.gain_db, list(Take).index(take)
+        )
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
             draft = self._folder / f".{name}"
@@ -100,9 +102,11 @@ def put_outside(scene: Scene, seed: int, truth_set: str, *, width_px: int = WIDT
     return world_with(scene, outside, seed, ALL, truth_set=truth_set, size_px=size_px, case_c=20.0 + warm_k)
 
 
-def record_sequence(renderer: Renderer, period_px: int, exposure_s: float, gain_db: float, number: int = 0) -> Recorded:
+def record_sequence(
+    renderer: Renderer, sequence: PatternSequence, exposure_s: float, gain_db: float, number: int = 0
+) -> Recorded:
     """Record one sequence. Hands and swell move from its first pulse on; ``number`` sets the noise."""
-    patterns = pictures(build_sequence(period_px))
+    patterns = pictures(sequence)
     quiet, real = replace(renderer.scene, noise=False), replace(renderer.scene, noise=True)
     moving = renderer.scene.moves
 
@@ -162,7 +166,7 @@ def kept_scan_outside(
 ) -> RenderedScan:
     """As ``recorded_scan`` at a suitable exposure, with frames from ``folder`` where they are there, and kept there where not."""
     world = put_outside(scene, seed, truth_set, width_px=width_px, hands=hands)
-    what = repr((world.scene, truth_set, width_px, period_px, FRAME_S))
+    what = repr((world.scene, truth_set, width_px, period_px, FRAME_S, STEPS))
     name = f"outside-scan-{seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npz"
     frame_s = FRAME_S if world.scene.moves else 0.0
     if folder is not None and (folder / name).exists():
@@ -170,7 +174,7 @@ def kept_scan_outside(
             frames, exposure_s = dict(zip(SIDES, kept["noisy"], strict=True)), float(kept["exposure_s"])
         return RenderedScan(world.renderer(), build_sequence(period_px), frames, exposure_s, frame_s)
     renderer = world.renderer()
-    taken = record_sequence(renderer, period_px, suited_s(renderer, 0.0, 1.0), 0.0)
+    taken = record_sequence(renderer, build_sequence(period_px), suited_s(renderer, 0.0, 1.0), 0.0)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         draft = folder / f".{name}"
@@ -185,6 +189,6 @@ def recorded_scan(
     """Record one scan with noise, exposed as suits it times ``share``."""
     world = put_outside(scene, seed, truth_set, width_px=width_px, hands=not scene.motion.still)
     renderer = world.renderer()
-    taken = record_sequence(renderer, period_px, suited_s(renderer, gain_db, share), gain_db)
+    taken = record_sequence(renderer, build_sequence(period_px), suited_s(renderer, gain_db, share), gain_db)
     frame_s = FRAME_S if world.scene.moves else 0.0
     return RenderedScan(renderer, build_sequence(period_px), taken.noisy, taken.exposure_s, frame_s)

@@ -194,9 +194,7 @@ def paced_worker(scene: TimedScene, disk: Path) -> Iterator[PacedWorker]:
         for side in SIDES:
             store.frames(side)[...] = scene.frames[side]
         sequence = scene.sequence
-        order = WorkOrder(
-            scene.calibration, scene.water, sequence.period_px, sequence.width_px, sequence.height_px, scene.settings.noise
-        )  # fmt: skip
+        order = WorkOrder(scene.calibration, scene.water, sequence, scene.settings.noise)
         library = Library(Path(stack.enter_context(tempfile.TemporaryDirectory(dir=disk))) / "storage")
         library.prepare()
         writer = stack.enter_context(DiskQueue())

@@ -22,6 +22,7 @@ from appliance.desk.foreign.points import ForeignCloud, ForeignScan
 from appliance.desk.foreign.problem import ForeignError
 from appliance.measure import (
     SIDES,
+    STEP_ORDERS,
     Calibration,
     Direction,
     HousedCamera,
@@ -58,7 +59,7 @@ def own_sequence(description: Description, images: ImageSet) -> PatternSequence 
     if len(periods) != 1:
         return "its two directions have different periods"
     try:
-        sequence = build_sequence(round(periods.pop()), *description.projector_px)
+        sequence = build_sequence(round(periods.pop()), *description.projector_px, steps=_order(description))
     except ValueError as error:
         return str(error)
     for axis in description.axes:
@@ -75,12 +76,18 @@ def own_frames(sequence: PatternSequence, description: Description, images: Imag
         bits = range(axis.bits)[::-1] if axis.fine_first else range(axis.bits)
         # Images before the most significant bit that is needed are dark all over.
         frames += [images.image(Shows.GRAY, axis.name, bit) for bit in bits[axis.bits - _bits(sequence, axis) :]]
-        frames += [images.image(Shows.SINE, axis.name, _steps(axis).index(step)) for step in _FOUR_DEG]
+        frames += [images.image(Shows.SINE, axis.name, _steps(axis).index(_FOUR_DEG[step])) for step in sequence.steps]
     return np.stack([one for one in frames if one is not None])
 
 
 def _bits(sequence: PatternSequence, axis: AxisConvention) -> int:
     return len(sequence.axis(Direction(axis.name)).gray)
+
+
+def _order(description: Description) -> tuple[int, ...]:
+    """Return in which of our orders the steps were projected; the rising one where it was another order."""
+    shown = {tuple(_FOUR_DEG.index(step) for step in _steps(axis)) for axis in description.axes}
+    return next((order for order in STEP_ORDERS if shown == {order}), STEP_ORDERS[-1])
 
 
 def _steps(axis: AxisConvention) -> list[int]:

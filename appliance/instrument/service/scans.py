@@ -99,9 +99,7 @@ class ScanController:
         # under water.
         self.store = FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         self.worker = ReconstructionWorker(
-            WorkOrder(
-                setup.calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px, setup.noise
-            ),
+            WorkOrder(setup.calibration, self.water, sequence, setup.noise),
             self.store,
             clock,
             limits,
@@ -205,7 +203,7 @@ class ScanController:
         if not self._rig.storage.keep_incomplete or scan is None or scan.second is not None:
             return
         count = agreed_frames(report.ledger)
-        if count <= self.sequence.axis(Direction.X).sine[-1]:
+        if count <= self.sequence.axis(Direction.X).last:
             return
         record = self._record(
             scan, report.ledger, temperatures_c, Verdict("ledger", False, {"frames": float(count)}, fault.detail)
@@ -346,7 +344,7 @@ class ScanController:
         self.sequence, self.scan = sequence, None
         self.room.size(len(sequence), left.width_px, left.height_px)
         self._files.use(self.store)
-        self.worker.change(replace(self.worker.order, period_px=sequence.period_px), self.store)
+        self.worker.change(replace(self.worker.order, sequence=sequence), self.store)
         old.close()  # only now: the worker's process that had it mapped is gone
         self.count()
 

@@ -18,6 +18,7 @@ from appliance.measure import (
     Calibration,
     LiveGuidance,
     News,
+    PatternSequence,
     StereoNoise,
     Water,
     WorkerFailure,
@@ -30,9 +31,7 @@ class WorkOrder:
 
     calibration: Calibration
     water: Water
-    period_px: int
-    projector_width_px: int
-    projector_height_px: int
+    sequence: PatternSequence
     noise: StereoNoise = TYPICAL_PAIR
     """Noise of the cameras as they are set."""
 

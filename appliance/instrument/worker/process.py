@@ -424,7 +424,7 @@ class ReconstructionWorker:
         self._child.start(
             encode_calibration(order.calibration),
             order.water,
-            (order.period_px, order.projector_width_px, order.projector_height_px),
+            order.sequence,
             order.noise,
             (self._store.name, *self._store.shape),
             self._memory.name,

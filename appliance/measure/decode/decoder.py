@@ -192,7 +192,7 @@ class CameraDecoder:
             self._begin(frames)
         elif pattern.kind is Kind.GRAY and index == max(self._sequence.axis(pattern.direction).gray):
             self._number(frames, self._sequence.axis(pattern.direction).gray)
-        elif pattern.kind is Kind.SINE and pattern.index == 3:
+        elif index == self._sequence.axis(pattern.direction).last:
             self._close(frames, pattern.direction)
 
     def _begin(self, frames: NDArray[np.uint8]) -> None:

@@ -3,7 +3,7 @@ dark."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import zip_longest
 from typing import assert_never
@@ -56,6 +56,16 @@ BRIGHT_CODE = 247
 DARK_CODE = 0
 REFERENCES = 2
 """Number of frames before those of X: bright and dark."""
+STEPS = (0, 1, 3, 2)
+"""Order in which the steps of 90° are projected: 0°, 90°, 270°, 180°.
+
+Sine and cosine of the phase follow from the pairs (90°, 270°) and (0°, 180°), which have the same middle in time so: a
+steady movement shifts both alike, and makes no ripple.
+"""
+RISING_STEPS = (0, 1, 2, 3)
+"""Rising order: 0°, 90°, 180°, 270°. A movement of a px from frame to frame makes a ripple of half a px."""
+STEP_ORDERS = (STEPS, RISING_STEPS)
+"""Orders in which a sequence may project its steps of 90°: that of the instrument, and the rising one."""
 
 
 class Direction(Enum):
@@ -128,7 +138,18 @@ class Axis:
     gray: tuple[int, ...]
     """Frame numbers of the Gray-code images, most significant bit first."""
     sine: tuple[int, int, int, int]
-    """Frame numbers of the steps 0°, 90°, 180°, 270°."""
+    """Frame numbers of the steps 0°, 90°, 180°, 270°, in whatever order they were projected."""
+
+    @property
+    def last(self) -> int:
+        """Frame number of the last image of this direction."""
+        return max(self.sine)
+
+    @property
+    def pair_frames(self) -> tuple[int, int]:
+        """Frames from the step 0° to that of 180°, which give the cosine, and from 90° to 270°, which give the sine."""
+        zero, quarter, half, three = self.sine
+        return half - zero, three - quarter
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +163,8 @@ class PatternSequence:
     * there are two directions: every frame that varies along X comes before every one that varies along Y, and the last
       frame of Y is the last of all;
     * a direction begins with its Gray-code images, the most significant bit first, as many as number all half periods;
-    * they are followed at once by ``STEPS`` = 4 sine images, 90° apart, in the order 0°, 90°, 180°, 270°;
+    * they are followed at once by four sine images, 90° apart, in the order ``STEPS`` or ``RISING_STEPS``, the same in
+      both directions;
     * all have the same period and each the size of its axis.
 
     Raises ValueError for anything else, with the first frame that is wrong.
@@ -154,7 +176,7 @@ class PatternSequence:
     patterns: tuple[Pattern, ...]
 
     def __post_init__(self) -> None:
-        bright, dark, *rest = _promised(self.period_px, self.width_px, self.height_px)
+        bright, dark, *rest = _promised(self.period_px, self.width_px, self.height_px, self.steps)
         # Either order keeps the promise (ADR 0039); what is built here begins with the bright one.
         references = (dark, bright) if self.patterns[:1] == (dark,) else (bright, dark)
         for k, (wanted, found) in enumerate(zip_longest((*references, *rest), self.patterns)):
@@ -164,8 +186,32 @@ class PatternSequence:
                     "PatternSequence)"
                 )
 
+    @classmethod
+    def of_names(cls, period_px: int, width_px: int, height_px: int, names: tuple[str, ...]) -> PatternSequence:
+        """Return the sequence whose patterns have these ``names``, in the order of projection.
+
+        Raises ValueError where no sequence has them.
+        """
+        for steps in STEP_ORDERS:
+            built = build_sequence(period_px, width_px, height_px, steps)
+            bright, dark, *rest = built.patterns
+            for patterns in (built.patterns, (dark, bright, *rest)):
+                if tuple(pattern.name for pattern in patterns) == names:
+                    return replace(built, patterns=patterns)
+        raise ValueError(
+            f"patterns {', '.join(names)}: no sequence of {period_px} px on {width_px} × {height_px}; allowed are "
+            f"{', '.join(pattern.name for pattern in built.patterns)}, or the steps of 90° in rising order"
+        )
+
     def __len__(self) -> int:
         return len(self.patterns)
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Order in which the steps of 90° were projected: ``RISING_STEPS``, or else ``STEPS``."""
+        first = REFERENCES + bit_count(self.width_px, self.period_px)
+        shown = tuple(pattern.index for pattern in self.patterns[first : first + PHASE_STEPS])
+        return RISING_STEPS if shown == RISING_STEPS else STEPS
 
     @property
     def bright(self) -> int:
@@ -180,7 +226,7 @@ class PatternSequence:
     def __hash__(self) -> int:
         # The promise leaves nothing else to choose; hashing two dozen patterns would cost every judge's look into a
         # cache.
-        return hash((self.period_px, self.width_px, self.height_px, self.bright))
+        return hash((self.period_px, self.width_px, self.height_px, self.bright, self.steps))
 
     def axis(self, direction: Direction) -> Axis:
         """Return the frame numbers that encode ``direction``."""
@@ -190,11 +236,14 @@ class PatternSequence:
         if direction is Direction.Y:
             size, first = self.height_px, first + bits + PHASE_STEPS
             bits = bit_count(size, self.period_px)
-        sine = first + bits
-        return Axis(direction, size, tuple(range(first, sine)), (sine, sine + 1, sine + 2, sine + 3))
+        sine, order = first + bits, self.steps
+        zero, quarter, half, three = (sine + order.index(step) for step in range(PHASE_STEPS))
+        return Axis(direction, size, tuple(range(first, sine)), (zero, quarter, half, three))
 
 
-def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -> PatternSequence:
+def build_sequence(
+    period_px: int, width_px: int = 1024, height_px: int = 768, steps: tuple[int, ...] = STEPS
+) -> PatternSequence:
     """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768, one more on 1280
     × 720.
 
@@ -205,10 +254,10 @@ def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -
         raise ValueError(
             f"fringe period {period_px} px; allowed are 4..{min(width_px, height_px)} px; choose one of {PERIODS_PX}"
         )
-    return PatternSequence(period_px, width_px, height_px, tuple(_promised(period_px, width_px, height_px)))
+    return PatternSequence(period_px, width_px, height_px, tuple(_promised(period_px, width_px, height_px, steps)))
 
 
-def _promised(period_px: int, width_px: int, height_px: int) -> list[Pattern]:
+def _promised(period_px: int, width_px: int, height_px: int, steps: tuple[int, ...]) -> list[Pattern]:
     """Return the patterns in the order that ``PatternSequence`` promises."""
     patterns = [
         Pattern(Kind.BRIGHT, Direction.X, 0, period_px, width_px),
@@ -219,7 +268,7 @@ def _promised(period_px: int, width_px: int, height_px: int) -> list[Pattern]:
         patterns += [
             Pattern(Kind.GRAY, direction, bit, period_px, size_px) for bit in range(bit_count(size_px, period_px))
         ]
-        patterns += [Pattern(Kind.SINE, direction, step, period_px, size_px) for step in range(PHASE_STEPS)]
+        patterns += [Pattern(Kind.SINE, direction, step, period_px, size_px) for step in steps]
     return patterns
 
 

@@ -88,8 +88,8 @@ class GrayMeans(NamedTuple):
 
 def gray_images(sequence: PatternSequence) -> GrayImages:
     """Return the Gray images around the x-sines, then the others by their distance in time, then the bright frame."""
-    every, sines = stripes_of(sequence), sequence.axis(Direction.X).sine
-    away = np.maximum(sines[0] - every.frames, every.frames - sines[-1])
+    every, x_axis = stripes_of(sequence), sequence.axis(Direction.X)
+    away = np.maximum(min(x_axis.sine) - every.frames, every.frames - x_axis.last)
     order = np.argsort(away, kind="stable")
     stripes = Stripes(
         np.append(every.frames[order], sequence.bright),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.cloud import Found
+from appliance.measure.light.patterns import RISING_STEPS
 from appliance.measure.light.water import Water
 from appliance.measure.motion.estimate import MotionEstimate, estimate
 from appliance.measure.motion.redecode import compensate
@@ -48,14 +49,25 @@ class Attempt:
     mean nothing."""
     why: str
     """One sentence for the manifest."""
+    error_before: float | None = None
+    """Expected error when nothing is done, against that of a scan at rest; ``None``: no motion was estimated."""
     error_after: float | None = None
     """Expected error of the compensated points, root mean square of their own sigmas, against a scan at rest; ``None``:
     none were made."""
 
 
-def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: Calibration, water: Water) -> Attempt:
+def attempt(
+    pipeline: Pipeline,
+    plain: Found,
+    images: ScanImages,
+    calibration: Calibration,
+    water: Water,
+    added: float | None = None,
+) -> Attempt:
     """Compensate a scan if that makes it better, after ``pipeline.find_full`` gave ``plain``.
 
+    ``added`` is what the verdict on movement says that the movement adds to the noise, as a fraction of it. Where the
+    steps rise, the estimate itself tells the ripple, which is nearly all of it; in the other order there is none.
     ``calibration`` and ``water`` are those of the pipeline. Its table then holds the compensated cloud where there is
     one to be shown; where there is none, whoever asked finds the plain one anew, straightened as it is shown.
     """
@@ -64,13 +76,18 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
         motion = estimate(images, calibration, water, sample.points_mm, sample.pixel)
     except ValueError as error:
         return Attempt(None, None, f"Motion was not estimated: {error}.")
+    rising = images.sequence.steps == RISING_STEPS
+    error_before = motion.error_before if added is None or rising else 1.0 + added
     if not motion.moved:
-        return Attempt(motion, None, "Nothing moved that would show.")
+        return Attempt(motion, None, "Nothing moved that would show.", error_before)
     if not motion.converged:
-        return Attempt(motion, None, "The motion could not be told from the frames.")
+        return Attempt(motion, None, "The motion could not be told from the frames.", error_before)
     if motion.step_deg < LEAST_STEP_DEG:
         return Attempt(
-            motion, None, f"Points moved along with the fringes: phases advanced by {motion.step_deg:.0f} of 90°."
+            motion,
+            None,
+            f"Points moved along with the fringes: phases advanced by {motion.step_deg:.0f} of 90°.",
+            error_before,
         )
     at_rest_mm = _sigmas_mm(pipeline, plain)
     maps = compensate(images, calibration, water, motion)
@@ -78,9 +95,9 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
     error_after = _over(_sigmas_mm(pipeline, found), at_rest_mm)
     kept = found.summary.points / max(plain.summary.points, 1)
     doubt = DOUBT if motion.step_deg >= FEW_STEPS_DEG else DOUBT_ALONG
-    if is_better(motion.error_before, error_after, doubt) and kept >= LEAST_KEPT:
+    if is_better(error_before, error_after, doubt) and kept >= LEAST_KEPT:
         why = f"Motion of {motion.texture_px:.1f} px during the x fringes was undone; points err {error_after:.1f} times as at rest."
-        return Attempt(motion, found, why, error_after)
+        return Attempt(motion, found, why, error_before, error_after)
     if kept < LEAST_KEPT:
         why = f"Compensation would lose {100.0 * (1.0 - kept):.0f} % of the points."
     else:
@@ -89,7 +106,7 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
             f"{MOST_ERROR:g} "
             "times and no more than before: repeat the scan."
         )
-    return Attempt(motion, None, why, error_after)
+    return Attempt(motion, None, why, error_before, error_after)
 
 
 def is_better(error_before: float, error_after: float, doubt: float = DOUBT) -> bool:

@@ -74,7 +74,7 @@ MAX_VARIANCE = 25.0
 NEGLIGIBLE_RIPPLE, NEGLIGIBLE_PX = 0.3, 0.7
 """Ripple in units of noise, and way of the texture, that do not show in the points."""
 RIPPLE_OF_CONTRADICTION = 0.5
-"""Steps that are wrong by ε each make a phase ripple of ε/2 · cos 2φ and a contradiction of ε (sin φ − cos φ) of the
+"""Rising steps that are wrong by ε each make a phase ripple of ε/2 · cos 2φ and a contradiction of ε (sin φ − cos φ) of the
 modulation; noise of σ makes a phase noise of σ/√2 of it. So the ripple in units of noise is half the contradiction in
 units of σ, both as root mean squares."""
 
@@ -139,8 +139,7 @@ class MotionEstimate:
     texture_px: float
     """Median way of the picture from the first to the last x-sine, in px of the left camera."""
     step_deg: float
-    """Median advance of a point's phase from one x-sine to the next: 90 at rest, 0 where it moved along with the
-    fringes."""
+    """Median advance of a point's phase from one step to the next: 90 at rest, 0 where it moved along with the fringes."""
     noise_factor: float
     """Noise of phases against that of steps of 90° where points are followed all the way.
 
@@ -228,7 +227,7 @@ def estimate(
         projector=projector,
         ripple_before=RIPPLE_OF_CONTRADICTION * before / noise,
         ripple_after=RIPPLE_OF_CONTRADICTION * after / noise,
-        texture_px=binning * _way_px(samples["left"], solver.values),
+        texture_px=binning * _way_px(samples["left"], solver.values, sequence),
         step_deg=_step_deg(samples["left"], solver.values),
         noise_factor=noise_factor,
         converged=step_mm < NEARLY_CONVERGED_MM,
@@ -237,7 +236,7 @@ def estimate(
 
 def _around(sequence: PatternSequence) -> tuple[int, ...]:
     """Return the Gray images next to the x-sines in time: those that tell the albedo."""
-    first, last = sequence.axis(Direction.X).sine[0], sequence.axis(Direction.X).sine[-1]
+    first, last = min(sequence.axis(Direction.X).sine), sequence.axis(Direction.X).last
     gray = (*sequence.axis(Direction.X).gray, *sequence.axis(Direction.Y).gray)
     return tuple(
         k for k in gray if first - k in range(1, GRAY_IMAGES_AROUND + 1) or k - last in range(1, GRAY_IMAGES_AROUND + 1)
@@ -403,22 +402,24 @@ class _Solver:
         return made
 
 
-def _way_px(samples: Samples, values: Array) -> float:
+def _way_px(samples: Samples, values: Array, sequence: PatternSequence) -> float:
     """Return the median way of the samples from the first x-sine to the last, in px of the pictures that are looked at."""
-    way = np.einsum("nij,nj->ni", samples.jacobian, _displaced_mm(samples, values))
+    moved_mm, sine = _displaced_mm(samples, values), sequence.axis(Direction.X).sine
+    way = np.einsum("nij,nj->ni", samples.jacobian, moved_mm[np.argmax(sine)] - moved_mm[np.argmin(sine)])
     return float(np.nanmedian(np.linalg.norm(way, axis=1)))
 
 
 def _step_deg(samples: Samples, values: Array) -> float:
-    """Return the median advance of the samples' phase from one x-sine to the next, in degrees; 90 at rest."""
-    advance = np.einsum("nj,nj->n", samples.phase_per_mm[:, 0], _displaced_mm(samples, values))
+    """Return the median advance of the samples' phase from one step to the next, in degrees; 90 at rest."""
+    moved_mm = _displaced_mm(samples, values)
+    advance = np.einsum("nj,nj->n", samples.phase_per_mm[:, 0], moved_mm[3] - moved_mm[0])
     return 90.0 + math.degrees(float(np.nanmedian(advance))) / 3.0
 
 
 def _displaced_mm(samples: Samples, values: Array) -> Array:
-    """Return the displacements (n, 3) of the samples from the first x-sine to the last: shift + turn × lever."""
-    moved = values[18:24] - values[0:6]
-    return np.asarray(moved[:3] + np.cross(moved[3:], samples.lever))
+    """Return the displacements (4, n, 3) of the samples in the x-sines of 0° to 270°: shift + turn × lever."""
+    moved = values[:24].reshape(4, 1, 6)
+    return np.asarray(moved[..., :3] + np.cross(moved[..., 3:], samples.lever))
 
 
 def noise_dn(images: ScanImages, side: str) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.decode.decoder import MIN_MODULATION_DN, edge_limits_px
 from appliance.measure.decode.edges import keep_smooth
-from appliance.measure.light.patterns import Direction
+from appliance.measure.light.patterns import RISING_STEPS, Direction
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.sine import PHASE_STEPS
 from appliance.measure.light.water import Water
@@ -164,7 +164,9 @@ def _redecode(
         solved.bright,
         solved.offset_dn,
         solved.illuminated_columns,
-        variance_px2=solved.variance_px2 * misfit_factor(solved.misfit, motion.ripple_after, width),
+        # What is left of a contradiction makes a ripple where the steps rise, and next to none in the other order.
+        variance_px2=solved.variance_px2
+        * misfit_factor(solved.misfit, motion.ripple_after if sequence.steps == RISING_STEPS else 0.0, width),
     )
 
 

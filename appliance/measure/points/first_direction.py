@@ -39,7 +39,7 @@ def first_direction_cloud(
     """
     volume = calibration.rig.volume
     kept = (limits or QualityLimits()).of(volume)
-    needed = sequence.axis(Direction.X).sine[-1] + 1
+    needed = sequence.axis(Direction.X).last + 1
     decoded = {side: _decoded(frames[side], sequence, needed) for side in SIDES}
     left = decoded["left"]
     jump_px, bend_px = edge_limits_px(sequence.period_px, left.p_px.shape[1], sequence.width_px)

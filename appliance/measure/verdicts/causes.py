@@ -27,7 +27,7 @@ from appliance.measure.verdicts.water.judge import MOST_SIGHT_M, hides_object
 
 CAUSES_NAME = "causes"
 MOVED_LIKE_FLICKER = 2.4
-"""Largest multiple of the motion's ripple that the judge of light may see and that is still motion: 1.5 to 1.7 times
+"""Largest multiple of the motion's ripple, as rising steps have it, that the judge of light may see and that is still motion: 1.5 to 1.7 times
 is usual where something moves. What exceeds it is light."""
 PAINT_LIKE_FLICKER = 4.0
 """The same of what the parts of the picture have not in common: printed squares that move make up to 2.4 times the
@@ -301,7 +301,7 @@ def _flicker(light: Numbers, of: Mapping[str, Judgement], motion: Numbers) -> It
         if motion.get("added_noise_percent") is None:
             own = own if lamp >= LAMP_IN_COMMON else 0.0
         else:
-            moved = _moved_ripple(motion)
+            moved = max(_moved_ripple(motion), motion.get("drift_over_noise") or 0.0)
             own = max(
                 lamp * own - (MOVED_LIKE_FLICKER * moved) ** 2, (1.0 - lamp) * own - (PAINT_LIKE_FLICKER * moved) ** 2
             )

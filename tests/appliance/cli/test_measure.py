@@ -70,7 +70,7 @@ def test_installed_noise_is_what_the_instrument_expects_from_then_on(
     assert used.camera.left.full_well_e == report["left"]["full_well_e"] != rig.camera.left.full_well_e
     for side in ("left", "right"):
         one = report[side]
-        assert one["electrons_at_255"] == one["full_well_e"] == pytest.approx(13_000, rel=0.08), "at 0 dB"
+        assert one["electrons_at_255"] == one["full_well_e"] == pytest.approx(13_000, rel=0.1), "at 0 dB"
         assert one["expected_electrons_at_255"] == pytest.approx(13_000)
         assert one["pixels"] > 40_000
         assert one["noise_dn"] == pytest.approx(one["expected_dn"], rel=0.05)

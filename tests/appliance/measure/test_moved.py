@@ -5,23 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
+import numpy as np
 import pytest
 
 from appliance.measure.bracket import ProcessedSequence
 from appliance.measure.fault import FaultCode
 from appliance.measure.judges import JUDGES
 from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.patterns import RISING_STEPS, STEPS, Direction, build_sequence
 from appliance.measure.motion.attempt import Attempt
 from appliance.measure.news import CoarseCloud, FullCloud, PatternIdentity, SequenceFact, Verdicts, WorkProgress
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor, _compensation
 from appliance.measure.verdict import Verdict
 from hw_sim.objects.motion import Motion
-from hw_sim.scene import Scene
-from tests.support.rendered import FRAME_S, RenderedScan, render_scan
+from hw_sim.rendering.render import Renderer
+from hw_sim.scene import Imaging, Scene
+from hw_sim.truth import draw_truth
+from tests.support.rendered import FRAME_S, RenderedScan, exposed, judge, pictures, reconstruct, render_scan
 from tests.support.truth import WATER, true_calibration
 
-HAND = Motion((0.0, 20.0, 0.0))
+HAND = Motion((0.0, 30.0, 0.0))
 """Velocity of the instrument, in mm/s of the rig frame."""
 
 
@@ -79,3 +83,18 @@ def test_motion_that_was_undone_is_no_fault_of_the_points(in_a_hand: Worked) -> 
 def test_where_no_motion_could_be_told_the_verdict_says_why() -> None:
     verdict = _compensation(Attempt(None, None, "Motion was not estimated: too few points."), FRAME_S)
     assert verdict == Verdict("compensation", False, {}, "Motion was not estimated: too few points.")
+
+
+@pytest.mark.parametrize(("steps", "least", "most"), [(STEPS, 0.9, 1.2), (RISING_STEPS, 2.0, 6.0)])
+def test_a_hand_along_the_line_of_sight_adds_next_to_nothing_in_our_order(
+    steps: tuple[int, ...], least: float, most: float
+) -> None:
+    sequence = build_sequence(16, steps=steps)
+    rms_mm = []
+    for away_mm_s in (0.0, 20.0):
+        scene = Scene("shell", imaging=Imaging("linear"), motion=Motion((0.0, 0.0, away_mm_s)))
+        renderer = Renderer(draw_truth("nominal", 1, 160, 120, scene.water.index), scene)
+        scan = RenderedScan(renderer, sequence, exposed(renderer, pictures(sequence), 0.008, FRAME_S))
+        _, cloud = reconstruct(scan)
+        rms_mm.append(judge(scan, cloud, FRAME_S * float(np.mean(sequence.axis(Direction.X).sine))).rms_mm)
+    assert least < rms_mm[1] / rms_mm[0] < most

@@ -18,12 +18,13 @@ from appliance.desk.object_store import CloudFacts, MemberScan, ObjectError, Sto
 from appliance.instrument.service.gallery import read
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.patterns import STEP_ORDERS, build_sequence
 from appliance.measure.verdict import GRADE_NAME, Grade, Verdict
 from appliance.store import incomplete
 from appliance.store import manifest as form
 from appliance.store.atomic import LocalFileSystem, Stamp
 from appliance.store.library import Library, UnknownScan
-from appliance.store.manifest import Decision, Manifest, ScanRecord, SecondSequence, Stage
+from appliance.store.manifest import Decision, Manifest, ScanRecord, SecondSequence, SequenceInfo, Stage
 from appliance.store.names import is_component
 from appliance.store.scan import ScanError, StoredScan, cloud_bytes, frames_bytes, map_frames, write_raw
 from tests.appliance.store.scenes import ORIGIN, cloud, frames, record, second_sequence
@@ -261,3 +262,15 @@ def test_a_compensated_scan_has_no_ray_gap() -> None:
     assert (of(UNDONE).gap_mm, of(UNDONE).compensated) == (None, True)
     plain = of(replace(UNDONE, passed=False))
     assert (plain.gap_mm, plain.compensated) == (0.0002, False)
+
+
+@pytest.mark.parametrize("steps", STEP_ORDERS)
+def test_a_scan_says_in_which_order_its_steps_were_projected(tmp_path: Path, steps: tuple[int, ...]) -> None:
+    sequence = build_sequence(16, steps=steps)
+    manifest = replace(MANIFEST, record=record(sequence=SequenceInfo.of(sequence)))
+    assert StoredScan(tmp_path, manifest, {}).sequence == sequence
+
+
+def test_patterns_that_are_no_sequence_are_named_with_the_folder(tmp_path: Path) -> None:
+    with pytest.raises(ScanError, match=rf"{tmp_path}: patterns bright, dark, gray-x-0: no sequence of 16 px"):
+        StoredScan(tmp_path, MANIFEST, {}).sequence  # noqa: B018

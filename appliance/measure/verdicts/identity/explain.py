@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.light.noise import CameraNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
+from appliance.measure.light.sine import PHASE_STEPS
 from appliance.measure.verdicts.identity.evidence import MIN_FRINGE, LineEvidence, Witness
 from appliance.measure.verdicts.identity.lines import Lines
 
@@ -235,10 +236,10 @@ def _with(lines: Lines, frame: NDArray[np.uint8]) -> Lines:
 
 def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
     """Append the last sine step, when everything is one late: those of 90° and 270° add up to those of 0° and 180°."""
-    s0, s1, s2, s3 = sequence.axis(Direction.Y).sine
-    assert s3 == len(sequence) - 1
-    late0, late1, late2 = (lines.values[k + 1].astype(np.int16) for k in (s0, s1, s2))
-    return _with(lines, np.clip(late0 + late2 - late1, 0, 255).astype(np.uint8))
+    steps = sequence.axis(Direction.Y).sine
+    place = steps.index(len(sequence) - 1)
+    after, opposite, before = (lines.values[steps[(place + by) % PHASE_STEPS] + 1].astype(np.int16) for by in (1, 2, 3))
+    return _with(lines, np.clip(after + before - opposite, 0, 255).astype(np.uint8))
 
 
 def _repeated(same: NDArray[np.float64], doubts: LineEvidence) -> Explanation | None:

@@ -44,14 +44,14 @@ class AlbedoShifts:
     sd_px: Array
     """(frames,): of either."""
 
-    @property
-    def double_step2(self) -> float | None:
-        """Mean square way of the albedo, px², from a frame to the next but one, less what noise makes of it."""
-        apart = self.shift_px[2:] - self.shift_px[:-2]
+    def mean_way2(self, frames: int) -> float | None:
+        """Return the mean square way of the albedo over so many ``frames``, px², less what noise makes of it; ``None``:
+        not known."""
+        apart = self.shift_px[frames:] - self.shift_px[:-frames]
         known = np.isfinite(apart).all(-1)
         if not known.any():
             return None
-        noise = 2.0 * (self.sd_px[2:] ** 2 + self.sd_px[:-2] ** 2)
+        noise = 2.0 * (self.sd_px[frames:] ** 2 + self.sd_px[:-frames] ** 2)
         return max(float(np.mean((np.sum(apart**2, -1) - noise)[known])), 0.0)
 
 

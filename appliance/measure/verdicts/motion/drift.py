@@ -60,10 +60,10 @@ class DriftMap:
 
     drift_px: NDArray[np.float64]
     """Drift of the fringes ε, pattern px per frame; positive: a pixel's coordinate grows."""
-    early_px: NDArray[np.float64]
-    """The same from the first sine image to the third."""
-    late_px: NDArray[np.float64]
-    """The same from the second to the fourth: of a steady movement, no other."""
+    cosine_px: NDArray[np.float64]
+    """The same by the images of 0° and 180° alone, which give the cosine of the phase."""
+    sine_px: NDArray[np.float64]
+    """The same by those of 90° and 270°, which give its sine: of a steady movement, no other."""
     sd_px: NDArray[np.float64]
     """Standard deviation of it from what the fit leaves."""
     u_px: NDArray[np.float64]
@@ -95,10 +95,14 @@ def drift_map(
     ``cells.run_sums`` returned, where it was asked while the frames arrived.
     """
     sums = cell_sums(frames, decoded.p_px, decoded.q_px, sequence, variance_dn2, runs)
-    return _drift_of_sums(sums, sequence.period_px / (2.0 * np.pi), variance_dn2)
+    pair_frames = sequence.axis(Direction.X).pair_frames
+    return _drift_of_sums(sums, sequence.period_px / (2.0 * np.pi), variance_dn2, pair_frames)
 
 
-def _drift_of_sums(sums: CellSums, px_per_rad: float, variance_dn2: tuple[float, float]) -> DriftMap:
+def _drift_of_sums(
+    sums: CellSums, px_per_rad: float, variance_dn2: tuple[float, float], pair_frames: tuple[int, int]
+) -> DriftMap:
+    """Solve for the drift; ``pair_frames`` as ``Axis`` says."""
     ones = sums.ones
     count = ones[..., COUNT]
     enough = count >= DRIFT_PIXELS
@@ -110,14 +114,16 @@ def _drift_of_sums(sums: CellSums, px_per_rad: float, variance_dn2: tuple[float,
     fit = (inverse @ right[..., None])[..., 0]
     # Residual variance of the fit: (Σ C² − fit · right) / degrees of freedom.
     rest = np.maximum(sums.here[..., TERMS, TERMS] - np.sum(fit * right, -1), 0.0) / np.maximum(count - TERMS, 1.0)
-    # C = 2 ε B (sin φ − cos φ): the coefficients of B sin φ and B cos φ are 2 ε and −2 ε; ε is a quarter of their
-    # difference.
-    drift = 0.25 * (fit[..., 2] - fit[..., 1])
+    # C = ε B (m sin φ − n cos φ), with m frames from 0° to 180° and n from 90° to 270°: least squares of ε.
+    m, n = pair_frames
+    both = float(m * m + n * n)
+    drift = (m * fit[..., 2] - n * fit[..., 1]) / both
     # A second harmonic κ puts 4 κ cos 2φ into C, and a drift bends φ itself, by 2 ε κ sin 2φ (cos φ − sin φ): of the
     # drift's own terms, 4 κ² are then missing from C.
     second2 = (fit[..., 3] ** 2 + fit[..., 4] ** 2) / 16.0
     px = px_per_rad / np.maximum(1.0 - 4.0 * second2, LEAST_LEFT)
-    variance = rest * 0.0625 * (inverse[..., 1, 1] + inverse[..., 2, 2] - 2.0 * inverse[..., 1, 2])
+    of_both = n * n * inverse[..., 1, 1] + m * m * inverse[..., 2, 2] - 2.0 * m * n * inverse[..., 1, 2]
+    variance = rest * of_both / both**2
     # Σ (C − fit · x)² of differences from one pixel to that below, which a drift does not make: down an x-fringe the
     # phase hardly changes. What the light's own steps leave of the fit, which follows the phase, is none of it, and
     # neither is noise.
@@ -125,19 +131,22 @@ def _drift_of_sums(sums: CellSums, px_per_rad: float, variance_dn2: tuple[float,
     apart = np.sum(left * (sums.apart @ left[..., None])[..., 0], -1)
 
     with np.errstate(invalid="ignore", divide="ignore"):
+        # Σ I of fringes that drift holds ε B (m sin φ + n cos φ), which is no texture. Where the steps rise, what it
+        # adds to the harm is a hundredth of the ripple.
+        leak = 0.0 if m == n else (drift / px_per_rad) ** 2 * both / 32.0
         mean = np.where(enough[..., None], ones[..., U : LIGHT + 1] / count[..., None], np.nan)
         dark, per_dn = variance_dn2
         noise = dark + per_dn * mean[..., LIGHT - U]
         return DriftMap(
             np.where(enough, px * drift, np.nan),
-            np.where(enough, px * 0.5 * fit[..., 2], np.nan),
-            np.where(enough, px * -0.5 * fit[..., 1], np.nan),
+            np.where(enough, px * fit[..., 2] / m, np.nan),
+            np.where(enough, px * -fit[..., 1] / n, np.nan),
             np.where(enough, px * np.sqrt(variance), np.nan),
             mean[..., 0],
             mean[..., V - U],
             np.where(enough, ones[..., SLOPE] / ones[..., SLOPES], np.nan),
             0.5 * noise * mean[..., INVERSE - U],
-            np.where(enough, np.maximum(ones[..., TEXTURE] / ones[..., TEXTURES], 0.0), np.nan),
+            np.where(enough, np.maximum(ones[..., TEXTURE] / ones[..., TEXTURES] - leak, 0.0), np.nan),
             # A cell without a pair of pixels knows nothing.
             np.where(enough, (apart - ones[..., APART_NOISE]) / ones[..., APART_SCALE], np.nan),
             np.where(enough, second2, np.nan),

@@ -5,15 +5,20 @@ their coordinates are wrong together, and points stay right. Depth moves the fri
 other*. With E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean
 square of
 
-- E² (s²/8 + 2 κ²): four steps of 90° (their error is s E/2 · cos 2φ, with s = 1 of a steady movement, see ``course``), and what the
-  projector's second harmonic, κ of the first, adds as it drifts along (2 E κ · sin 2φ (cos φ − sin φ)). The right coordinate is read off
-  between pixels, where short ripples are read too small, so that in place of E² stands what is left of ε left and ε right then;
-- E² (P/2π)² g²: albedo with a gradient g, in modulations per px, that both cameras see at two places
-  (E · g · P/2π · (cos φ + sin φ)); where it goes to and fro, with half the way from an image to the next but one;
+- δ²/8, with δ by how much farther the fringes stand in the mean of the steps 0° and 180° than in that of 90° and 270°
+  (the error is δ/2 · cos 2φ): of a steady movement E where the steps rise, and 0 where both pairs have the same middle;
+  ``course`` says what it is of an unsteady one;
+- 2 w² κ² E²: what the projector's second harmonic, κ of the first, adds as it drifts along: E κ · sin 2φ (n cos φ −
+  m sin φ), with m images from 0° to 180°, n from 90° to 270°, and w² = (m² + n²)/8. The right coordinate is read off
+  between pixels, where short ripples are read too small, so that in place of E² stands what is left of ε left and ε
+  right then;
+- w² E² (P/2π)² g²: albedo with a gradient g, in modulations per px, that both cameras see at two places; where it goes
+  to and fro, with half the ways from one image of a pair to the other;
 - what is uneven in the phase error that moving albedo makes in both cameras alike: they sample it at different places.
 
-Where the way from image to image is not steady, each counts with the way between the two images that matter to it.
-Noise is that of four steps in both cameras' light. Both are taken across the surface (``SurfaceMap``), so harm is a
+Where the way from image to image is not steady, each counts with the way between the two images that matter to it. In
+the order 0°, 90°, 270°, 180° the contradiction of the steps holds no mean light of an albedo that moves, and so half of
+what it holds where they rise: what is uneven counts twice. Noise is that of four steps in both cameras' light. Both are taken across the surface (``SurfaceMap``), so harm is a
 ratio of two known things.
 """
 
@@ -27,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.model import StereoRig
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdicts.motion.cells import CELL_PX
 from appliance.measure.verdicts.motion.drift import DriftMap
@@ -226,25 +232,46 @@ class Harm:
         return None if self.ripple is None else float(np.sqrt(1.0 + self.ripple**2) - 1.0)
 
 
+@dataclass(frozen=True, slots=True)
+class PairOffset:
+    """Mean square of δ, by which the fringes stand farther in one pair of steps than in the other."""
+
+    of_drift2: float
+    """Its part that goes with E², as a multiple of it."""
+    px2: float = 0.0
+    """Its part that is the same everywhere, px² of the pattern."""
+
+
+def steady_offset(sequence: PatternSequence) -> PairOffset:
+    """Return the offset of a steady movement: E where the steps rise, none in the instrument's order."""
+    zero, quarter, half, three = sequence.axis(Direction.X).sine
+    return PairOffset(0.25 * (zero + half - quarter - three) ** 2)
+
+
 def predict(
     drift: Mapping[str, DriftMap],
     surface: SurfaceMap,
-    double_step2: float | None,
+    pair_way2: float | None,
     rig: StereoRig,
     water_index: float,
-    period_px: int,
+    sequence: PatternSequence,
     frame_s: float,
-    steps2: float = 1.0,
+    offset: PairOffset | None = None,
 ) -> Harm:
     """Predict the harm of a movement.
 
     It follows from the ``drift`` across the x-fringes that both cameras saw (keyed by side), from how the surface
-    stands, and from ``double_step2``, the mean square way of the albedo over the left image in two frames, px²
-    (``None``: there is none to see). ``steps2`` is the square of the mean first and last step of the x-sines over that
-    of their drift (``course.steps2``).
+    stands, and from ``pair_way2``, the mean square way of the albedo over the left image from one image of a pair to
+    the other, px² (``None``: there is none to see). ``offset`` is ``course.pair_offset``; ``None``: the movement is
+    steady.
     """
     left, right = drift["left"], drift["right"]
-    px_per_rad = period_px / (2.0 * np.pi)
+    offset = offset or steady_offset(sequence)
+    m, n = sequence.axis(Direction.X).pair_frames
+    ways2 = (m * m + n * n) / 8.0
+    # Mean square phase error of moving albedo, over what the contradiction of the steps shows of it.
+    hidden = 2.0 * ways2 / (steady_offset(sequence).of_drift2 + ways2)
+    px_per_rad = sequence.period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
         apart_px = left.drift_px - right.drift_px
         variance = left.sd_px**2 + right.sd_px**2
@@ -252,23 +279,25 @@ def predict(
         across = np.abs(depth) * surface.across
         noise_mm2 = (depth * surface.noise_px) ** 2 * (1.0 + READ_NOISE * _noisier(left, right))
         # Each half of the fringe is drawn by two images: it matters how far the pattern goes between the two.
-        double2 = 0.5 * ((left.early_px - right.early_px) ** 2 + (left.late_px - right.late_px) ** 2)
+        cosine_px, sine_px = left.cosine_px - right.cosine_px, left.sine_px - right.sine_px
+        way2 = 0.125 * (m * m * cosine_px**2 + n * n * sine_px**2)
         texture = 0.5 * (np.nan_to_num(left.texture_per_px2) + np.nan_to_num(right.texture_per_px2))
         noise2 = left.noise_rad2 + right.noise_rad2
         uneven = 0.5 * (left.uneven_rad2 + right.uneven_rad2) - 2.0 * NOISE_UNCERTAINTY * noise2
-        albedo_rad2 = UNEVEN_LEFT**2 * np.maximum(uneven, 0.0)
-        if double_step2 is not None:
+        albedo_rad2 = UNEVEN_LEFT**2 * hidden * np.maximum(uneven, 0.0)
+        if pair_way2 is not None:
             # C has one sum of four ways, which may well be none while the ways are long: to and fro.
             slope2 = 0.5 * (left.slope_per_px**2 + right.slope_per_px**2)
-            albedo_rad2 = albedo_rad2 + texture * slope2 * 0.25 * double_step2
+            albedo_rad2 = albedo_rad2 + texture * slope2 * 0.25 * pair_way2
         second2 = 0.5 * (left.second2 + right.second2)
-        # E² (s²/8 + 2 κ²) as it is left by reading, without what the drift's own uncertainty adds to its square.
+        # δ²/8 + 2 w² κ² E² as it is left by reading, without what the drift's own uncertainty adds to its square.
         first, second, third = (
-            _read(left, right, cycles * abs(right.slope_per_px) / period_px) for cycles in (1, 2, 3)
+            _read(left, right, cycles * abs(right.slope_per_px) / sequence.period_px) for cycles in (1, 2, 3)
         )
-        ripple2 = 0.125 * steps2 * (second - variance) + second2 * (first + third - 2.0 * variance)
-        # E² (P/2π)² g² of both halves of the fringe, and what moving albedo leaves.
-        ripple2 += px_per_rad**2 * ((double2 - 2.0 * variance) * texture + albedo_rad2)
+        ripple2 = 0.125 * (offset.of_drift2 * (second - variance) + offset.px2)
+        ripple2 += ways2 * second2 * (first + third - 2.0 * variance)
+        # w² E² (P/2π)² g² of both halves of the fringe, and what moving albedo leaves.
+        ripple2 += px_per_rad**2 * ((way2 - 2.0 * ways2 * variance) * texture + albedo_rad2)
         known = np.isfinite(apart_px) & np.isfinite(across) & np.isfinite(noise_mm2) & np.isfinite(ripple2)
         if known.any():
             known &= variance < UNSURE**2 * np.median(variance[known])

@@ -18,6 +18,7 @@ from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import CameraNoise
+from appliance.measure.light.patterns import RISING_STEPS, Direction, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.points.sigma import four_step_variance_px2
 from appliance.measure.points.table import Cloud
@@ -25,9 +26,9 @@ from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.measure.verdicts.motion.cells import RunSums
-from appliance.measure.verdicts.motion.course import steps2
+from appliance.measure.verdicts.motion.course import pair_offset
 from appliance.measure.verdicts.motion.drift import DriftMap, drift_map, edge_shifts
-from appliance.measure.verdicts.motion.harm import Harm, Place, place_of, predict, surface_map
+from appliance.measure.verdicts.motion.harm import Harm, PairOffset, Place, place_of, predict, surface_map
 from appliance.measure.verdicts.motion.scores import (
     EDGE_FLOOR_PX,
     MOVED,
@@ -120,13 +121,18 @@ def judge_motion(
     variance_px2 = four_step_variance_px2(cloud.modulation_dn, light_dn, noise["left"], sequence.period_px)
     surface = surface_map(cloud, left.p_px, left.q_px, variance_px2, drift["left"].drift_px.shape)
     flow, texture = flow_score(textures), texture_score(textures)
-    double_step2 = _double_step2(albedo, flow, texture)
-    harm = predict(drift, surface, double_step2, rig, water_index, sequence.period_px, images.frame_s)
+    pair_way2 = _pair_way2(albedo, sequence, flow, texture)
+    harm = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s)
     trend = drift_trend(harm)
     course = edge_course(edges, harm)
-    shaken = steps2(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
-    if shaken is not None:
-        harm = predict(drift, surface, double_step2, rig, water_index, sequence.period_px, images.frame_s, shaken)
+    offset = pair_offset(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
+    if offset is not None:
+        harm = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s, offset)
+    drift_over_noise = None
+    if sequence.steps != RISING_STEPS:
+        # Other judges see a drift as they would if the steps rose, whatever it makes of the points.
+        seen = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s, PairOffset(1.0))
+        drift_over_noise = seen.ripple
     scores = Scores(
         None if trend is None else trend.score,
         edges_score(course),
@@ -138,7 +144,7 @@ def judge_motion(
     kind = _kind(scores, trend, harm, course, axial, lateral)
     place = place_of(harm, (rig.left.width_px, rig.left.height_px))
     shift = _shift(drift["left"], harm, textures["left"], len(sequence))
-    judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost)
+    judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost, drift_over_noise)
     return MotionJudgement(
         judgement,
         kind,
@@ -154,15 +160,18 @@ def judge_motion(
     )
 
 
-def _double_step2(albedo: Mapping[str, AlbedoShifts], flow: float | None, texture: float | None) -> float | None:
-    """Return the mean over the cameras that see any albedo; ``None`` unless the scores of ``flow`` or ``texture`` say
-    that it moved.
+def _pair_way2(
+    albedo: Mapping[str, AlbedoShifts], sequence: PatternSequence, flow: float | None, texture: float | None
+) -> float | None:
+    """Return the mean square way of the albedo within a pair of steps, over the cameras that see any; ``None`` unless
+    the scores of ``flow`` or ``texture`` say that it moved.
 
     The water's light goes with the stripes, and looks like a way of what is lit by them.
     """
     if max(flow or 0.0, texture or 0.0) < MOVED:
         return None
-    known = [step2 for one in albedo.values() if (step2 := one.double_step2) is not None]
+    ways = (one.mean_way2(frames) for one in albedo.values() for frames in sequence.axis(Direction.X).pair_frames)
+    known = [way2 for way2 in ways if way2 is not None]
     return float(np.mean(known)) if known else None
 
 
@@ -322,6 +331,7 @@ def _judgement(
     place: Place | None,
     scores: Scores,
     lost: float,
+    drift_over_noise: float | None = None,
 ) -> Judgement:
     moved = kind is not MotionKind.STILL
     speeds = []
@@ -351,6 +361,8 @@ def _judgement(
         "place_u_px": None if place is None or not moved else place.u_px,
         "place_v_px": None if place is None or not moved else place.v_px,
     }
+    if drift_over_noise is not None:
+        numbers["drift_over_noise"] = drift_over_noise
     if added is None:
         return Judgement(Verdict(NAME, None, numbers, "too little to judge by"))
     text = kind.value

@@ -17,6 +17,7 @@ from appliance.desk.foreign.own_form import calibration_of, own_frames, own_sequ
 from appliance.desk.foreign.points import ForeignScan
 from appliance.desk.foreign.problem import ForeignError
 from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.patterns import RISING_STEPS, STEPS, PatternSequence
 from appliance.measure.light.pinhole import Lens
 from appliance.store.ply import read_ply
 from tests.support.commands import Shell
@@ -107,6 +108,23 @@ def test_the_reason_why_a_set_is_no_scan_of_our_form_is_named(
     found = own_sequence(counted(said, said.order), images)
     assert isinstance(found, str) == bool(reason)
     assert reason in str(found)
+
+
+@pytest.mark.parametrize(
+    ("shown", "steps"),
+    [("[0, 90, 270, 180]", STEPS), ("[0, 90, 180, 270]", RISING_STEPS), ("[0, 180, 90, 270]", RISING_STEPS)],
+)
+def test_a_set_keeps_the_order_of_its_steps_where_it_is_one_of_ours(shown: str, steps: tuple[int, ...]) -> None:
+    said = parse_description(OWN.replace("steps = 4", f"steps_deg = {shown}"), Path(), "own", "own.toml")
+    assert said.order is not None
+    images = ImageSet(said.order, (), np.arange(len(said.order), dtype=np.uint8)[:, None, None], 255.0)
+    described = counted(said, said.order)
+    sequence = own_sequence(described, images)
+    assert isinstance(sequence, PatternSequence)
+    assert sequence.steps == steps
+    # Frame 9 is the first step of X; either order of ours leaves the images where they are.
+    found = own_frames(sequence, described, images).ravel()[9:13].tolist()
+    assert found == ([9, 11, 10, 12] if shown == "[0, 180, 90, 270]" else [9, 10, 11, 12])
 
 
 def test_images_are_put_into_our_order() -> None:

@@ -93,7 +93,7 @@ def own(sequence: PatternSequence, stack: NDArray[np.uint8]) -> tuple[Descriptio
     """The instrument's own images, described as if they were another's."""
     bits = [len([p for p in sequence.patterns if p.name.startswith(f"gray-{axis}")]) for axis in "xy"]
     order = parse_order(f"bright dark gray-x*{bits[0]} sine-x*4 gray-y*{bits[1]} sine-y*4", "order")
-    steps = ((0.0, 90.0, 180.0, 270.0),)
+    steps = (tuple(90.0 * step for step in sequence.steps),)
     period = float(sequence.period_px)
     axes = tuple(
         AxisConvention(name, float(size), (period,), steps, bits=n, stripe_px=0.5 * period)

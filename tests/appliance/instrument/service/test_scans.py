@@ -177,7 +177,7 @@ def test_other_water_another_sequence_and_another_calibration_are_measured_with_
     scans.use_sequence(build_sequence(64, 64, 64))
     assert (scans.scan, scans.sequence.period_px, scans.busy) == (None, 64, True)
     order = scans.worker.order
-    assert (order.water, order.calibration, order.period_px) == (scans.water, other, 64)
+    assert (order.water, order.calibration, order.sequence) == (scans.water, other, scans.sequence)
     assert len(scans.store.frames("left")) == len(scans.sequence)
 
 

@@ -28,6 +28,7 @@ from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import LOST, Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.news import (
     Bracket,
     CoarseCloud,
@@ -154,7 +155,7 @@ class Desk:
 def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Desk]:
     machine, time = Machine(tmp_path), Time()
     monkeypatch.setattr(multiprocessing, "get_context", lambda kind: machine)
-    order = WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768)
+    order = WorkOrder(synthetic.calibration(), synthetic.WATER, build_sequence(16))
     with FrameStore(N, 300, 400) as store:
         worker = ReconstructionWorker(order, store, time)
         made = Desk(worker, machine, time)
@@ -451,10 +452,10 @@ def test_a_machine_without_room_for_a_process_says_so_and_is_asked_again(desk: D
 def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: Desk) -> None:
     desk.ready()
     desk.worker.begin(7)
-    order = WorkOrder(synthetic.calibration(), synthetic.WATER, 18, 1024, 768)
+    order = WorkOrder(synthetic.calibration(), synthetic.WATER, build_sequence(32))
     with FrameStore(N + 1, 300, 400) as other:
         desk.worker.change(order, other)
-        known = ((18, 1024, 768), order.noise, (other.name, N + 1, 300, 400), desk.machine.started[0].arguments[5])
+        known = (build_sequence(32), order.noise, (other.name, N + 1, 300, 400), desk.machine.started[0].arguments[5])
         assert desk.child.arguments[2:6] == known
     assert desk.child.arguments[6] == 1000.0
     assert (desk.worker.order, desk.worker.restarts) == (order, 0)

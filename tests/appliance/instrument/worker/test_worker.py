@@ -43,7 +43,7 @@ def store() -> Iterator[FrameStore]:
 @pytest.fixture(scope="module")
 def worker(store: FrameStore) -> Iterator[ReconstructionWorker]:
     """One for all: starting the process is most of what a test here takes."""
-    with ReconstructionWorker(WorkOrder(CALIBRATION, synthetic.WATER, 16, 1024, 768), store, MonotonicClock()) as made:
+    with ReconstructionWorker(WorkOrder(CALIBRATION, synthetic.WATER, SEQUENCE), store, MonotonicClock()) as made:
         assert made.wait(PATIENCE_S) == Ready()
         yield made
 

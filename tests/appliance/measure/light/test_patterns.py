@@ -13,6 +13,7 @@ from numpy.polynomial import chebyshev
 from appliance.measure.light.draw import draw_patterns, draw_sequence
 from appliance.measure.light.patterns import (
     PERIODS_PX,
+    STEP_ORDERS,
     Direction,
     Kind,
     Pattern,
@@ -26,10 +27,13 @@ from drivers.output.gl import open_gl
 FRAMES = {(16, 1024, 768): 24, (32, 1024, 768): 22, (64, 1024, 768): 20, (21, 1024, 768): 24, (16, 1280, 720): 25, (64, 1280, 720): 21}  # fmt: skip
 
 
+@pytest.mark.parametrize("steps", STEP_ORDERS)
 @pytest.mark.parametrize("made", FRAMES)
-def test_neighbours_differ_in_one_image_and_codes_and_phase_give_back_every_pixel(made: tuple[int, int, int]) -> None:
+def test_neighbours_differ_in_one_image_and_codes_and_phase_give_back_every_pixel(
+    made: tuple[int, int, int], steps: tuple[int, ...]
+) -> None:
     """Lengths are those of the paper; 1280 × 720, as DLP3010: 160 and 90 half periods of 16 px need 8 and 7 bits."""
-    sequence, period_px = build_sequence(*made), made[0]
+    sequence, period_px = build_sequence(*made, steps=steps), made[0]
     assert len(sequence) == FRAMES[made]
     for axis in map(sequence.axis, Direction):
         lit = np.array([sequence.patterns[i].codes() > 128 for i in axis.gray]).astype(np.int64)
@@ -57,8 +61,8 @@ P = list(build_sequence(64).patterns)
 @pytest.mark.parametrize(
     ("patterns", "said"),
     [
-        ([*P[:8], P[9], P[8], *P[10:]], r"frame 8 .* sine-x-180 .*; sine-x-90 .* belongs there"),
-        (P[:10] + P[11:], r"frame 10 .* gray-y-0 .*; sine-x-270"),
+        ([*P[:8], P[9], P[8], *P[10:]], r"frame 8 .* sine-x-270 .*; sine-x-90 .* belongs there"),
+        (P[:10] + P[11:], r"frame 10 .* gray-y-0 .*; sine-x-180"),
         ([*P[:11], replace(P[10], index=4), *P[11:]], r"frame 11 .* sine-x-360 .*; gray-y-0"),
         (P[:11], r"frame 11 .* nothing; gray-y-0"),
         (P[:2] + P[11:] + P[2:11], r"frame 2 .* gray-y-0 .*; gray-x-0"),
@@ -66,9 +70,10 @@ P = list(build_sequence(64).patterns)
         (P[:2] + P[7:11] + P[2:7] + P[11:], r"frame 2 .* sine-x-0 .*; gray-x-0"),
         ([P[0], *P[2:]], r"frame 1 .* gray-x-0 .*; dark"),
         ([P[0], *P[2:], P[1]], r"frame 1 .* gray-x-0 .*; dark"),
-        ([*P[:9], replace(P[9], period_px=32), *P[10:]], r"frame 9 .* sine-x-180 \(1024 px, period 32 px\); sine-x-180 \(1024"),
+        ([*P[:9], replace(P[9], period_px=32), *P[10:]], r"frame 9 .* sine-x-270 \(1024 px, period 32 px\); sine-x-270 \(1024"),
         ([*P[:16], replace(P[16], size_px=1024), *P[17:]], r"frame 16 .* sine-y-0 \(1024 px, .*; sine-y-0 \(768 px"),
-        ([*P, P[-1]], r"frame 20 .* sine-y-270 .*; nothing belongs there"),
+        ([*P[:18], P[19], P[18]], r"frame 18 .* sine-y-180 .*; sine-y-270"),
+        ([*P, P[-1]], r"frame 20 .* sine-y-180 .*; nothing belongs there"),
     ],
 )  # fmt: skip
 def test_a_sequence_that_breaks_what_its_judges_rely_on_cannot_be_made(patterns: list[Pattern], said: str) -> None:
@@ -88,6 +93,29 @@ def test_sequences_that_are_equal_are_one_key_and_the_frames_of_an_axis_are_thos
             assert {p.direction for p in named.values()} == {axis.direction}
             assert [named[k].kind for k in sorted(named)] == [Kind.GRAY] * len(axis.gray) + [Kind.SINE] * 4
             assert sum(p.direction is axis.direction for p in rest) == len(named)
+
+
+def test_sine_and_cosine_of_our_order_have_one_middle_and_those_of_the_rising_one_are_a_frame_apart() -> None:
+    for steps, pair_frames, apart in ((STEP_ORDERS[0], (3, 1), 0), (STEP_ORDERS[1], (2, 2), 1)):
+        sequence = build_sequence(32, steps=steps)
+        assert sequence.steps == steps
+        for axis in map(sequence.axis, Direction):
+            zero, quarter, half, three = axis.sine
+            assert (axis.pair_frames, (quarter + three - zero - half) // 2) == (pair_frames, apart)
+            assert (axis.last, axis.last - axis.gray[-1]) == (max(axis.sine), 4)
+    assert build_sequence(32).steps == (0, 1, 3, 2)
+
+
+@pytest.mark.parametrize("steps", STEP_ORDERS)
+def test_a_sequence_is_found_again_by_the_names_of_its_patterns(steps: tuple[int, ...]) -> None:
+    one = build_sequence(16, 400, 300, steps=steps)
+    for patterns in (one.patterns, (one.patterns[1], one.patterns[0], *one.patterns[2:])):
+        kept = PatternSequence(16, 400, 300, patterns)
+        assert PatternSequence.of_names(16, 400, 300, tuple(p.name for p in patterns)) == kept
+    with pytest.raises(
+        ValueError, match=r"patterns bright, .*: no sequence of 16 px on 400 × 300; allowed are bright, dark"
+    ):
+        PatternSequence.of_names(16, 400, 300, tuple(p.name for p in one.patterns[:-1]))
 
 
 X = np.linspace(-1.0, 1.0, 2001)

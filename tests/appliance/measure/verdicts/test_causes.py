@@ -174,6 +174,9 @@ HANDS = motion(5.0)
         ((motion(8.0), flicker(common=3.0, local=1.0)), FLICKER, over(0.9 * 12.25 - 2.4**2 * M2)),
         ((motion(8.0), flicker()), FLICKER, over(12.25 - 2.4**2 * M2)),
         ((motion(8.0), flicker(common=3.0, local=4.0, left_local_flicker_percent=None)), FLICKER, over(0.64 * 12.25 - 4.0**2 * M2)),
+        # A drift that makes no ripple is seen by the judge of light as one that does.
+        ((motion(0.0, drift_over_noise=1.3), flicker()), FLICKER, over(12.25 - 2.4**2 * 1.3**2)),
+        ((motion(8.0, drift_over_noise=0.1), flicker()), FLICKER, over(12.25 - 2.4**2 * M2)),
         # Before a movement of unknown harm a lamp has half of the change in common.
         ((motion(None), flicker(common=2.0, local=2.0)), FLICKER, over(12.25)),
         ((motion(None), flicker(common=2.0, local=2.01)), FLICKER, None),

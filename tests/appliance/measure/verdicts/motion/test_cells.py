@@ -182,9 +182,9 @@ def test_paint_is_found_where_it_lies_in_every_gray_image_that_shows_enough_of_i
     assert found.shift_px[known] == pytest.approx(np.outer(known, (0.05, -0.03)), rel=0.3, abs=0.1)
 
 
-def test_a_double_step_is_the_way_from_a_frame_to_the_next_but_one_without_its_noise() -> None:
+def test_the_mean_way_from_a_frame_to_the_next_but_one_is_without_its_noise() -> None:
     def double_step2(shift: list[tuple[float, float]], sd: list[float]) -> float | None:
-        return AlbedoShifts(np.array(shift), np.array(sd)).double_step2
+        return AlbedoShifts(np.array(shift), np.array(sd)).mean_way2(2)
 
     nan = float("nan")
     # 3-4-5 to the right and down, then back; the last is not known.

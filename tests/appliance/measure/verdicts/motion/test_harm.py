@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from appliance.measure.light.patterns import RISING_STEPS, PatternSequence, build_sequence
 from appliance.measure.verdicts.motion.drift import DriftMap
-from appliance.measure.verdicts.motion.harm import Harm, SurfaceMap, depth_per_px, predict
+from appliance.measure.verdicts.motion.harm import Harm, PairOffset, SurfaceMap, depth_per_px, predict
 from tests.support import synthetic
 
 CAL = synthetic.calibration()
 INDEX = synthetic.WATER.index
+OURS, RISING = build_sequence(16), build_sequence(16, steps=RISING_STEPS)
 
 
 def seen(depth_mm: float) -> tuple[DriftMap, DriftMap, np.ndarray]:
@@ -48,8 +50,12 @@ def surface(shape: tuple[int, ...]) -> SurfaceMap:
     return SurfaceMap(np.full(shape, 30.0), np.full(shape, 0.9), np.full(shape, 0.02))
 
 
-def harm_of(left: DriftMap, right: DriftMap, steps2: float = 1.0) -> Harm:
-    return predict({"left": left, "right": right}, surface(left.u_px.shape), None, CAL.rig, INDEX, 16, 1 / 60, steps2)
+def harm_of(
+    left: DriftMap, right: DriftMap, sequence: PatternSequence = RISING, offset: PairOffset | None = None
+) -> Harm:
+    return predict(
+        {"left": left, "right": right}, surface(left.u_px.shape), None, CAL.rig, INDEX, sequence, 1 / 60, offset
+    )
 
 
 def test_an_even_drift_is_that_of_left_less_right_and_a_speed_and_makes_a_ripple_over_noise() -> None:
@@ -65,7 +71,35 @@ def test_an_even_drift_is_that_of_left_less_right_and_a_speed_and_makes_a_ripple
     assert harm.ripple_rms_mm == pytest.approx(rms, rel=0.05)
     assert harm.noise_rms_mm == pytest.approx(noise)
     assert harm.added == pytest.approx(np.sqrt(1.0 + (harm.ripple or 0.0) ** 2) - 1.0, rel=1e-3)
-    assert harm_of(*moving, 0.49).ripple == pytest.approx(0.7 * (harm.ripple or 0.0), rel=1e-3), "a shake makes less"
+    shaken = harm_of(*moving, offset=PairOffset(0.49))
+    assert shaken.ripple == pytest.approx(0.7 * (harm.ripple or 0.0), rel=1e-3), "a shake makes less"
+
+
+def test_in_our_order_a_steady_drift_makes_no_ripple_and_an_offset_of_the_pairs_does() -> None:
+    left, right, _ = seen(500.0)
+    per_px = depth_per_px(left, right, CAL.rig, INDEX)
+    moving = replace(left, drift_px=np.full(per_px.shape, 0.12)), replace(right, drift_px=np.full(per_px.shape, 0.02))
+    assert harm_of(*moving, OURS).ripple_rms_mm == 0.0
+    rms = np.sqrt(np.mean((per_px * 0.9) ** 2 * 0.1**2 / 8.0))
+    assert harm_of(*moving, OURS, PairOffset(0.0, 0.1**2)).ripple_rms_mm == pytest.approx(rms, rel=1e-3)
+    # The projector's second harmonic: ways of 3 and 1 images in place of 2 and 2 make a quarter more of it.
+    left, right = (replace(one, second2=np.full(per_px.shape, 0.01)) for one in moving)
+    ours, rising = (harm_of(left, right, sequence, PairOffset(0.0)).ripple_rms_mm or 0.0 for sequence in (OURS, RISING))
+    assert rising == pytest.approx(np.sqrt(np.mean((per_px * 0.9) ** 2 * 2.0 * 0.01 * 0.1**2)), rel=0.1)
+    assert ours == pytest.approx(np.sqrt(1.25) * rising, rel=1e-6)
+
+
+@pytest.mark.parametrize(("sequence", "times"), [(RISING, 1.0), (OURS, 2.0)])
+def test_what_is_uneven_counts_twice_where_the_contradiction_holds_half_of_it(
+    sequence: PatternSequence, times: float
+) -> None:
+    left, right, _ = seen(500.0)
+    per_px = depth_per_px(left, right, CAL.rig, INDEX)
+    left, right = (replace(one, uneven_rad2=np.full(per_px.shape, 0.01)) for one in (left, right))
+    harm = harm_of(left, right, sequence)
+    # Of 0.3² of the square, less a fifth of the noise of both cameras, 1e-3 rad² each.
+    expected_px = 16.0 / (2.0 * np.pi) * 0.3 * np.sqrt(times * (0.01 - 0.2 * 2e-3))
+    assert harm.ripple_rms_mm == pytest.approx(expected_px * 0.9 * np.sqrt(np.mean(per_px**2)), rel=0.01)
 
 
 def test_what_is_within_its_uncertainty_harms_nothing_and_what_is_unknown_is_left_out() -> None:
@@ -93,7 +127,7 @@ def test_paint_that_moves_to_and_fro_harms_although_the_fringes_stand_still() ->
     painted = replace(left, texture_per_px2=np.full(left.u_px.shape, 0.02), sd_px=np.full(left.u_px.shape, 1e-6))
     per_px = depth_per_px(left, right, CAL.rig, INDEX)
     calm, shaken = (
-        predict({"left": painted, "right": right}, surface(per_px.shape), s2, CAL.rig, INDEX, 16, 1 / 60)
+        predict({"left": painted, "right": right}, surface(per_px.shape), s2, CAL.rig, INDEX, RISING, 1 / 60)
         for s2 in (None, 0.36)
     )
     assert calm.ripple == pytest.approx(0.0, abs=1e-3)

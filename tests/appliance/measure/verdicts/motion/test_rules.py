@@ -10,17 +10,17 @@ import pytest
 
 from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.fault import FaultCode
-from appliance.measure.light.patterns import build_sequence
+from appliance.measure.light.patterns import RISING_STEPS, build_sequence
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts
 from appliance.measure.verdicts.motion.drift import DriftMap, EdgeShifts
 from appliance.measure.verdicts.motion.harm import Harm, Place, place_of
 from appliance.measure.verdicts.motion.judge import (
     MotionKind,
     _axial,
-    _double_step2,
     _judgement,
     _kind,
     _lost_share,
+    _pair_way2,
     _shift,
     _to_and_fro,
     _turning_mm_s,
@@ -306,17 +306,17 @@ def test_what_is_shadow_or_saturated_or_veiled_was_not_lost_to_a_movement() -> N
 
 
 def test_the_way_of_the_paint_is_the_mean_of_the_cameras_that_see_any_unless_only_its_light_changes() -> None:
-    def double_step2(left_px: float, right_px: float, flow: float | None, texture: float | None) -> float | None:
+    def pair_way2(left_px: float, right_px: float, flow: float | None, texture: float | None) -> float | None:
         ways = (np.array([[0.0, 0.0], [0.0, 0.0], [px, 0.0]]) for px in (left_px, right_px))
         left, right = (AlbedoShifts(way, np.zeros(3)) for way in ways)
-        return _double_step2({"left": left, "right": right}, flow, texture)
+        return _pair_way2({"left": left, "right": right}, build_sequence(16, steps=RISING_STEPS), flow, texture)
 
-    assert double_step2(1.0, 3.0, None, 5.0) == pytest.approx(5.0)
-    assert double_step2(NAN, 3.0, 5.0, 0.0) == pytest.approx(9.0)
-    assert double_step2(NAN, NAN, 5.0, 5.0) is None
+    assert pair_way2(1.0, 3.0, None, 5.0) == pytest.approx(5.0)
+    assert pair_way2(NAN, 3.0, 5.0, 0.0) == pytest.approx(9.0)
+    assert pair_way2(NAN, NAN, 5.0, 5.0) is None
     # Stripes of light in turbid water are no paint that moves.
-    assert double_step2(1.0, 3.0, MOVED - 0.1, None) is None
-    assert double_step2(1.0, 3.0, MOVED, None) == pytest.approx(5.0)
+    assert pair_way2(1.0, 3.0, MOVED - 0.1, None) is None
+    assert pair_way2(1.0, 3.0, MOVED, None) == pytest.approx(5.0)
 
 
 def test_six_cells_with_points_make_a_trend_and_five_do_not() -> None:
