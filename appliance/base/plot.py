@@ -78,10 +78,14 @@ def draw_curves(
         # Limits stand out by being the only lines in red.
         ends = place(np.array([mark, mark]), np.array([low[1], low[1] + span[1]])).tolist()
         cv2.line(image, tuple(ends[0]), tuple(ends[1]), (30, 38, 179), 1)
+    # Names stand in the upper corner that the curves leave free.
+    middle = low[0] + 0.5 * span[0]
+    rises = ys[xs >= middle].max(initial=low[1]) > ys[xs < middle].max(initial=low[1])
+    names_px = _LEFT + 10 if rises else WIDTH_PX - 210
     for k, (name, (x_values, y_values)) in enumerate(drawn.items()):
         colour = _COLOURS[k % len(_COLOURS)]
         cv2.polylines(image, [place(x_values, y_values)], False, colour, 2, cv2.LINE_AA)
-        _write(image, name, (WIDTH_PX - 210, _TOP + 16 * (k + 1)), colour)
+        _write(image, name, (names_px, _TOP + 16 * (k + 1)), colour)
     _write(image, across, (WIDTH_PX // 2 - 60, HEIGHT_PX - 8))
     _write(image, upwards, (8, 12))
     return png(image)

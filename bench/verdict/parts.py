@@ -56,6 +56,7 @@ PARTS = MappingProxyType(
         "identity": "each frame is the pattern it should be",
         "identity_good": "good scans, at rest, moving, in milk and rushing by, that are called wrong",
         "motion": "what moved is rejected, what did no harm is not",
+        "motion_speed": "noise against the speed of the hands, for both orders of the steps",
         "compensation": "rigid motion taken out of the points",
         "compensation_full": "the same at the instrument's own resolution",
         "compensation_hard": "the same in flicker, milk, without paint, with steps and labels",

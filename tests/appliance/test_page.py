@@ -109,3 +109,16 @@ def test_a_curve_goes_from_corner_to_corner_of_its_axes_and_a_mark_is_red() -> N
     for u, v in ((70, 296), (880, 30), (475, 163)):
         assert (np.abs(image[v - 1 : v + 2, u - 1 : u + 2].astype(int) - (158, 105, 17)).sum(-1) < 30).any(), (u, v)
     assert image[60, 475].tolist() == image[250, 475].tolist() == [30, 38, 179]
+
+
+@pytest.mark.parametrize(("way", "left"), [(1.0, True), (-1.0, False)])
+def test_the_names_of_curves_stand_where_these_are_low(way: float, left: bool) -> None:
+    line = np.array([0.0, 10.0])
+    image = cv2.imdecode(
+        np.frombuffer(draw_curves({"curve": (line, way * line)}, "x", "y"), np.uint8), cv2.IMREAD_COLOR
+    )
+    assert image is not None
+    coloured = (np.abs(image.astype(int) - (158, 105, 17)).sum(-1) < 60)[30:60]
+    # The curve itself begins in the one corner or ends in the other.
+    assert bool(coloured[:, 690:730].any()) is not left
+    assert bool(coloured[:, 78:120].any())
