@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.model import StereoRig
-from appliance.measure.light.patterns import Direction, PatternSequence
+from appliance.measure.light.patterns import RISING_STEPS, Direction, PatternSequence
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdicts.motion.cells import CELL_PX
 from appliance.measure.verdicts.motion.drift import DriftMap
@@ -225,6 +225,9 @@ class Harm:
     """All cells: RMS of the ripple over that of the noise; ``None``: fewer than ``MIN_CELLS``."""
     ripple_rms_mm: float | None
     noise_rms_mm: float | None
+    drift_over_noise: float | None = None
+    """The same as ``ripple``, if the steps had risen: other judges see a drift so, whatever it makes of the points.
+    ``None``: they did."""
 
     @property
     def added(self) -> float | None:
@@ -303,12 +306,14 @@ def predict(
             known &= variance < UNSURE**2 * np.median(variance[known])
     weight = np.where(known, surface.points, 0.0)
     enough = int(np.count_nonzero(known)) >= MIN_CELLS
-    ripple = ripple_mm = noise_mm = None
+    ripple = ripple_mm = noise_mm = drift_over_noise = None
     if enough:
         share = weight[known] / weight[known].sum()
-        squared = np.array([share @ x[known] for x in (ripple2 * across**2, noise_mm2)])
-        ripple_mm, noise_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
+        rising2 = ripple2 + 0.125 * ((1.0 - offset.of_drift2) * (second - variance) - offset.px2)
+        squared = np.array([share @ x[known] for x in (ripple2 * across**2, noise_mm2, rising2 * across**2)])
+        ripple_mm, noise_mm, rising_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
         ripple = ripple_mm / noise_mm
+        drift_over_noise = None if sequence.steps == RISING_STEPS else rising_mm / noise_mm
     with np.errstate(invalid="ignore"):
         return Harm(
             apart_px,
@@ -322,6 +327,7 @@ def predict(
             ripple,
             ripple_mm,
             noise_mm,
+            drift_over_noise,
         )
 
 

@@ -18,7 +18,7 @@ from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import CameraNoise
-from appliance.measure.light.patterns import RISING_STEPS, Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.points.sigma import four_step_variance_px2
 from appliance.measure.points.table import Cloud
@@ -28,7 +28,7 @@ from appliance.measure.verdicts.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.measure.verdicts.motion.cells import RunSums
 from appliance.measure.verdicts.motion.course import pair_offset
 from appliance.measure.verdicts.motion.drift import DriftMap, drift_map, edge_shifts
-from appliance.measure.verdicts.motion.harm import Harm, PairOffset, Place, place_of, predict, surface_map
+from appliance.measure.verdicts.motion.harm import Harm, Place, place_of, predict, surface_map
 from appliance.measure.verdicts.motion.scores import (
     EDGE_FLOOR_PX,
     MOVED,
@@ -128,11 +128,6 @@ def judge_motion(
     offset = pair_offset(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
     if offset is not None:
         harm = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s, offset)
-    drift_over_noise = None
-    if sequence.steps != RISING_STEPS:
-        # Other judges see a drift as they would if the steps rose, whatever it makes of the points.
-        seen = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s, PairOffset(1.0))
-        drift_over_noise = seen.ripple
     scores = Scores(
         None if trend is None else trend.score,
         edges_score(course),
@@ -144,7 +139,7 @@ def judge_motion(
     kind = _kind(scores, trend, harm, course, axial, lateral)
     place = place_of(harm, (rig.left.width_px, rig.left.height_px))
     shift = _shift(drift["left"], harm, textures["left"], len(sequence))
-    judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost, drift_over_noise)
+    judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost)
     return MotionJudgement(
         judgement,
         kind,
@@ -331,7 +326,6 @@ def _judgement(
     place: Place | None,
     scores: Scores,
     lost: float,
-    drift_over_noise: float | None = None,
 ) -> Judgement:
     moved = kind is not MotionKind.STILL
     speeds = []
@@ -361,8 +355,8 @@ def _judgement(
         "place_u_px": None if place is None or not moved else place.u_px,
         "place_v_px": None if place is None or not moved else place.v_px,
     }
-    if drift_over_noise is not None:
-        numbers["drift_over_noise"] = drift_over_noise
+    if harm.drift_over_noise is not None:
+        numbers["drift_over_noise"] = harm.drift_over_noise
     if added is None:
         return Judgement(Verdict(NAME, None, numbers, "too little to judge by"))
     text = kind.value
