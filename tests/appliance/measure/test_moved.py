@@ -76,8 +76,24 @@ def test_motion_that_was_undone_is_no_fault_of_the_points(in_a_hand: Worked) -> 
     assert motion.fault is not None
     assert (motion.fault.code, motion.fault.detail) == (FaultCode.COMPENSATED, motion.verdict.text)
     assert said["compensation"].verdict.passed
+    added = motion.verdict.numbers["added_noise_percent"]
+    assert said["compensation"].verdict.numbers["error_before"] == pytest.approx(1.0 + 0.01 * (added or 0.0))
     assert "windows" not in said, "what moves is soft in one camera and not in the other"
     assert (in_a_hand.held.moved, in_a_hand.held.spoilt) == (True, False)
+
+
+def test_no_frame_is_read_before_it_arrives(in_a_hand: Worked) -> None:
+    scan, arrived = scan_in_a_hand(), {side: np.zeros_like(frames) for side, frames in scan_in_a_hand().frames.items()}
+    calibration = true_calibration(scan.renderer.truth)
+    with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+        processor = SequenceProcessor(pipeline, calibration, WATER)
+        processor.begin(AcquisitionSettings())
+        for side, frames in scan.frames.items():
+            for k, frame in enumerate(frames):
+                arrived[side][k] = frame
+                processor.push(side, arrived[side], k)
+        before = next(step for step in processor.steps() if isinstance(step, Verdicts))
+    assert before.judgements == next(step for step in in_a_hand.steps if isinstance(step, Verdicts)).judgements
 
 
 def test_where_no_motion_could_be_told_the_verdict_says_why() -> None:

@@ -64,6 +64,9 @@ def test_the_hand_is_found(moved: Corrected) -> None:
     assert np.abs(found.motion_mm - truth)[:4].max() < 0.04
     assert np.abs(found.motion_mm - truth)[4:].max() < 0.3
     assert found.converged
+    first, last = np.argmin(found.frames[:4]), np.argmax(found.frames[:4])
+    # 0.64 mm to a px, and a turn that hardly counts.
+    assert found.texture_px == pytest.approx(np.hypot(*(truth[last] - truth[first])[:2]) / 0.64, rel=0.15)
     assert found.ripple_before > 2.0
     assert found.ripple_after < 0.6
 

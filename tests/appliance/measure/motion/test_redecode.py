@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.measure.light.patterns import Direction, build_sequence
+from appliance.measure.light.patterns import STEP_ORDERS, Direction, build_sequence
 from appliance.measure.light.sine import PHASE_STEPS
-from appliance.measure.motion.albedo import denoised
+from appliance.measure.motion.albedo import denoised, gray_images
 from appliance.measure.motion.attempt import is_better
 from appliance.measure.motion.displacement import FIRST_FRAME, FRAME_COEFFICIENTS, OF_PHASE, DisplacementField
 from appliance.measure.motion.redecode import GOOD_VARIANCE, drop_new_borders, misfit_factor, phase_variance
@@ -92,3 +92,11 @@ def test_beside_nothing_only_what_was_decoded_as_well_stays() -> None:
     gone = {(int(y), int(x)) for y, x in zip(*np.nonzero(np.isnan(p_px)), strict=True)}
     assert gone == {(y, x) for y in (8, 9, 10) for x in (8, 9)} | {(9, 10)}
     np.testing.assert_array_equal(np.isnan(q_px), np.isnan(p_px))
+
+
+@pytest.mark.parametrize("steps", STEP_ORDERS)
+def test_the_gray_images_nearest_to_the_x_sines_in_time_are_asked_first(steps: tuple[int, ...]) -> None:
+    images = gray_images(build_sequence(16, steps=steps))
+    # X has the frames 2 to 8, its sines 9 to 12, Y 13 to 19; the bright frame comes last.
+    assert (images.near, sorted(images.stripes.frames[:8].tolist())) == (8, [5, 6, 7, 8, 13, 14, 15, 16])
+    assert images.stripes.frames[-1] == 0

@@ -93,6 +93,15 @@ def test_with_rising_steps_a_steady_movement_harms_as_its_drift_says(way: np.nda
 def test_in_our_order_a_steady_movement_makes_no_ripple(way: np.ndarray, within: float) -> None:
     assert of_drift2(way, OURS) == pytest.approx(0.0, abs=within)
     assert found(NO_EDGE, OURS) is None, "nothing says that it is not steady"
+    # Edges that are hardly known are no reason to fear a shake.
+    assert of_drift2(0.2 * MIDDLE, OURS, edge_sd_px=0.2) == pytest.approx(0.0, abs=0.04)
+
+
+def test_in_our_order_a_shake_that_hardly_drifts_is_not_measured_by_its_drift() -> None:
+    way = 0.02 * MIDDLE + 0.3 * np.cos(2.0 * np.pi * 6.0 * FRAME_S * MIDDLE)
+    x = way[-4:]
+    offset2 = ((x[0] + x[3] - x[1] - x[2]) / 2.0) ** 2
+    assert of_drift2(way, OURS) * 0.02**2 == pytest.approx(offset2, rel=0.35)
 
 
 @pytest.mark.parametrize("per_frame_px", [0.03, 0.06])

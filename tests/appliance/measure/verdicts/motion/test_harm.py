@@ -89,6 +89,21 @@ def test_in_our_order_a_steady_drift_makes_no_ripple_and_an_offset_of_the_pairs_
     assert ours == pytest.approx(np.sqrt(1.25) * rising, rel=1e-6)
 
 
+@pytest.mark.parametrize(("sequence", "pair_frames"), [(RISING, (2, 2)), (OURS, (3, 1))])
+def test_paint_that_both_cameras_see_at_two_places_counts_with_the_way_within_each_pair(
+    sequence: PatternSequence, pair_frames: tuple[int, int]
+) -> None:
+    left, right, _ = seen(500.0)
+    per_px = depth_per_px(left, right, CAL.rig, INDEX)
+    maps = {"cosine_px": 0.1, "sine_px": 0.3, "texture_per_px2": 0.02, "sd_px": 1e-6}
+    left = replace(left, **{name: np.full(per_px.shape, value) for name, value in maps.items()})
+    m, n = pair_frames
+    # Half of the texture is the right camera's, which sees none.
+    expected_px = 16.0 / (2.0 * np.pi) * np.sqrt(0.125 * ((0.1 * m) ** 2 + (0.3 * n) ** 2) * 0.01)
+    ripple_mm = harm_of(left, right, sequence, PairOffset(0.0)).ripple_rms_mm
+    assert ripple_mm == pytest.approx(expected_px * 0.9 * np.sqrt(np.mean(per_px**2)), rel=0.01)
+
+
 @pytest.mark.parametrize(("sequence", "times"), [(RISING, 1.0), (OURS, 2.0)])
 def test_what_is_uneven_counts_twice_where_the_contradiction_holds_half_of_it(
     sequence: PatternSequence, times: float

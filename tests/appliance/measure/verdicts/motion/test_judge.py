@@ -77,16 +77,17 @@ def test_moving_away_is_refused_with_its_speed() -> None:
     assert said.place is not None
     assert said.place.word == "everywhere"
     # The fringes move over the image by as much as the depth tells: 0.0144 pattern px per frame and mm/s.
-    half = np.nanmedian(np.abs(said.drift["left"].drift_px))
-    assert half == pytest.approx(0.0144 * 8.0, rel=0.15)
+    left = said.drift["left"]
+    for drift_px in (left.drift_px, left.cosine_px, left.sine_px):
+        assert np.nanmedian(np.abs(drift_px)) == pytest.approx(0.0144 * 8.0, rel=0.15)
 
 
 def test_moving_away_before_a_projector_whose_light_is_a_sine_is_named_and_kept() -> None:
-    said = judge(clean(AWAY, "none", response="linear"))
+    said = judge(clean(Motion(velocity_mm_s=(0.0, 0.0, -20.0)), "none", response="linear"))
     assert (said.judgement.verdict.passed, said.kind) == (True, MotionKind.AXIAL)
-    assert said.axial_mm_s == pytest.approx(8.0, rel=0.12)
+    assert said.axial_mm_s == pytest.approx(20.0, rel=0.12)
     assert said.added is not None
-    assert said.added < 0.03
+    assert said.added < 0.05, "what a drift leaks into the mean light is no texture"
     # Other judges see the drift none the less.
     assert (said.judgement.verdict.numbers["drift_over_noise"] or 0.0) > 1.0
 

@@ -314,6 +314,10 @@ def test_the_way_of_the_paint_is_the_mean_of_the_cameras_that_see_any_unless_onl
     assert pair_way2(1.0, 3.0, None, 5.0) == pytest.approx(5.0)
     assert pair_way2(NAN, 3.0, 5.0, 0.0) == pytest.approx(9.0)
     assert pair_way2(NAN, NAN, 5.0, 5.0) is None
+    # In our order the ways of a pair are three frames and one.
+    way = AlbedoShifts(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [2.0, 0.0]]), np.zeros(4))
+    ours = _pair_way2({"left": way, "right": way}, build_sequence(16), 5.0, None)
+    assert ours == pytest.approx(0.5 * (4.0 + 4.0 / 3.0))
     # Stripes of light in turbid water are no paint that moves.
     assert pair_way2(1.0, 3.0, MOVED - 0.1, None) is None
     assert pair_way2(1.0, 3.0, MOVED, None) == pytest.approx(5.0)
