@@ -1,4 +1,4 @@
-"""Owns the projector as the third eye of a calibration: learnt from its first normal scans, and from then on a check of it.
+"""The projector as the third eye of a calibration: learnt from its first normal scans, and from then on a check of it.
 
 Points of two cameras say where a projector stands that nobody has calibrated (``measure.motion.projector``). The first
 normal scans of a calibration teach it; the fit is kept with the calibration and never made again, so that what happens to
@@ -14,7 +14,7 @@ moved by: 93 µm for 0.02°. Over the image it is judged as the ray gap is, by a
     down      opposite at top and bottom: turns about x and z
     corners   opposite at neighbouring corners
 
-It also owns what is kept of it: one small file beside the health's, sealed, with the hash of its calibration.
+The fit lies in a small sealed file beside the health's, with the hash of its calibration:
 
     <root>/calibration/health/<first 16 digits of the calibration's hash>.projector.json
 """

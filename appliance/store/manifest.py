@@ -42,7 +42,7 @@ class SequenceInfo:
         names = tuple(pattern.name for pattern in sequence.patterns)
         return cls(sequence.period_px, sequence.width_px, sequence.height_px, names)
 
-    def described(self) -> PatternSequence:
+    def as_sequence(self) -> PatternSequence:
         """Return the sequence that is described. Raises ValueError where none has these patterns."""
         from appliance.measure import PatternSequence
 

@@ -180,7 +180,7 @@ class StoredScan:
     def sequence(self) -> PatternSequence:
         """The patterns it was recorded with, in their order. Raises ScanError where there is no such sequence."""
         try:
-            return self.manifest.record.sequence.described()
+            return self.manifest.record.sequence.as_sequence()
         except ValueError as error:
             raise ScanError(f"{self.folder}: {error}") from error
 

@@ -68,7 +68,8 @@ def fit_projector(
 
 def fit_projector_to(rig: StereoRig, scans: Sequence[ShownPoints], size_px: tuple[int, int]) -> FittedProjector:
     """Fit the projector to the points of several scans, as ``fit_projector`` does to those of one."""
-    points_mm, pattern_px = (np.concatenate([getattr(one, name) for one in scans]) for name in ShownPoints._fields[1:])
+    points_mm = np.concatenate([one.points_mm for one in scans])
+    pattern_px = np.concatenate([one.pattern_px for one in scans])
     if len(points_mm) < MIN_POINTS:
         raise ValueError(
             f"{len(points_mm)} points show the projector; needed are {MIN_POINTS}; scan more of the object"

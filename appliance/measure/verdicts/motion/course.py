@@ -62,7 +62,8 @@ def pair_offset(
     unit, rising = drift_unit(harm), steady.of_drift2 > 0.0
     # Where the steps rise, a drift that is lost in its noise makes no ripple to speak of; in the other order nothing
     # but the edges tells an offset.
-    if unit is None if rising else not np.isfinite(shift).any():
+    unknown = unit is None if rising else not np.isfinite(shift).any()
+    if unknown:
         return None
     if unit is None:
         sure, scale_px, per_cell = harm.weight > 0.0, UNIT_PX, np.full(harm.drift_px.shape, 1.0 / UNIT_PX)
