@@ -22,7 +22,6 @@ from appliance.measure import (
     Calibration,
     Cloud,
     Fault,
-    FaultCode,
     FullCloud,
     Grade,
     Judgement,
@@ -137,15 +136,12 @@ class ReprocessedScan:
 
     @property
     def unfit(self) -> Fault | None:
-        """Reason why its decoded maps must not calibrate; ``None`` where they may.
-
-        They are those of before any compensation.
-        """
+        """Reason why its decoded maps must not calibrate; ``None`` where they may."""
         return next((fault for fault in self.faults if _spoils_maps(fault)), None)
 
 
 def _spoils_maps(fault: Fault) -> bool:
-    return fault.code in SPOILS_SCAN | SPOILS_POINTS | {FaultCode.COMPENSATED}
+    return fault.code in SPOILS_SCAN | SPOILS_POINTS
 
 
 def reprocess_scan(
@@ -226,7 +222,7 @@ def _work_through(
     for step in processor.steps(even_if_wrong=True):
         match step:
             case Verdicts():
-                progress("taking the motion out" if step.compensating else "matching")
+                progress("matching")
             case FullCloud():
                 full = step
             case _:
