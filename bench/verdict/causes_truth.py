@@ -25,10 +25,12 @@ import numpy as np
 
 import appliance
 from appliance.instrument.machine.alerts import alert_of
+from appliance.measure.calibration.file import Calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.patterns import Direction
+from appliance.measure.light.water import Water
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.procedure import SequenceProcessor
 from appliance.measure.verdict import SPOILS_SCAN, Grade, grade
@@ -86,14 +88,10 @@ def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None)
 
     ``stated``: the calibration that states the truth about a rig of the world ``outside``; ``None``: the ordinary world.
     """
-    if stated is None:
-        calibration, noise, water = true_calibration(scan.renderer.truth), noise_at(exposure), WATER
-    else:
-        calibration, water = stated.calibration, stated.water
-        noise = noise_of(scan.renderer.scene, exposure.gain_db)
-    with Pipeline(calibration, water, scan.sequence, noise=noise) as pipeline:
+    settings, calibration, water = _taken(scan, exposure, stated)
+    with Pipeline(calibration, water, scan.sequence, noise=settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
-        full = processor.process(scan.frames, AcquisitionSettings(exposure=exposure, noise=noise, steps=STEPS))
+        full = processor.process(scan.frames, settings)
         cloud, judgements = pipeline.table.cloud(full.found), full.judgements
     faults = tuple(one.fault for one in judgements if one.fault is not None)
     summary = cloud.summary
@@ -108,6 +106,18 @@ def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None)
         {one.verdict.name: one.verdict.text for one in judgements},
         {one.verdict.name: dict(one.verdict.numbers) for one in judgements},
     )  # fmt: skip
+
+
+def _taken(
+    scan: RenderedScan, exposure: Exposure, stated: Stated | None
+) -> tuple[AcquisitionSettings, Calibration, Water]:
+    """How a scan was taken, and the calibration and water that state the truth."""
+    if stated is None:
+        calibration, noise, water = true_calibration(scan.renderer.truth), noise_at(exposure), WATER
+    else:
+        calibration, water = stated.calibration, stated.water
+        noise = noise_of(scan.renderer.scene, exposure.gain_db)
+    return AcquisitionSettings(exposure=exposure, noise=noise, steps=STEPS), calibration, water
 
 
 def written(outcome: Outcome) -> dict[str, Any]:
@@ -157,6 +167,12 @@ class Truth:
         if (spoilt, taken) not in self._known:
             self._known[spoilt, taken] = self._kept(spoilt, taken)
         return self._known[spoilt, taken]
+
+    def taken(self, spoilt: Spoilt) -> tuple[RenderedScan, AcquisitionSettings, Calibration, Water]:
+        """A scene's scan as it is exposed, how it was taken, and the calibration and water that state the truth."""
+        exposure = self._exposure_of(spoilt)
+        scan = frames_of(self._base, spoilt, self._keep, exposure, self._world)
+        return scan, *_taken(scan, exposure, self._stated)
 
     def _usual_exposure(self) -> Exposure | None:
         """In the world ``outside``, the one that suits the base: whites, sensors and spots of light differ there."""

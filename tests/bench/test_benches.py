@@ -15,6 +15,7 @@ from bench.whole_scan.scenes import DISC
 
 BENCHES = find("bench")
 SMALLEST = {
+    "ablation": "--scans 1 --rules motion.harm.UNEVEN_LEFT",
     "architecture": "",
     "import_sequences": "--only 3ps",
     "import_wrong_words": "--count 1",
