@@ -22,7 +22,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.decode.decoder import CameraDecoder
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import CameraNoise
@@ -42,7 +41,6 @@ from appliance.measure.verdicts.light.judge import judge_light
 from appliance.measure.verdicts.light.levels import Sample, Sampler
 from appliance.measure.verdicts.medium import NAME as MEDIUM
 from appliance.measure.verdicts.medium import judge_medium
-from appliance.measure.verdicts.motion.cells import RunSums, run_sums
 from appliance.measure.verdicts.motion.judge import judge_motion
 from appliance.measure.verdicts.motion.texture import Averager, Means
 from appliance.measure.verdicts.sides import NAME as SIDES_NAME
@@ -67,8 +65,6 @@ class Gathered:
     """Fringes that are seen without decoding."""
     means: Means
     """Images of texture for the judge of motion."""
-    runs: RunSums
-    """Sums of pixels of the sine images of X, for the same."""
     water: PixelGrid
     """Pixels for the judge of water."""
     windows: PixelGrid
@@ -76,19 +72,19 @@ class Gathered:
 
 
 class Gatherer:
-    """Gathers one sequence of one camera, whose grey values scatter by ``noise`` and whose frames ``decoded`` decodes."""
+    """Gathers one sequence of one camera, whose grey values scatter by ``noise``."""
 
-    def __init__(self, sequence: PatternSequence, noise: CameraNoise, decoded: CameraDecoder) -> None:
-        self._sequence, self._noise, self._decoded = sequence, noise, decoded
+    def __init__(self, sequence: PatternSequence, noise: CameraNoise) -> None:
+        self._sequence, self._noise = sequence, noise
         self._lines = LineTaker(sequence, noise)
         self._sampler = Sampler(sequence)
         self._averager = Averager(sequence)
         self._grids = (water_grid(sequence), window_grid(sequence))
-        self._of_x: tuple[EarlyFit, VisibleFringes, RunSums] | None = None
+        self._of_x: tuple[EarlyFit, VisibleFringes] | None = None
         self._pushed = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
-        """Take what is wanted of frame ``index`` of ``frames`` (n, h, w) uint8, once it is decoded; in order, from 0."""
+        """Take what is wanted of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
         self._pushed = index + 1
         self._lines.push(frames, index)
         self._sampler.push(frames, index)
@@ -96,12 +92,7 @@ class Gatherer:
         for grid in self._grids:
             grid.push(frames, index)
         if index == self._sequence.axis(Direction.X).last:
-            variance_dn2 = self._noise.dark_variance_dn2, self._noise.dn_per_e
-            self._of_x = (
-                fit_early(self._sampler.grey, self._sequence),
-                see(frames, self._sequence, self._noise),
-                run_sums(frames, self._decoded.p_px, self._sequence, variance_dn2),
-            )
+            self._of_x = fit_early(self._sampler.grey, self._sequence), see(frames, self._sequence, self._noise)
 
     def finish(self) -> Gathered:
         """Return what was gathered, after the last frame. Raises ValueError where frames are missing."""
@@ -109,17 +100,15 @@ class Gatherer:
             raise ValueError(
                 f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
             )
-        light, visible, runs = self._of_x
+        light, visible = self._of_x
         return Gathered(
-            self._lines.finish(), self._sampler.finish(), light, visible, self._averager.finish(), runs, *self._grids
+            self._lines.finish(), self._sampler.finish(), light, visible, self._averager.finish(), *self._grids
         )
 
 
-def gather(
-    frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise, decoded: CameraDecoder
-) -> Gathered:
-    """Gather whole ``frames`` (n, h, w) uint8 of one camera, as they were ``decoded``."""
-    gatherer = Gatherer(sequence, noise, decoded)
+def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Gathered:
+    """Gather whole ``frames`` (n, h, w) uint8 of one camera."""
+    gatherer = Gatherer(sequence, noise)
     for index in range(len(frames)):
         gatherer.push(frames, index)
     return gatherer.finish()
@@ -213,8 +202,7 @@ def _judge_water(given: JudgeInput, _: Earlier) -> Judgement:
 def _judge_motion(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge the movement between instrument and scene."""
     means = {side: one.means for side, one in given.gathered.items()}
-    runs = {side: one.runs for side, one in given.gathered.items()}
-    return judge_motion(given.images, given.cloud, given.rig, given.water_index, means, runs).judgement
+    return judge_motion(given.images, given.cloud, given.rig, given.water_index, means).judgement
 
 
 def _judge_grey(given: JudgeInput, earlier: Earlier) -> Judgement | None:

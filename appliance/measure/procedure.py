@@ -78,9 +78,7 @@ class SequenceProcessor:
         self._frames.clear()
         # What a scan that was cut off has left in the old ones is gone with them.
         pipeline, noise = self._pipeline, settings.noise
-        self._gatherers = {
-            side: Gatherer(pipeline.sequence, of_side(noise, side), pipeline.decoded(side)) for side in SIDES
-        }
+        self._gatherers = {side: Gatherer(pipeline.sequence, of_side(noise, side)) for side in SIDES}
         self._pipeline.expect(settings.noise)
         self._pipeline.reset()
 

@@ -129,7 +129,7 @@ def judge_scan() -> None:
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
         cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-        gathered = dict.fromkeys(SIDES, gather(frames, pipeline.sequence, TYPICAL, decoded["left"]))
+        gathered = dict.fromkeys(SIDES, gather(frames, pipeline.sequence, TYPICAL))
         identity = Judgement(Verdict("identity", None))
         given = JudgeInput(images, gathered, cloud, calibration.rig, _WATER.index, identity, pipeline)
         for judge in JUDGES:

@@ -185,7 +185,6 @@ def _change(rng: np.random.Generator) -> dict[str, Any]:
         "fault": None if judged.fault is None else judged.fault.code.value,
         "harmed_told": [numbers["left_flicker_harmed_percent"], numbers["right_flicker_harmed_percent"]],
         "ripple": float(np.sqrt(np.median(over_noise[lit] ** 2))), "ripple_told": numbers["left_flicker_over_noise"],
-        "alias_hz": numbers["flicker_alias_hz"],
     }  # fmt: skip
 
 

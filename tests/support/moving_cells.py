@@ -7,11 +7,8 @@ from typing import Any
 import numpy as np
 
 from appliance.measure.verdicts.motion.harm import Harm
-from appliance.measure.verdicts.motion.texture import TextureShift
 
 ROWS, COLUMNS = 6, 8
-NO_COURSE = (np.full(8, np.nan), np.full(8, np.nan))
-"""Of Gray edges that nobody saw."""
 
 
 def cells(value: float) -> np.ndarray:
@@ -33,10 +30,3 @@ def harm(ripple: float | None = 0.1, **maps: np.ndarray) -> Harm:
         "v_px": 25.0 + 50.0 * v,
     }
     return Harm(**(given | maps), ripple=ripple, ripple_rms_mm=0.004, noise_rms_mm=0.02)
-
-
-def texture(
-    flow: tuple[float, float] | None = None, sd: float = 0.1, change: float | None = None, early: float | None = None
-) -> TextureShift:
-    """Paint that flowed by so many px, 12 frames long, in an image that is binned by two."""
-    return TextureShift(flow, None if flow is None else sd, change, early, 12.0, 2)

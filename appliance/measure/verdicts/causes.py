@@ -20,6 +20,7 @@ from appliance.measure.cloud import CloudSummary
 from appliance.measure.decode.decoder import MIN_MODULATION_DN
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.noise import FULL_DN
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import sight_m
 from appliance.measure.verdict import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, Judgement, Verdict, is_usable
@@ -27,19 +28,13 @@ from appliance.measure.verdicts.water.judge import MOST_SIGHT_M, hides_object
 
 CAUSES_NAME = "causes"
 MOVED_LIKE_FLICKER = 2.4
-"""Largest multiple of the motion's ripple, as rising steps have it, that the judge of light may see and that is still motion: 1.5 to 1.7 times
-is usual where something moves. What exceeds it is light."""
-PAINT_LIKE_FLICKER = 4.0
-"""The same of what the parts of the picture have not in common: printed squares that move make up to 2.4 times the
-motion's ripple."""
+"""Largest multiple of the drift over the noise that the judge of light may see and that is still motion: 1.5 to 1.7 times is usual where
+something moves. What exceeds it is light."""
 LAMP_IN_COMMON = 0.5
 """Share of the squares of the changes that all parts of the picture have in common: before a lamp 0.9 and more, where
 something moves before paint of any kind mostly below 0.3."""
 CLEAR_WATER_PERCENT = 12.0
 """Pixels that are lost where a smaller share is hidden by backscatter are not lost to the water."""
-OUTSHINES_PERCENT = 40.0
-"""Share of the light that carries fringes, below which the backscatter outshines the object: fringes carry 0.8 of an
-object's own. Only from there on does it turn bits of the Gray code over."""
 LEAST_SHARE = 0.05
 """A cause that explains less is not named where its judge would not have raised it."""
 ENOUGH_FRINGE_DN = 8.0
@@ -47,11 +42,6 @@ ENOUGH_FRINGE_DN = 8.0
 
 The ninth tenth of the cells must reach it with the longest exposure, or no exposure helps.
 """
-RUSHING_FRINGE_DN = 10.0
-"""Fringes of this amplitude and more are decoded, unless something moves fast."""
-FOLLOWED_FRINGE_DN = MIN_MODULATION_DN
-"""The same where the texture was seen to move: from this amplitude on a pixel is decoded at rest."""
-FULL_SCALE_DN = 235.0
 MOST_SATURATED = 0.25
 """Share of the illuminated pixels: beyond, weak fringes say nothing about darkness."""
 SEEN_FRINGE_DN = 0.5
@@ -64,10 +54,6 @@ SWALLOWS_PER_M = 1.6
 two to three times as much."""
 MOST_OUTSIDE = 0.5
 """Share of the points that lie outside of the depths measured; beyond, distance is what ails the scan."""
-FAINT_AND_NEAR = 0.5
-"""Most that nearness takes of what is too faint at any distance: the light comes first."""
-FAINT_AND_MOVED = 0.5
-"""Most that faintness takes of fringes that a pixel shows at rest and that move too fast to be decoded."""
 ALL = 1.0
 
 _MISTRACED = frozenset({FaultCode.SIDES_EXCHANGED, FaultCode.NOT_IN_WATER})
@@ -218,8 +204,7 @@ def _all(
     """Yield what every judge's numbers make likely, whether or not it is worth telling."""
     light, water, motion, sight = (_numbers(of, name) for name in ("light", "water", "motion", "sight"))
     poor = not is_usable(summary.coverage_percent, summary.noise_mm)
-    moved = _moved_ripple(motion)
-    outside = _outside(sight, _saturated(light, water))
+    outside = _outside(sight)
     rushing = _rushing(motion, sight, light, water, summary) if poor and outside is None else None
     if rushing is not None:
         yield rushing
@@ -229,11 +214,11 @@ def _all(
     if outside is not None:
         yield outside
     yield from _levels(of, light, water, _best_fringe_dn(sight, present, steps))
-    yield from _water(of, water, moved if rushing is None else 1.0, _saturated(light, water))
-    if poor and (outside is None or outside.share < ALL):
-        faint = _faint(sight, light, water, summary, present, steps)
-        if faint is not None:
-            yield faint if rushing is None else replace(faint, share=min(faint.share, FAINT_AND_MOVED))
+    still = rushing is None and not _moves(motion)
+    yield from _water(of, water, _saturated(light, water), still=still)
+    faint = _faint(sight, light, water, summary, present, steps) if poor and outside is None else None
+    if faint is not None:
+        yield faint
 
 
 def _motion(of: Mapping[str, Judgement], motion: Numbers) -> Iterator[Cause]:
@@ -254,30 +239,16 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
     each other.
 
     A lamp that flickers leaves the Gray code readable, and what is saturated, behind backscatter, faint or outside is
-    distinguished from this. Backscatter is measured at pixels that are decoded, of which movement leaves few that are
-    right: where something was seen to move, the fringes tell by themselves whether it outshines the object.
+    distinguished from this.
     """
     fringe = sight.get("fringe_dn")
-    followed = _is_followed(motion)
-    least = FOLLOWED_FRINGE_DN if followed else RUSHING_FRINGE_DN
-    if motion.get("added_noise_percent") is not None or fringe is None or fringe < least:
+    if motion.get("added_noise_percent") is not None or fringe is None or fringe < ENOUGH_FRINGE_DN:
         return None
     turbid = (water.get("veil_percent") or 0.0) >= CLEAR_WATER_PERCENT
-    if turbid and _moves(motion):
-        turbid = (sight.get("object_percent") or 0.0) < OUTSHINES_PERCENT
     if turbid or _saturated(light, water) > MOST_SATURATED:
         return None
-    seen = ", and the texture moves" if followed else ""
-    detail = f"fringes of {fringe:.0f} DN that contradict each other{seen}: something moves fast"
+    detail = f"fringes of {fringe:.0f} DN that contradict each other: something moves fast"
     return Cause(Fault(FaultCode.MOVED, detail), 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0), True)
-
-
-def _moved_ripple(motion: Numbers) -> float:
-    """Return the ripple that the motion makes over the points' noise, 0 at rest."""
-    added = motion.get("added_noise_percent")
-    if added is None or not _moves(motion):
-        return 0.0
-    return math.sqrt(max((1.0 + 0.01 * added) ** 2 - 1.0, 0.0))
 
 
 def _flicker(light: Numbers, of: Mapping[str, Judgement], motion: Numbers) -> Iterator[Cause]:
@@ -293,10 +264,8 @@ def _flicker(light: Numbers, of: Mapping[str, Judgement], motion: Numbers) -> It
         if motion.get("added_noise_percent") is None:
             own = own if lamp >= LAMP_IN_COMMON else 0.0
         else:
-            moved = max(_moved_ripple(motion), motion.get("drift_over_noise") or 0.0)
-            own = max(
-                lamp * own - (MOVED_LIKE_FLICKER * moved) ** 2, (1.0 - lamp) * own - (PAINT_LIKE_FLICKER * moved) ** 2
-            )
+            moved = motion.get("drift_over_noise") or 0.0
+            own = max(lamp, 1.0 - lamp) * own - (MOVED_LIKE_FLICKER * moved) ** 2
     if own > 0.0:
         yield Cause(judged.fault, own / (1.0 + own), True)
 
@@ -310,20 +279,14 @@ def _in_common(light: Numbers, side: str) -> float:
     return common**2 / max(common**2 + local**2, 1e-12)
 
 
-def _is_followed(motion: Numbers) -> bool:
-    """Say whether texture was followed from image to image that moved for certain."""
-    score, least = motion.get("score_flow"), motion.get("score_limit")
-    return score is not None and least is not None and score >= least
-
-
 def _moves(motion: Numbers) -> bool:
     """Say whether anything was found to move, be its harm known or not."""
     score, least = motion.get("score"), motion.get("score_limit")
     return score is not None and least is not None and score >= least
 
 
-def _outside(sight: Numbers, saturated: float) -> Cause | None:
-    """Return too near or too far; ``saturated``: share of the illuminated pixels, of which the fringes say nothing."""
+def _outside(sight: Numbers) -> Cause | None:
+    """Return too near or too far: all else outside gives no points, however bright or still it is."""
     distance = sight.get("distance_mm")
     if distance is None:
         return None
@@ -334,12 +297,7 @@ def _outside(sight: Numbers, saturated: float) -> Cause | None:
     code = FaultCode.SCAN_NEAR if near > far else FaultCode.SCAN_FAR
     word = "nearer" if near > far else "farther"
     what = f"{100.0 * share:.0f} % of what is seen lies {word} than is measured, most at {distance:.0f} mm"
-    fringe = sight.get("fringe_dn")
-    faint = fringe is not None and fringe < ENOUGH_FRINGE_DN and saturated <= MOST_SATURATED
-    # So near and still too faint: farther away it is fainter. What is too far, coming closer mends in either case. All
-    # else outside gives no points, however bright or still it is.
-    share = min(share, FAINT_AND_NEAR) if code is FaultCode.SCAN_NEAR and faint else ALL
-    return Cause(Fault(code, what, {"distance_mm": distance}), share, True)
+    return Cause(Fault(code, what, {"distance_mm": distance}), ALL, True)
 
 
 def _levels(
@@ -383,12 +341,12 @@ def _saturated(light: Numbers, water: Numbers, *, burnt: bool = True) -> float:
     return max(left, right)
 
 
-def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated: float) -> Iterator[Cause]:
+def _water(of: Mapping[str, Judgement], water: Numbers, saturated: float, *, still: bool) -> Iterator[Cause]:
     """Yield what the water takes, as shares of the object's pixels that are not saturated: ``saturated`` of them all
     are.
 
-    Its judge may have been moved by specks alone, which say nothing where something moves (``moved``): what backscatter
-    there is besides is then named only for a scan that is not usable.
+    Its judge may have been moved by specks alone, which say nothing unless all is ``still``: what backscatter there is
+    besides is then named only for a scan that is not usable.
     """
     judged = of.get("water")
     if judged is None or judged.fault is None:
@@ -397,11 +355,11 @@ def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated:
     masked = 0.01 * (water.get("masked_percent") or 0.0)
     turbid = 100.0 * backscatter >= CLEAR_WATER_PERCENT
     shares = [hidden if turbid else 0.0, backscatter if turbid and masked > hidden else 0.0]
-    if moved == 0.0:
+    if still:
         shares.append(specks)
     share = (1.0 - saturated) * max(shares)
     if share > 0.0:
-        yield Cause(judged.fault, share, moved == 0.0 or hides_object(masked, backscatter, hidden))
+        yield Cause(judged.fault, share, still or hides_object(masked, backscatter, hidden))
 
 
 def _faint(
@@ -445,7 +403,7 @@ def _best_fringe_dn(sight: Numbers, present: Exposure, steps: Sequence[Exposure]
     fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
     if fringe is None:
         return None
-    factor = min(_room(present, steps), FULL_SCALE_DN / max(top, 1.0))
+    factor = min(_room(present, steps), FULL_DN / max(top, 1.0))
     longest_us = max((step.time_us for step in steps), default=present.time_us)
     # Time before gain, for it costs no noise; light is counted in µs at 0 dB.
     gain = max(1.0, present.light * factor / longest_us)

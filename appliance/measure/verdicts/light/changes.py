@@ -1,4 +1,4 @@
-"""Owns changes of the ambient light during a sequence: where, how strong, at which frequency, and the phase bias.
+"""Owns changes of the ambient light during a sequence: where, how strong, and the phase bias.
 
 Principle. The four sine images I0..I3 of one direction give (I0 − I2, I3 − I1) = 2B (cos φ, sin φ). That is a circle
 about the origin, and bright and dark image tell its radius. Ambient light that changes by δ0..δ3 moves the circle's
@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +30,10 @@ from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.points.quality import median
 from appliance.measure.verdicts.light.fit import (
     CLIP,
-    COSINE,
-    EXPECTED,
-    SIGMA,
-    SINE,
-    THIRD,
     common_of_neighbours,
     fit_blocks,
     in_blocks,
     medians_of,
-    stripe_levels,
 )
 from appliance.measure.verdicts.light.levels import Sample
 
@@ -55,27 +49,8 @@ SURE = 0.5
 """A block is judged when its shift is known better than this, times what would harm."""
 HARMFUL_RIPPLE = 0.5
 """Bias of the phase, as a share of its noise, from which on it is seen in the surface."""
-EXPLAINED = 0.8
-"""Share of the changes that one frequency must explain to be named."""
-MIN_LEVELS = 12
-FINE_IMAGES = 4
-"""Number of each direction's finest Gray images that are used: all of a block's pixels do not lie in one of their
-stripes."""
-RANK = 1e-10
-"""Relative cut-off below which a cosine or a sine counts as missing: at half the frame rate there is only one of
-them."""
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class LightLevel:
-    """Light in one frame, as a share of the projector's, less the mean of the frames of its group."""
-
-    frame: int
-    group: str
-    """``gray x``, ``sine x`` …: what patterns add is the same only within a group."""
-    share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +67,11 @@ class Changes:
     """Amplitude of what all blocks have in common, as a share of the projector's light."""
     local: float | None
     """Amplitude of what they have not: rms over the blocks, the fit's own noise taken off."""
-    levels: tuple[LightLevel, ...]
-    """Levels that all blocks have in common, frame by frame."""
     ambient_flicker: float | None
     """``common`` over ambient light; unknown where there is next to none."""
 
 
-UNKNOWN = Changes(None, None, None, None, None, (), None)
+UNKNOWN = Changes(None, None, None, None, None, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,8 +179,7 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise, ea
     ripple = np.sqrt(square) / (2.0 * relative)
     # A fringe's amplitude is half of the contrast: phase = difference / (2 √2 B).
     ripple_px = sequence.period_px / (2.0 * np.pi) * np.sqrt(square) / np.sqrt(2.0)
-    common, local, sines = _apart(fits, judged, weight, sequence)
-    levels = (*_gray_levels(grey, sequence, pixels, contrast), *sines)
+    common, local = _apart(fits, judged, weight)
     ambient = median((s.dark_dn.reshape(-1)[pixels] - noise.black_dn) / contrast)
     return Changes(
         harmed=float(weight[ripple > HARMFUL_RIPPLE].sum()),
@@ -215,48 +187,8 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise, ea
         ripple_px=_median(ripple_px, weight),
         common=common,
         local=local,
-        levels=levels,
         ambient_flicker=common / ambient if ambient > 0.02 else None,
     )
-
-
-def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[float, float] | None:
-    """Return the frequency, up to half the frame rate, that explains most of the levels' changes, and the share it
-    explains.
-
-    Lamps that flicker faster appear at another one: 100 Hz at 20 Hz, 120 Hz not at all, at 60 frames per second.
-    ``None`` where no frequency stands out, for fewer than twelve frames, or where frames come so slowly that none could
-    be told (below four a second).
-    """
-    if len(levels) < MIN_LEVELS:
-        return None
-    frame = np.array([level.frame for level in levels], np.float64)
-    share = np.array([level.share for level in levels])
-    _, group = np.unique([level.group for level in levels], return_inverse=True)
-    value = _centred(share, group)
-    total = float(np.sum(value**2))
-    if total == 0.0:
-        return None
-    candidates, basis, inverse = _waves(tuple(frame.tolist()), tuple(group.tolist()), frame_s)
-    if not candidates.size:
-        return None
-    fitted = np.einsum("cnk,ck->cn", basis, inverse @ value)
-    shares = 1.0 - np.sum((value - fitted) ** 2, axis=1) / total
-    best = int(np.argmax(shares))
-    hz, explained = float(candidates[best]), float(shares[best])
-    return (hz, explained) if explained >= EXPLAINED else None
-
-
-@lru_cache(maxsize=4)
-def _waves(frame: tuple[float, ...], group: tuple[int, ...], frame_s: float) -> tuple[Floats, Floats, Floats]:
-    """Return frequencies that levels in these frames, of these groups, may tell, their waves (frequencies, frames, 2)
-    and the inverses of these. They are the same in every scan, and not to be written to."""
-    candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
-    # A cosine and a sine of each candidate, without the mean of each group, as the levels are.
-    angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
-    of = np.array(group)
-    basis = np.stack([_centred(np.cos(angle), of), _centred(np.sin(angle), of)], axis=-1)
-    return candidates, basis, np.asarray(np.linalg.pinv(basis, rcond=RANK), np.float64)
 
 
 def _fit_the_rest(
@@ -304,53 +236,23 @@ def _fit(
     usual = CLIP * MAD_TO_SIGMA
     most_dn, most_share = usual * median(np.abs(third * contrast)), usual * median(np.abs(third))
     fine = common_of_neighbours(third, contrast, *places, order, ends, most_dn, most_share)
-    return _Fit(found[COSINE], found[SINE], found[THIRD], found[SIGMA], found[EXPECTED], fine)
+    cosine, sine, third_common, sigma, expected = found
+    return _Fit(cosine, sine, third_common, sigma, expected, fine)
 
 
-def _apart(
-    fits: dict[Direction, _Fit], judged: NDArray[np.bool_], weight: Floats, sequence: PatternSequence
-) -> tuple[float, float, list[LightLevel]]:
-    """Return the amplitude of what blocks have in common, of what they have not, and the common levels of the sine
-    images."""
-    levels: list[LightLevel] = []
+def _apart(fits: dict[Direction, _Fit], judged: NDArray[np.bool_], weight: Floats) -> tuple[float, float]:
+    """Return the amplitude of what blocks have in common, and of what they have not."""
     common2, local2 = 0.0, 0.0
-    for direction, fit in fits.items():
+    for fit in fits.values():
         parts = np.stack([fit.cosine, fit.sine, fit.third])[:, judged]
-        middle = [_median(part, weight) for part in parts]
+        c, s, third = middle = [_median(part, weight) for part in parts]
         apart2 = np.sum((parts[:2].T - middle[:2]) ** 2, axis=1) - 2.0 * fit.sigma[judged] ** 2
         local2 += float(np.sum(weight * np.maximum(apart2, 0.0)))
-        # The four levels that have these differences and no sum: the inverse of (δ0 − δ2, δ3 − δ1, δ0 − δ1 + δ2 − δ3).
-        c, s, third = middle
-        own = (third / 4.0 + c / 2.0, -third / 4.0 - s / 2.0, third / 4.0 - c / 2.0, -third / 4.0 + s / 2.0)
-        group = f"sine {direction.value}"
-        levels += [LightLevel(k, group, level) for k, level in zip(sequence.axis(direction).sine, own, strict=True)]
-        common2 += sum(level * level for level in own)
+        # Of the four levels that have these differences and no sum: the inverse of (δ0 − δ2, δ3 − δ1,
+        # δ0 − δ1 + δ2 − δ3).
+        common2 += 0.5 * (c * c + s * s) + 0.25 * third * third
     # A sine of amplitude a has a mean square of a²/2; a difference of two images has twice the square of one.
-    return float(np.sqrt(2.0 * common2 / 8.0)), float(np.sqrt(local2 / 4.0)), levels
-
-
-def _gray_levels(
-    grey: NDArray[np.uint8], sequence: PatternSequence, pixels: NDArray[np.intp], contrast: Floats
-) -> list[LightLevel]:
-    """Return the common levels of the fine Gray images: what scatters from illuminated stripes into dark ones
-    cancels."""
-    found: list[LightLevel] = []
-    for direction in Direction:
-        numbers = np.array(sequence.axis(direction).gray[-FINE_IMAGES:], np.int64)
-        own = stripe_levels(grey, numbers, sequence.dark, pixels, contrast, MIN_PIXELS)
-        known = np.isfinite(own)
-        group = f"gray {direction.value}"
-        mean = own[known].mean() if known.any() else 0.0
-        found += [
-            LightLevel(int(k), group, float(level - mean)) for k, level in zip(numbers[known], own[known], strict=True)
-        ]
-    return found
-
-
-def _centred(value: Floats, group: NDArray[np.intp]) -> Floats:
-    """Return ``value`` (..., n) less the mean of each group."""
-    member = (group[:, None] == np.arange(group.max() + 1)).astype(np.float64)
-    return np.asarray(value - value @ member / member.sum(axis=0) @ member.T, np.float64)
+    return float(np.sqrt(2.0 * common2 / 8.0)), float(np.sqrt(local2 / 4.0))
 
 
 def _median(value: Floats, weight: Floats) -> float:

@@ -24,13 +24,8 @@ STRONGEST = 0.9
 FEW = 24
 """Number of values from which on down they are sorted."""
 BINS = 2000
-"""Bins per unit of contrast, into which stripes are counted."""
-STRIPE_EDGE = 0.3
-"""Share of the contrast below which a pixel lies in a dark stripe, and above one minus which it lies in an
-illuminated one."""
+"""Most bins in which a quantile is looked for."""
 SHIFT_TERMS, TWICE_TERMS = 11, 7
-COSINE, SINE, THIRD, SIGMA, EXPECTED = range(5)
-"""Rows of what ``fit_blocks`` finds."""
 
 
 def warm_up() -> None:
@@ -38,7 +33,6 @@ def warm_up() -> None:
     some, place, ends = np.ones(4), np.arange(4), np.array([4])
     fit_blocks(np.eye(4), some, place, place, place, ends)
     common_of_neighbours(some, some, place, place, place, ends, 1.0, 1.0)
-    stripe_levels(np.ones((2, 4), np.uint8), np.array([1]), 0, place, some, 1)
     in_blocks(np.ones((2, 2), np.bool_), (1, 1), 1)
     medians_of(some, place, ends)
 
@@ -120,8 +114,9 @@ def fit_blocks(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> tuple[Floats, Floats]:
-    """Fit n pixels' four sine images (4, n) block by block: return what was found in each block, (5, blocks), and what
-    is left of each pixel's third difference over ``contrast`` (n,); outside of blocks, all of it.
+    """Fit n pixels' four sine images (4, n) block by block: return what was found in each block, (5, blocks): cosine
+    and sine of the shift, third difference, sigma, and the sigma expected of a noise of one grey value; and what is left
+    of each pixel's third difference over ``contrast`` (n,); outside of blocks, all of it.
 
     The pixels of block k are ``order[ends[k − 1]:ends[k]]``; ``row`` and ``column`` (n,) are their places.
     """
@@ -169,11 +164,11 @@ def fit_blocks(
         _sum_of_angles(twice[3], twice[4], c4, s4, twice[5], twice[6])
         # Pixels weigh as the noise of what is fitted allows.
         weight = np.minimum(light, quantile_of(light, STRONGEST)) ** 2
-        of_shift, found[SIGMA, k], found[EXPECTED, k] = regress(length, shift, light, weight)
-        found[COSINE, k], found[SINE, k] = of_shift[0], of_shift[1]
+        of_shift, sigma, expected = regress(length, shift, light, weight)
         # The third difference: its mean is a change of light, its terms at 2, 6 and 10 φ are the projector's harmonics.
         of_twice, _, _ = regress(third, twice, light, weight)
-        found[THIRD, k] = of_twice[0]
+        found[0, k], found[1, k], found[2, k] = of_shift[0], of_shift[1], of_twice[0]
+        found[3, k], found[4, k] = sigma, expected
         for j in range(n):
             left = third[j]
             for a in range(TWICE_TERMS):
@@ -254,62 +249,6 @@ def common_of_neighbours(
     for k in range(ends.size):
         found[k] = sums[k] / max(weights[k], 1e-12)
     return found
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def stripe_levels(
-    grey: NDArray[np.uint8],
-    numbers: NDArray[np.int64],
-    dark: int,
-    pixels: NDArray[np.intp],
-    contrast: Floats,
-    least: int,
-) -> Floats:
-    """Return the level of each image in ``numbers``: half way between the medians of its dark and of its illuminated
-    stripes, from dark (0) to bright (1); NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and
-    what ``pixels`` of them have as ``contrast``."""
-    found = np.empty(numbers.size)
-    count, black, shares = np.empty(2 * BINS + 1, np.int64), np.empty(pixels.size), np.empty(pixels.size)
-    bins = np.empty(pixels.size, np.int64)
-    for i in range(pixels.size):
-        black[i] = grey[dark, pixels[i]]
-    for j in range(numbers.size):
-        # Two histograms in one array: dark stripes in its first half, illuminated ones in the second; behind them, what
-        # is neither. Which it is changes from pixel to pixel: a number that is chosen costs less than a branch that is
-        # foreseen wrongly.
-        count[:] = 0
-        image = grey[numbers[j]]
-        # Divided several at once, which counting could not.
-        for i in range(pixels.size):
-            shares[i] = np.float64(image[pixels[i]])
-        for i in range(pixels.size):
-            shares[i] = (shares[i] - black[i]) / contrast[i]
-        for i in range(pixels.size):
-            share = shares[i]
-            low = min(max(int((share - STRIPE_EDGE) * BINS + BINS), 0), BINS - 1)
-            high = BINS + min(max(int((share - 1.0 + STRIPE_EDGE) * BINS), 0), BINS - 1)
-            bin_ = high if share > 1.0 - STRIPE_EDGE else 2 * BINS
-            bins[i] = low if share < STRIPE_EDGE else bin_
-        for i in range(pixels.size):
-            count[bins[i]] += 1
-        low_bin, high_bin = _median_bin(count[:BINS], least), _median_bin(count[BINS : 2 * BINS], least)
-        # From bins back to shares of the contrast, then half way between the two medians.
-        found[j] = 0.5 * (STRIPE_EDGE - 1.0 + low_bin / BINS + 1.0 - STRIPE_EDGE + high_bin / BINS)
-    return found
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _median_bin(count: NDArray[np.int64], least: int) -> float:
-    """Return the median of the counted values, in bins; NaN for fewer than ``least``."""
-    half = 0.5 * count.sum()
-    if 2.0 * half < least:
-        return np.nan
-    below = 0.0
-    for k in range(count.size):
-        if below + count[k] >= half:
-            return float(k + (half - below) / count[k])
-        below += count[k]
-    return float(count.size)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

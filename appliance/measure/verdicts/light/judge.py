@@ -22,7 +22,7 @@ from appliance.measure.light.noise import FULL_DN
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement, Verdict
-from appliance.measure.verdicts.light.changes import Changes, EarlyFit, find_frequency_hz, measure_changes
+from appliance.measure.verdicts.light.changes import Changes, EarlyFit, measure_changes
 from appliance.measure.verdicts.light.levels import Levels, Sample, light_of, measure_levels, sample
 
 AIM, TOO_HIGH, TOO_LOW = 0.85, 0.97, 0.55
@@ -51,8 +51,8 @@ def propose(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[E
 
 
 def without_flicker(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[Exposure]) -> Exposure | None:
-    """Return the step that does not see lamps on 50 Hz mains flicker, where it is well inside of the band; else
-    ``None``."""
+    """Return the step that does not see lamps on 50 Hz mains flicker, which are the usual ones, where it is well inside
+    of the band; else ``None``."""
     for step in steps:
         share = top_dn / scale_dn * step.light / present.light
         whole = step.time_us == MAINS_PERIOD_US and step.time_us != present.time_us
@@ -125,8 +125,6 @@ half of the scale, and with it half of the fringes' amplitude, at any exposure."
 BEND_AS_LIGHT = 0.5
 """Largest ripple that fringes which are no sines are taken for, over their bend: up to 0.37 in the sixteen of 30 scans
 that looked like it, of six projectors of bit planes seen for 2 to 8 ms (development seeds 10001 to 10010)."""
-FLICKER_ALIAS_HZ = (18.5, 21.5)
-"""Frequencies at which lamps on 50 Hz mains show up at 60 frames per second."""
 
 
 def judge_light(
@@ -151,12 +149,10 @@ def judge_light(
         side: measure_changes(samples[side], images.sequence, noise[side], early[side] if early else None)
         for side in SIDES
     }
-    frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), images.frame_s)
-    fault = _flickers(changes, frequency, bend_px) or _worst_level(levels)
+    fault = _flickers(changes, bend_px) or _worst_level(levels)
     numbers: dict[str, float | None] = {}
     for side in SIDES:
         numbers |= _numbers(side, levels[side], changes[side])
-    numbers["flicker_alias_hz"] = frequency[0] if frequency is not None else None
     numbers["exposure_ms"], numbers["gain_db"] = present.time_us / 1000.0, present.gain_db
     burnt = (
         fault is not None
@@ -165,8 +161,7 @@ def judge_light(
     )
     # No exposure shows what a torch shines on, and a shorter one takes the light from the rest.
     proposal = None if burnt else _propose(images, levels, present, steps)
-    mains = frequency is not None and FLICKER_ALIAS_HZ[0] <= frequency[0] <= FLICKER_ALIAS_HZ[1]
-    if proposal is None and mains and fault is not None and fault.code is FaultCode.LIGHT_FLICKERS:
+    if proposal is None and fault is not None and fault.code is FaultCode.LIGHT_FLICKERS:
         top_dn, scale_dn = _top(images, levels)
         proposal = without_flicker(top_dn, scale_dn, present, steps)
     second = (
@@ -203,7 +198,7 @@ def _propose(
     return propose(top_dn, scale_dn, present, steps)
 
 
-def _flickers(changes: dict[str, Changes], frequency: tuple[float, float] | None, bend_px: float) -> Fault | None:
+def _flickers(changes: dict[str, Changes], bend_px: float) -> Fault | None:
     """Return the fault of flickering light. Both cameras see the same light at the same time: what only one of them
     has is no change of light."""
     known = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
@@ -214,8 +209,7 @@ def _flickers(changes: dict[str, Changes], frequency: tuple[float, float] | None
         return None
     harmed = 100.0 * least.harmed
     what = f"light that is not the projector's changed during the scan and biases {harmed:.0f} % of the points"
-    often = "" if frequency is None else f"; it shows at {frequency[0]:.1f} Hz"
-    return Fault(FaultCode.LIGHT_FLICKERS, what + often, {"harmed_percent": harmed, "ripple": least.ripple or 0.0})
+    return Fault(FaultCode.LIGHT_FLICKERS, what, {"harmed_percent": harmed, "ripple": least.ripple or 0.0})
 
 
 def _worst_level(levels: dict[str, Levels]) -> Fault | None:

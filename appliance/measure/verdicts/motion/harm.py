@@ -9,17 +9,16 @@ square of
   (the error is δ/2 · cos 2φ): of a steady movement E where the steps rise, and 0 where both pairs have the same middle;
   ``course`` says what it is of an unsteady one;
 - 2 w² κ² E²: what the projector's second harmonic, κ of the first, adds as it drifts along: E κ · sin 2φ (n cos φ −
-  m sin φ), with m images from 0° to 180°, n from 90° to 270°, and w² = (m² + n²)/8. The right coordinate is read off
-  between pixels, where short ripples are read too small, so that in place of E² stands what is left of ε left and ε
-  right then;
-- w² E² (P/2π)² g²: albedo with a gradient g, in modulations per px, that both cameras see at two places; where it goes
-  to and fro, with half the ways from one image of a pair to the other;
+  m sin φ), with m images from 0° to 180°, n from 90° to 270°, and w² = (m² + n²)/8;
+- (P/2π)² g² w² E²: albedo with a gradient g, in modulations per px, that both cameras see at two places; and
+  (P/2π)² g² a²/8 of albedo that goes a px on average from one image of a pair to the other: of the error of g² a²/4
+  half is common to both cameras;
 - what is uneven in the phase error that moving albedo makes in both cameras alike: they sample it at different places.
+  In the order 0°, 90°, 270°, 180° the contradiction of the steps holds no mean light of an albedo that moves, and so
+  half of what it holds where they rise: there it counts twice.
 
-Where the way from image to image is not steady, each counts with the way between the two images that matter to it. In
-the order 0°, 90°, 270°, 180° the contradiction of the steps holds no mean light of an albedo that moves, and so half of
-what it holds where they rise: what is uneven counts twice. Noise is that of four steps in both cameras' light. Both are taken across the surface (``SurfaceMap``), so harm is a
-ratio of two known things.
+Noise is that of four steps in both cameras' light. Both are taken across the
+surface (``SurfaceMap``), so harm is a ratio of two known things.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.model import StereoRig
-from appliance.measure.light.patterns import RISING_STEPS, Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdicts.motion.cells import CELL_PX
 from appliance.measure.verdicts.motion.drift import DriftMap
@@ -199,8 +198,6 @@ MIN_CELLS = 4
 READ_NOISE = 0.8
 """Share of a right coordinate's variance that is left where it is read off between pixels, along a parabola through
 three of them: its mean over all places."""
-_PLACES, _SHARES = (x / 2.0 for x in np.polynomial.legendre.leggauss(5))
-"""Places between pixels, from −½ to ½, and their weights in a mean over all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,8 +223,8 @@ class Harm:
     ripple_rms_mm: float | None
     noise_rms_mm: float | None
     drift_over_noise: float | None = None
-    """The same as ``ripple``, if the steps had risen: other judges see a drift so, whatever it makes of the points.
-    ``None``: they did."""
+    """The same as ``ripple``, as if the steps had risen: other judges see a drift so, whatever it makes of the points.
+    """
 
     @property
     def added(self) -> float | None:
@@ -265,42 +262,34 @@ def predict(
 
     It follows from the ``drift`` across the x-fringes that both cameras saw (keyed by side), from how the surface
     stands, and from ``pair_way2``, the mean square way of the albedo over the left image from one image of a pair to
-    the other, px² (``None``: there is none to see). ``offset`` is ``course.pair_offset``; ``None``: the movement is
+    the other, px² (``None``: there is none to see). ``offset``: as ``pair_offset`` has it; ``None``: the movement is
     steady.
     """
     left, right = drift["left"], drift["right"]
-    offset = offset or steady_offset(sequence)
+    offset, steady = offset or steady_offset(sequence), steady_offset(sequence).of_drift2
     m, n = sequence.axis(Direction.X).pair_frames
     ways2 = (m * m + n * n) / 8.0
     # Mean square phase error of moving albedo, over what the contradiction of the steps shows of it.
-    hidden = 2.0 * ways2 / (steady_offset(sequence).of_drift2 + ways2)
+    hidden = 2.0 * ways2 / (steady + ways2)
     px_per_rad = sequence.period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
         apart_px = left.drift_px - right.drift_px
         variance = left.sd_px**2 + right.sd_px**2
+        # Without what the drift's own uncertainty adds to its square.
+        apart2 = apart_px**2 - variance
         depth = depth_per_px(left, right, rig, water_index)
         across = np.abs(depth) * surface.across
-        noise_mm2 = (depth * surface.noise_px) ** 2 * (1.0 + READ_NOISE * _noisier(left, right))
-        # Each half of the fringe is drawn by two images: it matters how far the pattern goes between the two.
-        cosine_px, sine_px = left.cosine_px - right.cosine_px, left.sine_px - right.sine_px
-        way2 = 0.125 * (m * m * cosine_px**2 + n * n * sine_px**2)
+        noise_mm2 = (depth * surface.noise_px) ** 2 * (1.0 + READ_NOISE)
+        uneven = 0.5 * (left.uneven_rad2 + right.uneven_rad2)
+        uneven -= 2.0 * NOISE_UNCERTAINTY * (left.noise_rad2 + right.noise_rad2)
         texture = 0.5 * (np.nan_to_num(left.texture_per_px2) + np.nan_to_num(right.texture_per_px2))
-        noise2 = left.noise_rad2 + right.noise_rad2
-        uneven = 0.5 * (left.uneven_rad2 + right.uneven_rad2) - 2.0 * NOISE_UNCERTAINTY * noise2
-        albedo_rad2 = UNEVEN_LEFT**2 * hidden * np.maximum(uneven, 0.0)
+        albedo_rad2 = UNEVEN_LEFT**2 * hidden * np.maximum(uneven, 0.0) + ways2 * texture * apart2
         if pair_way2 is not None:
-            # C has one sum of four ways, which may well be none while the ways are long: to and fro.
             slope2 = 0.5 * (left.slope_per_px**2 + right.slope_per_px**2)
-            albedo_rad2 = albedo_rad2 + texture * slope2 * 0.25 * pair_way2
+            albedo_rad2 += texture * slope2 * 0.125 * pair_way2
         second2 = 0.5 * (left.second2 + right.second2)
-        # δ²/8 + 2 w² κ² E² as it is left by reading, without what the drift's own uncertainty adds to its square.
-        first, second, third = (
-            _read(left, right, cycles * abs(right.slope_per_px) / sequence.period_px) for cycles in (1, 2, 3)
-        )
-        ripple2 = 0.125 * (offset.of_drift2 * (second - variance) + offset.px2)
-        ripple2 += ways2 * second2 * (first + third - 2.0 * variance)
-        # w² E² (P/2π)² g² of both halves of the fringe, and what moving albedo leaves.
-        ripple2 += px_per_rad**2 * ((way2 - 2.0 * ways2 * variance) * texture + albedo_rad2)
+        ripple2 = (0.125 * offset.of_drift2 + 2.0 * ways2 * second2) * apart2 + px_per_rad**2 * albedo_rad2
+        ripple2 += 0.125 * offset.px2
         known = np.isfinite(apart_px) & np.isfinite(across) & np.isfinite(noise_mm2) & np.isfinite(ripple2)
         if known.any():
             known &= variance < UNSURE**2 * np.median(variance[known])
@@ -309,11 +298,10 @@ def predict(
     ripple = ripple_mm = noise_mm = drift_over_noise = None
     if enough:
         share = weight[known] / weight[known].sum()
-        rising2 = ripple2 + 0.125 * ((1.0 - offset.of_drift2) * (second - variance) - offset.px2)
+        rising2 = ripple2 + 0.125 * ((1.0 - offset.of_drift2) * apart2 - offset.px2)
         squared = np.array([share @ x[known] for x in (ripple2 * across**2, noise_mm2, rising2 * across**2)])
         ripple_mm, noise_mm, rising_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
-        ripple = ripple_mm / noise_mm
-        drift_over_noise = None if sequence.steps == RISING_STEPS else rising_mm / noise_mm
+        ripple, drift_over_noise = ripple_mm / noise_mm, rising_mm / noise_mm
     with np.errstate(invalid="ignore"):
         return Harm(
             apart_px,
@@ -329,26 +317,6 @@ def predict(
             noise_mm,
             drift_over_noise,
         )
-
-
-def _noisier(left: DriftMap, right: DriftMap) -> float:
-    """Return the variance of the right coordinates over that of the left ones: of most cells, since where the pattern
-    ends each camera sees another part of one."""
-    ratio = right.noise_rad2 / left.noise_rad2
-    known = np.isfinite(ratio)
-    return float(np.median(ratio[known])) if known.any() else np.nan
-
-
-def _read(left: DriftMap, right: DriftMap, turns: Array) -> Array:
-    """Return E² (rows, columns) as it acts on a ripple that has so many ``turns`` per px of the right image.
-
-    The left coordinate is that of a pixel, the right one is read off along a parabola through three, with
-    H(f) = 1 − f² (1 − cos ω) + i f sin ω in place of e^{iωf}: short ripples are read too small, and late.
-    """
-    omega = 2.0 * np.pi * turns[..., None]
-    read = 1.0 - _PLACES**2 * (1.0 - np.cos(omega)) + 1j * _PLACES * np.sin(omega)
-    left_over = left.drift_px[..., None] - right.drift_px[..., None] * read * np.exp(-1j * omega * _PLACES)
-    return np.asarray(np.abs(left_over) ** 2 @ _SHARES)
 
 
 def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: float) -> Array:

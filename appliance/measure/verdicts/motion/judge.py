@@ -6,7 +6,7 @@ fringes (``harm``), exceeds ``MOST_ADDED``; a movement that is seen but harmless
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -25,22 +25,19 @@ from appliance.measure.points.table import Cloud
 from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts, albedo_shifts
-from appliance.measure.verdicts.motion.cells import RunSums
 from appliance.measure.verdicts.motion.course import pair_offset
-from appliance.measure.verdicts.motion.drift import DriftMap, drift_map, edge_shifts
-from appliance.measure.verdicts.motion.harm import Harm, Place, place_of, predict, surface_map
+from appliance.measure.verdicts.motion.drift import DriftMap, drift_map
+from appliance.measure.verdicts.motion.edges import edge_shifts
+from appliance.measure.verdicts.motion.harm import Harm, Place, place_of, predict, steady_offset, surface_map
 from appliance.measure.verdicts.motion.scores import (
-    EDGE_FLOOR_PX,
     MOVED,
     DriftTrend,
     Scores,
     drift_trend,
     edge_course,
-    edges_score,
-    flow_score,
     texture_score,
 )
-from appliance.measure.verdicts.motion.texture import Means, TextureShift, texture_shift
+from appliance.measure.verdicts.motion.texture import Means, TextureChange, follow_px, means_of, texture_change
 
 NAME = "motion"
 MOST_ADDED = 0.07
@@ -63,8 +60,6 @@ class MotionKind(Enum):
     """Movement towards the instrument or away from it."""
     LATERAL = "lateral"
     ROTATION = "rotation"
-    TREMOR = "tremor"
-    """Movement to and fro within the sequence."""
     LOCAL = "local"
     """Something else moves: most of the harm is in a small part of the image."""
 
@@ -80,7 +75,7 @@ class MotionJudgement:
     axial_mm_s: float | None
     """Median speed at which the surface recedes along the left camera's rays; ``None``: not known."""
     lateral_mm_s: tuple[float, float] | None
-    """Speed of the texture across the left image, right and down; ``None``: no texture to follow."""
+    """Speed of the texture across the left image, right and down; ``None``: it does not move, or cannot be followed."""
     shift_px: float | None
     """Movement over the whole sequence, in px of the left image: texture's and fringes' movement together."""
     place: Place | None
@@ -90,7 +85,6 @@ class MotionJudgement:
     """Maps over the cells of the pattern."""
     drift: Mapping[str, DriftMap]
     """``left`` and ``right``."""
-    albedo: Mapping[str, AlbedoShifts]
 
 
 def judge_motion(
@@ -99,46 +93,47 @@ def judge_motion(
     rig: StereoRig,
     water_index: float,
     means: Mapping[str, Means] | None = None,
-    runs: Mapping[str, RunSums] | None = None,
 ) -> MotionJudgement:
     """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 40 ms of CPU
     at full size.
 
-    ``means`` of both sides and ``runs`` of X, where they were taken while the frames arrived.
+    ``means`` of both sides, where they were taken while the frames arrived.
     """
     sequence = images.sequence
     noise = {side: of_side(images.noise, side) for side in SIDES}
-    drift, edges, textures, albedo = {}, {}, {}, {}
+    drift: dict[str, DriftMap] = {}
+    means = means or {side: means_of(images.frames[side], sequence) for side in SIDES}
+    changes: dict[str, TextureChange | None] = {}
     for side in SIDES:
         frames, decoded, variance = images.frames[side], images.decoded[side], _variance(noise[side])
-        drift[side] = drift_map(frames, decoded, sequence, variance, runs[side] if runs else None)
-        edges[side] = edge_shifts(frames, decoded, sequence)
-        textures[side] = texture_shift(frames, decoded, sequence, variance, means[side] if means else None)
-        albedo[side] = albedo_shifts(frames, decoded, sequence, variance)
+        drift[side] = drift_map(frames, decoded, sequence, variance)
+        changes[side] = texture_change(frames, decoded, sequence, variance, means[side])
     lost = float(np.mean([_lost_share(images.decoded[side]) for side in SIDES]))
     left = images.decoded["left"]
     light_dn = np.float32(left.offset_per_threshold) * left.gray_threshold.ravel()[cloud.pixel]
     variance_px2 = four_step_variance_px2(cloud.modulation_dn, light_dn, noise["left"], sequence.period_px)
     surface = surface_map(cloud, left.p_px, left.q_px, variance_px2, drift["left"].drift_px.shape)
-    flow, texture = flow_score(textures), texture_score(textures)
-    pair_way2 = _pair_way2(albedo, sequence, flow, texture)
+    texture = texture_score(changes)
+    # The water's light goes with the stripes, and looks like a way of what is lit by them: nothing went anywhere unless
+    # the texture says so.
+    slides = (texture or 0.0) >= MOVED
+    pair_way2 = _pair_way2(images, noise) if slides else None
     harm = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s)
-    trend = drift_trend(harm)
-    course = edge_course(edges, harm)
-    offset = pair_offset(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
-    if offset is not None:
+    if steady_offset(sequence).of_drift2 == 0.0:
+        seen = {side: edge_shifts(images.frames[side], images.decoded[side], sequence) for side in SIDES}
+        course = edge_course(seen["left"], seen["right"], harm)
+        offset = pair_offset(*course, drift["left"], drift["right"], harm, sequence, images.frame_s)
         harm = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s, offset)
-    scores = Scores(
-        None if trend is None else trend.score,
-        edges_score(course),
-        flow,
-        texture,
-    )
+    trend = drift_trend(harm)
+    scores = Scores(None if trend is None else trend.score, texture)
     axial = _axial(harm)
-    lateral = _lateral(textures["left"], harm, rig, water_index, images.frame_s)
-    kind = _kind(scores, trend, harm, course, axial, lateral)
+    x, y = (sequence.axis(direction).sine for direction in (Direction.X, Direction.Y))
+    followed = follow_px(left, means["left"]) if slides else None
+    way_px = None if followed is None else np.array(followed) / (np.mean(y) - np.mean(x))
+    lateral = None if way_px is None else _lateral(way_px, rig, water_index, images.frame_s)
+    kind = _kind(scores, trend, harm, axial, lateral)
     place = place_of(harm, (rig.left.width_px, rig.left.height_px))
-    shift = _shift(drift["left"], harm, textures["left"], len(sequence))
+    shift = _shift(drift["left"], harm, way_px, len(sequence))
     judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost)
     return MotionJudgement(
         judgement,
@@ -151,21 +146,22 @@ def judge_motion(
         scores,
         harm,
         drift,
-        albedo,
     )
 
 
-def _pair_way2(
-    albedo: Mapping[str, AlbedoShifts], sequence: PatternSequence, flow: float | None, texture: float | None
-) -> float | None:
-    """Return the mean square way of the albedo within a pair of steps, over the cameras that see any; ``None`` unless
-    the scores of ``flow`` or ``texture`` say that it moved.
+def _pair_way2(images: ScanImages, noise: Mapping[str, CameraNoise]) -> float | None:
+    """Return the mean square way of the albedo within a pair of steps, over the cameras that see any; ``None``: neither
+    does."""
+    sequence = images.sequence
+    albedo = [
+        albedo_shifts(images.frames[side], images.decoded[side], sequence, _variance(noise[side])) for side in SIDES
+    ]
+    return mean_pair_way2(albedo, sequence)
 
-    The water's light goes with the stripes, and looks like a way of what is lit by them.
-    """
-    if max(flow or 0.0, texture or 0.0) < MOVED:
-        return None
-    ways = (one.mean_way2(frames) for one in albedo.values() for frames in sequence.axis(Direction.X).pair_frames)
+
+def mean_pair_way2(albedo: Sequence[AlbedoShifts], sequence: PatternSequence) -> float | None:
+    """Return the same of both cameras' ``albedo``."""
+    ways = (one.mean_way2(frames) for one in albedo for frames in sequence.axis(Direction.X).pair_frames)
     known = [way2 for way2 in ways if way2 is not None]
     return float(np.mean(known)) if known else None
 
@@ -216,33 +212,28 @@ def _turning_mm_s(harm: Harm) -> float:
     return float(np.sqrt(np.mean(harm.depth_rate_mm_s[known] ** 2)))
 
 
-def _lateral(
-    texture: TextureShift, harm: Harm, rig: StereoRig, water_index: float, frame_s: float
-) -> tuple[float, float] | None:
+def _lateral(way_px: Array, rig: StereoRig, water_index: float, frame_s: float) -> tuple[float, float]:
     """Return the texture's speed right and down, in mm/s at the distance of the volume's middle."""
-    if texture.flow_px is None:
-        return None
     camera = rig.left
     middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
     # Rays begin at the window, not at the lens.
     origin, along = camera.rays(np.stack([middle, middle + np.array([1.0, 0.0])]), water_index)
     here, beside = origin + along * ((rig.volume_centre_mm(water_index) - origin[0]) @ along[0])
     # mm across the middle of the volume per px of the image, per second.
-    scale = float(np.linalg.norm(beside - here)) / (texture.frames * frame_s)
-    return texture.flow_px[0] * scale, texture.flow_px[1] * scale
+    right, down = way_px * (float(np.linalg.norm(beside - here)) / frame_s)
+    return float(right), float(down)
 
 
-def _shift(left: DriftMap, harm: Harm, texture: TextureShift, frames: int) -> float | None:
+def _shift(left: DriftMap, harm: Harm, way_px: Array | None, frames: int) -> float | None:
+    """Return the movement over so many ``frames``, px of the left image: that of the fringes, and the texture's
+    ``way_px`` per frame."""
     known = (harm.weight > 0.0) & np.isfinite(left.slope_per_px)
     if not known.any():
         return None
-    fringes = float(np.median(np.abs(left.drift_px[known] / left.slope_per_px[known]))) * frames
-    flow = 0.0 if texture.flow_px is None else float(np.hypot(*texture.flow_px)) * frames / texture.frames
-    return float(np.hypot(fringes, flow))
+    fringes = float(np.median(np.abs(left.drift_px[known] / left.slope_per_px[known])))
+    return frames * float(np.hypot(fringes, 0.0 if way_px is None else np.hypot(*way_px)))
 
 
-TO_AND_FRO = 0.25
-"""Share of the way there from which on a way back is shaking."""
 LOCAL_CELLS, LOCAL_SHARE, LOCAL_REACH_CELLS = 0.2, 0.7, 4.0
 """Something else moves when so small a part of the cells has so great a part of the harm."""
 
@@ -251,26 +242,23 @@ def _kind(
     scores: Scores,
     trend: DriftTrend | None,
     harm: Harm,
-    course: tuple[Array, Array],
     axial_mm_s: float | None,
     lateral_mm_s: tuple[float, float] | None,
 ) -> MotionKind:
     """Return the first kind that fits."""
-    if _is_local(harm, scores):
+    if lateral_mm_s is None and _is_local(harm):
         return MotionKind.LOCAL
     largest = scores.largest
     if largest is None or largest < MOVED:
         return MotionKind.STILL
-    if _to_and_fro(course):
-        return MotionKind.TREMOR
-    sideways = 0.0 if lateral_mm_s is None or (scores.flow or 0.0) < MOVED else float(np.hypot(*lateral_mm_s))
+    sideways = 0.0 if lateral_mm_s is None else float(np.hypot(*lateral_mm_s))
     if sideways > 1.5 * abs(axial_mm_s or 0.0) and not _turns(trend, most=1.5):
         return MotionKind.LATERAL
     if _turns(trend, most=0.7):
         return MotionKind.ROTATION
     if scores.drift is not None and scores.drift >= MOVED:
         return MotionKind.AXIAL
-    return MotionKind.LATERAL if (scores.flow or 0.0) >= MOVED or (scores.texture or 0.0) >= MOVED else MotionKind.AXIAL
+    return MotionKind.LATERAL
 
 
 def _turns(trend: DriftTrend | None, most: float) -> bool:
@@ -281,30 +269,10 @@ def _turns(trend: DriftTrend | None, most: float) -> bool:
     return slope > most * abs(trend.mean) and slope > MOVED * float(np.hypot(trend.sd[1], trend.sd[2]))
 
 
-def _to_and_fro(course: tuple[Array, Array]) -> bool:
-    """Say whether between the first Gray image and the sine images the depth went one way, and back again by a good
-    part of it."""
-    shift, sd = course
-    known = np.isfinite(shift)
-    if not known.any():
-        return False
-    # The coarse bits of the Gray code have few edges: what they say of the depth is known too badly to count here.
-    known &= np.nan_to_num(sd, nan=np.inf) < 2.5 * np.median(sd[known])
-    if np.count_nonzero(known) < 4:
-        return False
-    # The sine images are what shifts are counted from.
-    at = np.append(shift[known], 0.0)
-    rise = float(np.max(at - np.minimum.accumulate(at)))
-    fall = float(np.max(np.maximum.accumulate(at) - at))
-    back = min(rise, fall)
-    return back > TO_AND_FRO * max(rise, fall) and back > 4.0 * float(np.max(np.hypot(sd[known], EDGE_FLOOR_PX)))
-
-
-def _is_local(harm: Harm, scores: Scores) -> bool:
-    """Say whether albedo and Gray edges stand still as a whole, and most of the harm is in few cells close to each
-    other."""
+def _is_local(harm: Harm) -> bool:
+    """Say whether most of the harm is in few cells close to each other."""
     known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
-    if np.count_nonzero(known) < 20 or (scores.flow or 0.0) >= MOVED or (scores.edges or 0.0) >= MOVED:
+    if np.count_nonzero(known) < 20:
         return False
     # Uncertain cells have large ripples by chance.
     certain = known & (np.abs(harm.drift_px) > 6.0 * harm.sd_px)
@@ -331,7 +299,7 @@ def _judgement(
     speeds = []
     if axial_mm_s is not None and (scores.drift or 0.0) >= MOVED:
         speeds.append(_turning_mm_s(harm) if kind is MotionKind.ROTATION else axial_mm_s)
-    if lateral_mm_s is not None and (scores.flow or 0.0) >= MOVED:
+    if lateral_mm_s is not None:
         speeds += lateral_mm_s
     speed = float(np.linalg.norm(speeds)) if speeds else None
     added = harm.added
@@ -346,17 +314,14 @@ def _judgement(
         "axial_mm_s": axial_mm_s,
         "right_mm_s": None if lateral_mm_s is None else lateral_mm_s[0],
         "down_mm_s": None if lateral_mm_s is None else lateral_mm_s[1],
+        "drift_over_noise": harm.drift_over_noise,
         "score": scores.largest,
         "score_limit": MOVED,
         "score_drift": scores.drift,
-        "score_edges": scores.edges,
-        "score_flow": scores.flow,
         "score_texture": scores.texture,
         "place_u_px": None if place is None or not moved else place.u_px,
         "place_v_px": None if place is None or not moved else place.v_px,
     }
-    if harm.drift_over_noise is not None:
-        numbers["drift_over_noise"] = harm.drift_over_noise
     if added is None:
         return Judgement(Verdict(NAME, None, numbers, "too little to judge by"))
     text = kind.value

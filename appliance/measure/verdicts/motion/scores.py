@@ -13,21 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import MAD_TO_SIGMA
-from appliance.measure.verdicts.motion.drift import EdgeShifts
 from appliance.measure.verdicts.motion.harm import Harm
-from appliance.measure.verdicts.motion.texture import TextureShift
+from appliance.measure.verdicts.motion.texture import TextureChange
 
 MOVED = 4.5
 """The largest score from which on something moved."""
-DRIFT_FLOOR_PX, EDGE_FLOOR_PX, FLOW_FLOOR_PX = 0.001, 0.025, 0.01
-"""Errors of the statistics at rest beside their noise: pattern px per frame, pattern px, binned px."""
+DRIFT_FLOOR_PX, EDGE_FLOOR_PX = 0.001, 0.025
+"""Errors of drift and edges at rest beside their noise: pattern px per frame, pattern px."""
+MIN_EDGE_CELLS = 6
 CHANGE, EARLY_CHANGE = (1.045, 0.020), (1.10, 0.07)
 """The differences of means at rest, in units of noise, and their standard deviations: rounding, and the projector's
 bends."""
 LOCKED_LEFT = 0.04
 """Share of what was taken out of a change, as following the phase, by which the rest may still be wrong: a light that
 has steps is seen through an optics that changes over the picture."""
-MIN_EDGE_CELLS = 6
 
 Array = NDArray[np.float64]
 
@@ -38,15 +37,13 @@ class Scores:
 
     drift: float | None
     """Mean, or slope across the pattern, of E."""
-    edges: float | None
-    """Gray edges against the phase, left less right, in any frame."""
-    flow: float | None
     texture: float | None
+    """Change of the texture."""
 
     @property
     def largest(self) -> float | None:
         """The largest score of those there are; ``None``: there is none."""
-        known = [s for s in (self.drift, self.edges, self.flow, self.texture) if s is not None]
+        known = [s for s in (self.drift, self.texture) if s is not None]
         return max(known) if known else None
 
 
@@ -82,15 +79,15 @@ def drift_trend(harm: Harm) -> DriftTrend | None:
     return DriftTrend(float(fit[0]), float(fit[1]), float(fit[2]), (float(sd[0]), float(sd[1]), float(sd[2])), score)
 
 
-def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Array]:
-    """Return the shift of the Gray edges, left less right, and its standard deviation, (frames,) each, in pattern px;
-    NaN: too few.
+def edge_course(left_px: Array, right_px: Array, harm: Harm) -> tuple[Array, Array]:
+    """Return the shift of the Gray edges, left less right, and its standard deviation, (images,) each, in pattern px;
+    NaN: too few. ``left_px`` and ``right_px``: as ``edge_shifts`` gives them.
 
     Medians over the cells. Where most are certain of their drift, shifts count in units of it (and are given for the
     typical one), so that a turn neither cancels nor looks different in frames whose edges lie elsewhere.
     """
     # Left less right: lateral movement moves both alike, depth moves them against each other.
-    shift = edges["left"].shift_px - edges["right"].shift_px
+    shift = left_px - right_px
     known = np.isfinite(shift) & (harm.weight > 0.0)
     unit = drift_unit(harm)
     if unit is not None:
@@ -118,27 +115,11 @@ def drift_unit(harm: Harm) -> tuple[NDArray[np.bool_], float] | None:
     return sure & (size > 0.3 * typical), typical
 
 
-def edges_score(course: tuple[Array, Array]) -> float | None:
-    """Return the largest shift of any frame in standard deviations."""
-    mean, sd = course
-    known = np.isfinite(mean)
-    return float(np.max(np.abs(mean[known]) / np.hypot(sd[known], EDGE_FLOOR_PX))) if known.any() else None
-
-
-def flow_score(textures: Mapping[str, TextureShift]) -> float | None:
-    """Return the score of the flow in the camera that saw more of it."""
-    scores = []
-    for one in textures.values():
-        if one.flow_px is not None and one.flow_sd_px is not None:
-            scores.append(float(np.hypot(*one.flow_px) / np.hypot(one.flow_sd_px, FLOW_FLOOR_PX * one.bin_px)))
-    return max(scores) if scores else None
-
-
-def texture_score(textures: Mapping[str, TextureShift]) -> float | None:
+def texture_score(changes: Mapping[str, TextureChange | None]) -> float | None:
     """Return the score of the changed texture in the camera that saw more of it, by either pair of images."""
     scores = []
-    for one in textures.values():
-        if one.change is not None and one.early_change is not None:
-            pairs = ((one.change, CHANGE), (one.early_change, EARLY_CHANGE))
+    for one in changes.values():
+        if one is not None:
+            pairs = ((one.late, CHANGE), (one.early, EARLY_CHANGE))
             scores += [(value - usual) / float(np.hypot(sd, LOCKED_LEFT * one.locked)) for value, (usual, sd) in pairs]
     return max(scores) if scores else None

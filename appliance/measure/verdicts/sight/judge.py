@@ -4,16 +4,7 @@ lies.
 It is asked where decoding comes to nothing: a pixel needs 5 grey values of modulation, but the mean over a cell of some
 hundred pixels tells fringes of half a grey value from noise. Fringes across the baseline are the object's alone: a ray
 crosses many of them in the water, so that the water's light has none. Points are asked where they lie before any limit
-of depth; where there are none, the stripes that a saturated object still shows (``stripes``), or else the fringes
-themselves (``distance``).
-
-It also owns how far away something lies that is saturated: by the stripes of the Gray images, which are dark however
-bright the object is.
-
-A saturated pixel has lost the fringes' phase, but not the Gray code: a white stripe saturates it, a black one does not.
-So both cameras still read which half period of the fringes lights each pixel. A pixel of the left camera is laid over
-the right image where each depth would put it, and lies at the depth at which the right camera reads the same number
-there.
+of depth; where there are none, the fringes themselves.
 
 It also owns how far something lies whose fringes are too faint to be decoded: at which depth both cameras see the same
 patterns.
@@ -34,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.model import StereoRig
-from appliance.measure.light.noise import FULL_DN, CameraNoise, StereoNoise
+from appliance.measure.light.noise import CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.points.quality import QualityLimits
@@ -45,83 +36,6 @@ from appliance.measure.verdicts.water.beam import half_field, shape_of_glow
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-
-ASKED = 600
-"""Pixels of the left camera, at most."""
-STRIPE_SWING_DN = 60.0
-"""Least difference from the dark image to the bright one: with less, other light than the projector's saturates the
-pixel."""
-BESIDE_MIDDLE = 0.2
-"""A Gray image's grey value is neither black nor white that is so near to the middle between dark and bright, in parts
-of their difference: a stripe's edge crosses the pixel, or the object moved."""
-MOST_STEPS = 3
-"""Most steps of depth over which the right camera may read the same number: a half period is as wide as two of them."""
-LEAST_FOUND = 0.3
-"""Least share of the pixels asked that must be found again.
-
-Of an object at the near end a third lies outside of the right image; what scattered light makes of the stripes in silt
-is found again in one pixel of forty.
-"""
-MIN_FOUND = 40
-ALIKE, LEAST_ALIKE = 0.15, 0.5
-"""Half of the depths found must lie so near to their median, in parts of it: numbers that are wrong meet anywhere."""
-
-
-def find_depths_by_stripes_mm(
-    frames: Mapping[str, NDArray[np.uint8]], sequence: PatternSequence, rig: StereoRig, water_index: float
-) -> Array:
-    """Return the depth of each saturated pixel that is found again, in the left camera's frame; to 2 %.
-
-    Empty where too few are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``; 65 to 95 ms of CPU for ``ASKED``
-    pixels, at any size.
-    """
-    none = np.empty(0)
-    factor = max(1, rig.left.width_px // WIDTH_PX)
-    small = {side: frames[side][:, factor // 2 :: factor, factor // 2 :: factor] for side in ("left", "right")}
-    # Only what is saturated in the bright image is asked: the rest has fringes, which say it better.
-    if np.count_nonzero(small["left"][sequence.bright] == FULL_DN) < MIN_FOUND:
-        return none
-    left, right = (_half_periods(small[side], sequence) for side in ("left", "right"))
-    v, u = np.nonzero((left >= 0) & (small["left"][sequence.bright] == FULL_DN))
-    every = -(-len(v) // ASKED) or 1
-    v, u = v[::every], u[::every]
-    if len(v) < MIN_FOUND:
-        return none
-    depths_mm = candidate_depths_mm(rig, water_index)
-    here_px = np.stack([u, v], -1).astype(np.float64) * factor + factor // 2
-    there_px = seen_at_depths(rig, water_index, here_px, depths_mm)
-    at = np.rint(np.nan_to_num((there_px - factor // 2) / factor, nan=-1e6)).astype(np.int64)
-    inside = (at >= 0).all(-1) & (at[..., 0] < right.shape[1]) & (at[..., 1] < right.shape[0])
-    at[~inside] = 0
-    same = inside & (right[at[..., 1], at[..., 0]] == left[v, u][:, None])
-    # A half period covers two or three depths: the object lies in their middle. Equal numbers far apart are chance.
-    first, last = same.argmax(axis=1), same.shape[1] - 1 - same[:, ::-1].argmax(axis=1)
-    found = same.any(axis=1) & (last - first <= MOST_STEPS)
-    if np.count_nonzero(found) < max(MIN_FOUND, LEAST_FOUND * len(v)):
-        return none
-    # The candidates are equally far apart in 1/z.
-    depth_mm = np.asarray(2.0 / (1.0 / depths_mm[first[found]] + 1.0 / depths_mm[last[found]]))
-    alike = abs(depth_mm / np.median(depth_mm) - 1.0) < ALIKE
-    return depth_mm if np.mean(alike) >= LEAST_ALIKE else none
-
-
-def _half_periods(frames: NDArray[np.uint8], sequence: PatternSequence) -> NDArray[np.int64]:
-    """Return (h, w) the number of the half period across the baseline that lights each pixel, by the Gray code alone;
-    −1 where an image is neither black nor white."""
-    dark = frames[sequence.dark].astype(np.float32)
-    swing = frames[sequence.bright] - dark
-    sure = swing >= STRIPE_SWING_DN
-    swing = np.maximum(swing, np.float32(1.0))
-    number = np.zeros(dark.shape, np.int64)
-    bit = np.zeros(dark.shape, np.bool_)
-    for k in sequence.axis(Direction.X).gray:
-        beside: Floats = (frames[k] - dark) / swing - np.float32(0.5)
-        sure &= abs(beside) > BESIDE_MIDDLE
-        # From Gray code to number: each bit of the number is that of the code xor the bit before.
-        bit = bit ^ (beside > 0.0)
-        number = 2 * number + bit
-    return np.where(sure, number, -1)
-
 
 WIDTH_PX = 400
 """About so wide are the images made before they are compared: that costs little and averages noise away."""
@@ -290,17 +204,14 @@ CELLS = (16, 12)
 SAMPLES = 120_000
 """Pixels asked, at most; on an even grid."""
 MIN_PER_CELL = 40
-
-"""No image of a pixel that is asked may be brighter."""
 LEAST_FRINGE_DN, FRINGE_SIGMAS = 0.4, 4.0
 """A cell shows fringes from this amplitude on, and from this many standard errors of its square."""
 ROUNDING_DN2 = 1.0 / 12.0
 MIN_POINTS = 40
-"""Fewer do not say where the object lies; then stripes or windows of faint fringes do …"""
+"""Fewer do not say where the object lies; then windows of faint fringes do …"""
 ROUGHLY = 0.03
 """… or the parallax of the stripes, which is known so well."""
-_SUMS = 4
-_COUNT, _EXCESS, _EXCESS2, _ADDED = range(_SUMS)
+CELL = np.dtype([(name, np.float64) for name in ("count", "excess", "excess2", "added")])
 """Sums of a cell's clear pixels: how many, what their fringes have beyond noise, its square, and what white adds."""
 
 
@@ -351,9 +262,7 @@ def look(
     }
     depth_mm = np.asarray(loose.points_mm[:, 2], np.float64)
     if len(depth_mm) < MIN_POINTS:
-        depth_mm = find_depths_by_stripes_mm(frames, sequence, rig, water_index)
-        if not len(depth_mm) and best.cells > 0.0:
-            depth_mm = find_depths_mm(frames, sequence, noise, rig, water_index)
+        depth_mm = find_depths_mm(frames, sequence, noise, rig, water_index) if best.cells > 0.0 else np.empty(0)
     by_parallax = None if parallax_percent is None else distance_of(parallax_percent, rig, water_index)
     numbers |= _places(depth_mm, limits, by_parallax)
     return Verdict(NAME, None, numbers, _text(numbers))
@@ -367,12 +276,12 @@ def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise
     size = CELLS[0] * CELLS[1]
     cell_row = np.arange(down.size) * CELLS[1] // down.size * CELLS[0]
     cell_column = np.arange(across.size) * CELLS[0] // across.size
-    sums, added = np.zeros((size, _SUMS)), np.empty((down.size, across.size), np.float32)
+    sums, added = np.zeros(size, CELL), np.empty((down.size, across.size), np.float32)
     levels = (np.float32(noise.black_dn), np.float32(noise.read_dn**2 + ROUNDING_DN2), np.float32(noise.dn_per_e))
     shown = np.array([sequence.bright, sequence.dark, *sequence.axis(Direction.X).sine], np.int64)
     _sum_cells(frames, shown, step, levels, cell_row, cell_column, sums, added)
-    count = sums[:, _COUNT]
-    squared, squares, light = (sums[:, k] / np.maximum(count, 1.0) for k in (_EXCESS, _EXCESS2, _ADDED))
+    count = sums["count"]
+    squared, squares, light = (sums[name] / np.maximum(count, 1.0) for name in ("excess", "excess2", "added"))
     error = np.sqrt(np.maximum(squares - squared**2, 1e-12) / np.maximum(count, 1.0))
     fringe = 0.5 * np.sqrt(np.maximum(squared, 0.0))
     enough = count >= MIN_PER_CELL
@@ -396,11 +305,11 @@ def _sum_cells(
     levels: tuple[np.float32, np.float32, np.float32],
     cell_row: NDArray[np.int64],
     cell_column: NDArray[np.int64],
-    sums: Array,
+    sums: NDArray[np.void],
     added: Floats,
 ) -> None:
-    """Add every ``step``-th pixel of ``frames`` (n, h, w) that is clear to its cell's row of ``sums`` (cells, _SUMS),
-    and write to ``added`` (rows, columns) what the projector's white adds to each, clear or not.
+    """Add every ``step``-th pixel of ``frames`` (n, h, w) that is clear to its cell of ``sums`` (cells,), and
+    write to ``added`` (rows, columns) what the projector's white adds to each, clear or not.
 
     ``shown``: bright, dark and the four sines. ``levels``: black, variance without light, variance per grey value. The
     cell is the sum of ``cell_row`` and ``cell_column``.
@@ -423,11 +332,11 @@ def _sum_cells(
             photons = max(level - black, np.float32(0.0))
             expected = np.float32(4.0) * (least + per_dn * photons)
             excess = (i0 - i2) * (i0 - i2) + (i3 - i1) * (i3 - i1) - expected
-            cell = cell_row[j] + cell_column[i]
-            sums[cell, _COUNT] += 1.0
-            sums[cell, _EXCESS] += excess
-            sums[cell, _EXCESS2] += excess * excess
-            sums[cell, _ADDED] += added[j, i]
+            cell = sums[cell_row[j] + cell_column[i]]
+            cell.count += 1.0
+            cell.excess += excess
+            cell.excess2 += excess * excess
+            cell.added += added[j, i]
 
 
 def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> float | None:

@@ -36,6 +36,7 @@ def said(name: str, code: FaultCode | None = None, known: dict[str, float] | Non
 
 def motion(added: Given = 25.0, code: FaultCode | None = None, **more: Any) -> Judgement:
     usual: dict[str, Any] = {"added_noise_percent": added, "lost_percent": 4.0, "score": 9.0, "score_limit": 4.5}
+    usual["drift_over_noise"] = None if added is None else max((1.0 + 0.01 * added) ** 2 - 1.0, 0.0) ** 0.5
     return said("motion", code, **(usual | more))
 
 
@@ -60,8 +61,6 @@ FRINGES: dict[str, Any] = {"light_dn": 40.0, "fringe_cells_percent": 43.0, "obje
 IN_FRONT: dict[str, Any] = {"distance_mm": 340.0, "near_percent": 90.0, "far_percent": 2.0}
 BEHIND: dict[str, Any] = {"distance_mm": 750.0, "near_percent": 0.0, "far_percent": 100.0}
 SPECKS: dict[str, Any] = {"veil_percent": 0.7, "hidden_percent": 4.4, "masked_percent": 13.3, "speck_percent": 2.4}
-RUSHES: dict[str, Any] = {"lost_percent": 32.0, "score": 40.5, "score_flow": 40.5}
-"""Printed squares at 60 mm/s in water of 3.5 per m, where a scan at rest is usable."""
 
 
 def sight(fringe_dn: Given = 87.0, top_dn: Given = 190.0, **more: Any) -> Judgement:
@@ -92,12 +91,11 @@ SILT: dict[str, Any] = {"veil_percent": 40.0, "hidden_percent": 75.0, "masked_pe
         ((motion(None, lost_percent=90.0, score=None), flicker(5.6), said("water", DIRTY, **SPECKS), sight()), NO_POINTS, USUAL, [MOVED]),
         ((motion(8.0, MOVED), flicker(), sight()), GOOD, USUAL, [FLICKER, MOVED]),
         ((motion(None, score=119.0), flicker(2.6, common=0.1, local=0.6), sight(**BEHIND)), NO_POINTS, USUAL, [FAR]),
-        # What lies outside is told before it is too bright, however faint its clear fringes are; too dark a near thing is told first.
+        # What lies outside is told before all else, however bright or dark it is.
         ((STILL, saturated(74.0), sight(**IN_FRONT)), NO_POINTS, USUAL, [NEAR, BRIGHT]),
         ((STILL, saturated(99.3), sight(4.8, 34.0, **IN_FRONT)), NO_POINTS, USUAL, [NEAR, BRIGHT]),
         ((STILL, saturated(74.0), sight(**BEHIND)), NO_POINTS, USUAL, [FAR, BRIGHT]),
-        ((STILL, said("light"), sight(3.6, 11.0, **IN_FRONT)), NO_POINTS, Exposure(200), [DARK, NEAR]),
-        ((STILL, said("light"), sight(60.0, 11.0, **IN_FRONT)), NO_POINTS, Exposure(200), [NEAR]),
+        ((STILL, said("light"), sight(3.6, 11.0, **IN_FRONT)), NO_POINTS, Exposure(200), [NEAR]),
         ((STILL, said("light", DARK, {"coverage_percent": 0.0}), sight(3.6, 56.0, **BEHIND)), NO_POINTS, USUAL, [FAR, DARK]),
         ((STILL, said("light"), sight(3.6, 6.0, **BEHIND)), NO_POINTS, USUAL, [FAR]),
         # A flood light is not to blame for fringes that no exposure would show, nor water for what light saturates.
@@ -105,11 +103,6 @@ SILT: dict[str, Any] = {"veil_percent": 40.0, "hidden_percent": 75.0, "masked_pe
         ((STILL, FLOOD, sight(2.0, 4.0, light_dn=1.0)), NO_POINTS, USUAL, [LAMP, DARK]),
         ((STILL, said("water", DIRTY, veil_percent=None, hidden_percent=35.0, masked_percent=100.0), saturated(99.6), sight(None, 3.7)), NO_POINTS, USUAL, [BRIGHT]),
         ((STILL, said("water", DIRTY, **SILT), saturated(17.6, left_lit_percent=91.4), sight()), NO_POINTS, USUAL, [BRIGHT, DIRTY]),
-        # Fringes of 5 grey values and more are decoded unless something moves.
-        ((motion(None, **RUSHES), said("light"), sight(5.9, 12.0, light_dn=8.5)), FEW, USUAL, [MOVED, DARK]),
-        ((motion(None, **RUSHES), said("light"), sight(4.9, 12.0, light_dn=8.5)), FEW, USUAL, [DARK]),
-        ((motion(None, **RUSHES | {"score": None, "score_flow": None}), said("light"), sight(5.9, 12.0, light_dn=8.5)), FEW, USUAL, [DARK]),
-        ((motion(None, **RUSHES | {"score_flow": 4.4}), said("light"), sight(5.9, 12.0, light_dn=8.5)), FEW, USUAL, [DARK]),
         # The fault of a judge whose numbers are not weighed stands behind those that are.
         ((said("bubbles", FaultCode.LEAK), motion(60.0, MOVED)), GOOD, USUAL, [MOVED, FaultCode.LEAK]),
     ],
@@ -168,24 +161,21 @@ HANDS = motion(5.0)
         ((flicker(),), FLICKER, over(12.25)),
         ((flicker(left=None),), FLICKER, over(12.96)),
         ((flicker(left=None, right=None),), FLICKER, None),
-        # Before what moves, it is what exceeds the motion's own ripple: 2.4 times in common, 4 times in parts.
+        # Before what moves, it is what exceeds 2.4 times the drift over the noise, in common or in parts.
         ((motion(8.0), flicker(common=3.0, local=1.0)), FLICKER, over(0.9 * 12.25 - 2.4**2 * M2)),
         ((motion(8.0), flicker()), FLICKER, over(12.25 - 2.4**2 * M2)),
-        ((motion(8.0), flicker(common=3.0, local=4.0, left_local_flicker_percent=None)), FLICKER, over(0.64 * 12.25 - 4.0**2 * M2)),
+        ((motion(8.0), flicker(common=3.0, local=4.0, left_local_flicker_percent=None)), FLICKER, over(0.64 * 12.25 - 2.4**2 * M2)),
         # A drift that makes no ripple is seen by the judge of light as one that does.
         ((motion(0.0, drift_over_noise=1.3), flicker()), FLICKER, over(12.25 - 2.4**2 * 1.3**2)),
-        ((motion(8.0, drift_over_noise=0.1), flicker()), FLICKER, over(12.25 - 2.4**2 * M2)),
         # Before a movement of unknown harm a lamp has half of the change in common.
         ((motion(None), flicker(common=2.0, local=2.0)), FLICKER, over(12.25)),
         ((motion(None), flicker(common=2.0, local=2.01)), FLICKER, None),
         ((motion(None), flicker(common=0.0, local=0.0)), FLICKER, None),
-        # What mostly lies outside takes all, but for what is near and yet too faint.
+        # What mostly lies outside takes all.
         ((place(700.0, 10.0, 50.1),), FAR, 1.0),
         ((place(700.0, None, 50.0),), FAR, None),
         ((place(None, 90.0, None),), NEAR, None),
         ((place(300.0, 90.0, None),), NEAR, 1.0),
-        ((place(300.0, 90.0, 0.0, fringe_dn=8.0),), NEAR, 1.0),
-        ((place(300.0, 90.0, 0.0, fringe_dn=7.9),), NEAR, 0.5),
         # Light takes the pixels that it costs.
         ((said("light", DARK, {"weak_percent": 3.0, "coverage_percent": 70.0}),), DARK, 0.3),
         ((said("light", DARK, {}),), DARK, 1.0),
@@ -230,13 +220,9 @@ def rushing(
 @pytest.mark.parametrize(
     ("seen", "told"),
     [
-        ({"fringe": 10.0}, True), ({"fringe": 9.9}, False), ({"fringe": None}, False),
+        ({"fringe": 8.0}, True), ({"fringe": 7.9}, False), ({"fringe": None}, False),
         ({"veil": 12.0}, False),
         ({"saturated": 25.0}, True), ({"saturated": 25.1}, False),
-        # Water that outshines the object, or of which that is not known, or before which nothing was seen to move.
-        ({"veil": 27.0, "score": 2288.0, "object_percent": 40.0}, True),
-        ({"veil": 27.0, "score": 2288.0, "object_percent": 39.9}, False),
-        ({"veil": 27.0, "score": 4.4, "object_percent": 84.0}, False),
     ],
 )  # fmt: skip
 def test_strong_fringes_that_give_no_points_are_a_fast_movement(seen: dict[str, Any], told: bool) -> None:
@@ -298,8 +284,8 @@ def faint(fringe: float, top: Given = 10.0, noise_mm: Given = 0.02, room: float 
 @pytest.mark.parametrize(
     ("seen", "code"),
     [
-        # White may not exceed 235: of fringes of 3 and a white of 88, 8.01 can be made, of 89 7.9.
-        ({"fringe": 3.0, "top": 88.0}, DARK), ({"fringe": 3.0, "top": 89.0}, DIRTY),
+        # White may not exceed 255: of fringes of 3 and a white of 95, 8.05 can be made, of 96 7.97.
+        ({"fringe": 3.0, "top": 95.0}, DARK), ({"fringe": 3.0, "top": 96.0}, DIRTY),
         ({"fringe": 2.0, "top": None, "room": 4.0}, DARK),
         ({"fringe": 0.03, "top": 0.0, "room": 300.0}, DIRTY),
         ({"fringe": 8.0}, None),

@@ -14,7 +14,6 @@ from appliance.measure.light.noise import TYPICAL, StereoNoise, camera_noise
 from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdict import Judgement
-from appliance.measure.verdicts.light.changes import LightLevel, find_frequency_hz
 from appliance.measure.verdicts.light.fit import quantile_of
 from appliance.measure.verdicts.light.judge import LEAST_COMMON, LEAST_GAINED, judge_light, propose_second
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
@@ -105,7 +104,6 @@ def test_flicker_is_a_fault_exactly_where_it_does_harm(ambient: float, depth: fl
     assert numbers["left_flicker_over_noise"] == pytest.approx(over_noise, rel=0.15, abs=0.06)
     if over_noise > 0.65:
         assert code(judged) is FaultCode.LIGHT_FLICKERS
-        assert numbers["flicker_alias_hz"] == pytest.approx(20.0, abs=0.5)
     if over_noise < 0.35:
         assert judged.fault is None
 
@@ -181,19 +179,6 @@ def test_quantiles_of_a_block_are_those_of_numpy(count: int) -> None:
     for values in (rng.normal(size=count), np.full(count, 3.0), rng.integers(0, 9, count).astype(np.float64), outlier):
         for share in (0.0, 0.1, 0.5, 0.9, 1.0):
             assert quantile_of(values, share) == pytest.approx(float(np.quantile(values, share)), rel=1e-12)
-
-
-@pytest.mark.parametrize("hz", [5.0, 29.5, 30.0])
-def test_a_lamp_is_found_at_its_frequency_up_to_half_the_frame_rate(hz: float) -> None:
-    value = 0.1 * np.cos(2.0 * np.pi * hz * np.arange(24) / 60.0 + 0.4).reshape(3, 8)
-    value -= value.mean(axis=1, keepdims=True)
-    groups = ("gray x", "sine x", "sine y")
-    levels = tuple(LightLevel(k, groups[k // 8], float(one)) for k, one in enumerate(value.ravel()))
-    found = find_frequency_hz(levels, 1.0 / 60.0)
-    assert found is not None
-    assert found[0] == pytest.approx(hz, abs=0.3)
-    assert found[1] > 0.99
-    assert find_frequency_hz(levels, 1.0 / 1.9) is None, "frames that come too slowly tell none"
 
 
 FULL_DN, ENOUGH_DN = 253.0, 5.0

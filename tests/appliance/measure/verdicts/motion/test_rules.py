@@ -12,7 +12,7 @@ from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.patterns import RISING_STEPS, build_sequence
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts
-from appliance.measure.verdicts.motion.drift import DriftMap, EdgeShifts
+from appliance.measure.verdicts.motion.drift import DriftMap
 from appliance.measure.verdicts.motion.harm import Harm, Place, place_of
 from appliance.measure.verdicts.motion.judge import (
     MotionKind,
@@ -20,26 +20,24 @@ from appliance.measure.verdicts.motion.judge import (
     _judgement,
     _kind,
     _lost_share,
-    _pair_way2,
     _shift,
-    _to_and_fro,
     _turning_mm_s,
+    mean_pair_way2,
 )
 from appliance.measure.verdicts.motion.scores import (
-    MOVED,
     DriftTrend,
     Scores,
     drift_trend,
     edge_course,
-    edges_score,
     texture_score,
 )
+from appliance.measure.verdicts.motion.texture import TextureChange
 from tests.support.golden_texts import Says
-from tests.support.moving_cells import COLUMNS, NO_COURSE, ROWS, cells, harm, texture
+from tests.support.moving_cells import COLUMNS, ROWS, cells, harm
 
-REST = Scores(0.5, 0.5, 0.5, 0.5)
+REST = Scores(0.5, 0.5)
 STILL, AXIAL, LATERAL = MotionKind.STILL, MotionKind.AXIAL, MotionKind.LATERAL
-ROTATION, TREMOR, LOCAL = MotionKind.ROTATION, MotionKind.TREMOR, MotionKind.LOCAL
+ROTATION, LOCAL = MotionKind.ROTATION, MotionKind.LOCAL
 
 
 # ------------------------------------------------------------------------------------------------- verdict
@@ -69,19 +67,21 @@ def test_a_scan_is_refused_for_the_noise_that_a_movement_adds_and_never_at_rest_
 
 
 def test_a_refusal_names_speed_place_and_what_is_added_and_leaves_out_what_is_not_known(says: Says) -> None:
-    said = judged(0.2, AXIAL, Scores(5.0, 0.0, 0.0, 0.0), place=Place(1.0, 2.0, "upper left"))
+    said = judged(0.2, AXIAL, Scores(5.0, 0.0), lateral_mm_s=None, place=Place(1.0, 2.0, "upper left"))
     assert said.fault.numbers == pytest.approx({"shift_px": 1.5, "added_noise_percent": 20.0, "speed_mm_s": 3.0})
-    blind = judged(0.2, AXIAL, Scores(0.0, 9.0, 0.0, 0.0), shift_px=None)
+    blind = judged(0.2, AXIAL, Scores(0.0, 9.0), lateral_mm_s=None, shift_px=None)
     assert blind.fault.numbers == pytest.approx({"added_noise_percent": 20.0})
     says(said.verdict.text, blind.verdict.text, judged(0.2, STILL).verdict.text)
 
 
 @pytest.mark.parametrize(
-    ("scores", "speed_mm_s"),
-    [((4.5, 0.0, 4.4, 0.0), 3.0), ((4.4, 0.0, 4.5, 0.0), np.hypot(4.0, 2.0)), ((4.4, 9.0, None, 9.0), None)],
+    ("drift", "lateral_mm_s", "speed_mm_s"),
+    [(4.5, None, 3.0), (4.4, (-4.0, 2.0), np.hypot(4.0, 2.0)), (4.5, (-4.0, 2.0), 29.0**0.5), (4.4, None, None)],
 )
-def test_what_is_certain_has_a_say_in_the_speed(scores: tuple[float | None, ...], speed_mm_s: float | None) -> None:
-    found = judged(0.2, AXIAL, Scores(*scores)).verdict.numbers["speed_mm_s"]
+def test_what_is_certain_has_a_say_in_the_speed(
+    drift: float, lateral_mm_s: tuple[float, float] | None, speed_mm_s: float | None
+) -> None:
+    found = judged(0.2, AXIAL, Scores(drift, 9.0), lateral_mm_s=lateral_mm_s).verdict.numbers["speed_mm_s"]
     assert found == (None if speed_mm_s is None else pytest.approx(speed_mm_s))
 
 
@@ -89,7 +89,7 @@ def test_a_turn_has_the_speed_of_its_cells_whose_median_says_nothing() -> None:
     rates = np.where(np.arange(COLUMNS) < COLUMNS // 2, -6.0, 6.0) + cells(0.0)
     turning = harm(0.6, depth_rate_mm_s=rates)
     assert (_axial(turning), _turning_mm_s(turning)) == pytest.approx((0.0, 6.0))
-    said = _judgement(ROTATION, turning, 0.0, None, 1.0, None, Scores(9.0, None, None, None), 0.0)
+    said = _judgement(ROTATION, turning, 0.0, None, 1.0, None, Scores(9.0, None), 0.0)
     assert said.verdict.numbers["speed_mm_s"] == pytest.approx(6.0)
     # Cells without points say nothing.
     weight = np.where(rates > 0.0, 1.0, 0.0)
@@ -104,21 +104,19 @@ def test_a_turn_has_the_speed_of_its_cells_whose_median_says_nothing() -> None:
 EVEN = DriftTrend(0.02, 0.001, 0.001, (0.001, 0.001, 0.001), 20.0)
 
 
-def kind(
-    scores: Scores, trend: DriftTrend | None = EVEN, course: Any = NO_COURSE, given: Harm | None = None, **more: Any
-) -> MotionKind:
+def kind(scores: Scores, trend: DriftTrend | None = EVEN, given: Harm | None = None, **more: Any) -> MotionKind:
     speed: dict[str, Any] = {"axial_mm_s": 3.0, "lateral_mm_s": None} | more
-    return _kind(scores, trend, given or harm(), course, **speed)
+    return _kind(scores, trend, given or harm(), **speed)
 
 
-@pytest.mark.parametrize("sign", ["drift", "edges", "flow", "texture"])
+@pytest.mark.parametrize("sign", ["drift", "texture"])
 def test_whatever_exceeds_the_score_is_a_movement(sign: str) -> None:
     for score, still in ((4.4, True), (4.5, False)):
         assert (kind(replace(REST, **{sign: score})) is STILL) == still
-    assert kind(Scores(None, None, None, None)) is STILL
+    assert kind(Scores(None, None)) is STILL
 
 
-BOTH, DRIFT = Scores(9.0, 0.0, 9.0, 0.0), replace(REST, drift=9.0)
+BOTH, DRIFT = Scores(9.0, 9.0), replace(REST, drift=9.0)
 
 
 @pytest.mark.parametrize(
@@ -132,14 +130,8 @@ BOTH, DRIFT = Scores(9.0, 0.0, 9.0, 0.0), replace(REST, drift=9.0)
         (BOTH, replace(EVEN, across=0.031), (4.0, 3.0), 3.0, ROTATION),
         (BOTH, None, (0.1, 0.0), None, LATERAL),
         # A score of 4.5 is the first that is certain.
-        (replace(BOTH, flow=4.5), EVEN, (40.0, 30.0), 3.0, LATERAL),
-        (replace(BOTH, flow=4.4), EVEN, (40.0, 30.0), 3.0, AXIAL),
         (replace(REST, drift=4.5), None, None, 3.0, AXIAL),
-        (replace(REST, flow=4.5), None, None, 3.0, LATERAL),
         (replace(REST, texture=4.5), None, None, 3.0, LATERAL),
-        (replace(REST, edges=9.0), None, None, 3.0, AXIAL),
-        (replace(REST, edges=9.0), None, None, None, AXIAL),
-        (Scores(4.4, 9.0, 4.4, None), None, None, 3.0, AXIAL),
         # A turn is a slope of the drift that is steep and certain.
         (DRIFT, replace(EVEN, across=0.013), None, 3.0, AXIAL),
         (DRIFT, replace(EVEN, across=0.015), None, 3.0, ROTATION),
@@ -162,37 +154,6 @@ def test_kinds_at_their_limits(
 
 
 NAN = float("nan")
-
-
-@pytest.mark.parametrize(
-    ("course", "second_sd", "shaking"),
-    [
-        # A quarter of the way back.
-        ((1.0, 0.8, 0.6, 0.4, 0.66, 0.3, 0.2, 0.1), 0.01, True),
-        ((1.0, 0.8, 0.6, 0.4, 0.64, 0.3, 0.2, 0.1), 0.01, False),
-        ((0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05), 0.01, False),
-        # Four times its uncertainty, 0.0269.
-        ((0.0, 0.11, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.01, True),
-        ((0.0, 0.105, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.01, False),
-        # Coarse bits, beyond 2.5 times the usual uncertainty, have no say.
-        ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0249, True),
-        ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0251, False),
-        ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), NAN, False),
-        # Four frames tell, three do not.
-        ((0.0, 0.9, 0.0, 0.0, NAN, NAN, NAN, NAN), 0.01, True),
-        ((0.0, 0.9, 0.0, NAN, NAN, NAN, NAN, NAN), 0.01, False),
-        ((NAN,) * 8, NAN, False),
-    ],
-)
-def test_a_quarter_of_the_way_back_is_shaking(course: tuple[float, ...], second_sd: float, shaking: bool) -> None:
-    sd = np.full(8, 0.01)
-    sd[1] = second_sd
-    for way in (1.0, -1.0):
-        given = way * np.array(course), sd
-        assert _to_and_fro(given) == shaking
-        assert kind(DRIFT, course=given) is (TREMOR if shaking else AXIAL)
-
-
 GROUP = [(row, column) for row in (1, 2) for column in (4, 5, 6)]
 TWELVE = [(row, column) for row in (1, 2, 3) for column in (3, 4, 5, 6)]
 FAR = [(5, 0), (5, 1), (4, 0)]
@@ -238,10 +199,8 @@ def test_a_local_movement_needs_twenty_cells_and_that_nothing_else_moves() -> No
         assert kind(REST, given=harm(**corner, weight=weight)) is found
         assert kind(REST, given=harm(**corner, noise_mm=np.where(weight > 0.0, 0.02, np.nan))) is found
     there = harm(ripple_mm=rippled(dict.fromkeys(GROUP, 4.0)), drift_px=cells(0.1))
-    for sign in ("flow", "edges"):
-        for score, local in ((4.5, False), (4.4, True)):
-            assert (kind(replace(REST, **{sign: score}), given=there) is LOCAL) is local
-    assert kind(Scores(0.5, None, None, 0.5), given=there) is LOCAL
+    for lateral_mm_s, local in (((4.0, 3.0), False), (None, True)):
+        assert (kind(REST, given=there, lateral_mm_s=lateral_mm_s) is LOCAL) is local
 
 
 # --------------------------------------------------------------------------------------------------- place
@@ -288,10 +247,10 @@ def test_fringes_and_paint_make_one_way_of_the_cells_with_points_and_a_slope() -
     known = DriftMap(**(rest | {"drift_px": drift, "slope_per_px": slope}))
     backwards = replace(known, drift_px=-drift)
     for one in (known, backwards):
-        assert _shift(one, harm(weight=weight), texture(), 24) == pytest.approx(0.02 / 0.5 * 24)
-    both = _shift(known, harm(weight=weight), texture((0.3, -0.4)), 24)
+        assert _shift(one, harm(weight=weight), None, 24) == pytest.approx(0.02 / 0.5 * 24)
+    both = _shift(known, harm(weight=weight), np.array([0.3, -0.4]) / 12.0, 24)
     assert both == pytest.approx(np.hypot(0.96, 0.5 * 24 / 12))
-    assert _shift(known, harm(weight=cells(0.0)), texture((0.3, 0.4)), 24) is None
+    assert _shift(known, harm(weight=cells(0.0)), np.array([0.3, 0.4]), 24) is None
 
 
 def test_what_is_shadow_or_saturated_or_veiled_was_not_lost_to_a_movement() -> None:
@@ -305,22 +264,17 @@ def test_what_is_shadow_or_saturated_or_veiled_was_not_lost_to_a_movement() -> N
     assert _lost_share(decoder) == 0.0
 
 
-def test_the_way_of_the_paint_is_the_mean_of_the_cameras_that_see_any_unless_only_its_light_changes() -> None:
-    def pair_way2(left_px: float, right_px: float, flow: float | None, texture: float | None) -> float | None:
+def test_the_way_of_the_paint_is_the_mean_of_the_cameras_that_see_any() -> None:
+    def pair_way2(left_px: float, right_px: float) -> float | None:
         ways = (np.array([[0.0, 0.0], [0.0, 0.0], [px, 0.0]]) for px in (left_px, right_px))
-        left, right = (AlbedoShifts(way, np.zeros(3)) for way in ways)
-        return _pair_way2({"left": left, "right": right}, build_sequence(16, steps=RISING_STEPS), flow, texture)
+        return mean_pair_way2([AlbedoShifts(way, np.zeros(3)) for way in ways], build_sequence(16, steps=RISING_STEPS))
 
-    assert pair_way2(1.0, 3.0, None, 5.0) == pytest.approx(5.0)
-    assert pair_way2(NAN, 3.0, 5.0, 0.0) == pytest.approx(9.0)
-    assert pair_way2(NAN, NAN, 5.0, 5.0) is None
+    assert pair_way2(1.0, 3.0) == pytest.approx(5.0)
+    assert pair_way2(NAN, 3.0) == pytest.approx(9.0)
+    assert pair_way2(NAN, NAN) is None
     # In our order the ways of a pair are three frames and one.
     way = AlbedoShifts(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [2.0, 0.0]]), np.zeros(4))
-    ours = _pair_way2({"left": way, "right": way}, build_sequence(16), 5.0, None)
-    assert ours == pytest.approx(0.5 * (4.0 + 4.0 / 3.0))
-    # Stripes of light in turbid water are no paint that moves.
-    assert pair_way2(1.0, 3.0, MOVED - 0.1, None) is None
-    assert pair_way2(1.0, 3.0, MOVED, None) == pytest.approx(5.0)
+    assert mean_pair_way2([way, way], build_sequence(16)) == pytest.approx(0.5 * (4.0 + 4.0 / 3.0))
 
 
 def test_six_cells_with_points_make_a_trend_and_five_do_not() -> None:
@@ -333,12 +287,11 @@ def test_six_cells_with_points_make_a_trend_and_five_do_not() -> None:
 
 def test_edges_count_in_units_of_the_drift_where_at_least_half_of_the_cells_are_certain_of_it() -> None:
     drift = 0.02 * np.where(np.arange(COLUMNS) % 2 == 0, -1.0, 1.0) + cells(0.0)
-    left = edges(0.0)
-    left.shift_px[:] = 10.0 * drift
+    left = np.tile(10.0 * drift, (3, 1, 1))
 
     def middle(certain: np.ndarray, sd: float = 0.0066, **more: Any) -> float:
         given = harm(drift_px=drift, sd_px=np.where(certain, sd, 1.0), **more)
-        return float(edge_course({"left": left, "right": edges(0.0)}, given)[0][0])
+        return float(edge_course(left, edges(0.0), given)[0][0])
 
     every, half = np.full((ROWS, COLUMNS), True), np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS) < 24
     fewer = half.copy()
@@ -355,32 +308,29 @@ def test_edges_count_in_units_of_the_drift_where_at_least_half_of_the_cells_are_
     assert middle(half, weight=weight) != pytest.approx(0.2)
 
 
-def edges(shift: float, frames: int = 3, holes: int = 0) -> EdgeShifts:
+def edges(shift: float, frames: int = 3, holes: int = 0) -> np.ndarray:
     maps = np.full((frames, ROWS, COLUMNS), shift)
     maps.reshape(frames, -1)[:, :holes] = np.nan
-    return EdgeShifts(maps)
+    return maps
 
 
 def test_gray_edges_count_left_less_right_by_their_median() -> None:
-    middle, sd = edge_course({"left": edges(0.3), "right": edges(0.1)}, harm(drift_px=cells(0.0)))
+    middle, sd = edge_course(edges(0.3), edges(0.1), harm(drift_px=cells(0.0)))
     assert middle == pytest.approx([0.2] * 3)
     assert sd == pytest.approx([0.0] * 3)
-    assert edges_score((middle, sd)) == pytest.approx(0.2 / 0.025)
-    assert edges_score((np.array([0.1, -0.4, np.nan]), np.array([0.02, 0.06, np.nan]))) == pytest.approx(0.4 / 0.065)
-    assert edges_score(NO_COURSE) is None
     for known, told in ((5, False), (6, True)):
-        few = {"left": edges(0.3, holes=ROWS * COLUMNS - known), "right": edges(0.1)}
-        assert np.isfinite(edge_course(few, harm(drift_px=cells(0.0)))[0]).all() == told
+        few = edges(0.3, holes=ROWS * COLUMNS - known)
+        assert np.isfinite(edge_course(few, edges(0.1), harm(drift_px=cells(0.0)))[0]).all() == told
 
 
 def test_paint_that_changes_between_the_means_counts_against_what_it_does_at_rest() -> None:
-    assert texture_score({"left": texture(change=1.045, early=1.10)}) == pytest.approx(0.0, abs=1e-9)
-    assert texture_score({"left": texture(change=1.145, early=1.10)}) == pytest.approx(5.0)
-    both = {"left": texture(change=1.0, early=1.45), "right": texture(change=1.045, early=1.1)}
-    assert texture_score(both) == pytest.approx(5.0)
-    assert texture_score({"left": texture(change=2.0)}) is None
+    assert texture_score({"left": TextureChange(1.045, 1.10)}) == pytest.approx(0.0, abs=1e-9)
+    assert texture_score({"left": TextureChange(1.145, 1.10)}) == pytest.approx(5.0)
+    assert texture_score({"left": TextureChange(1.0, 1.45), "right": TextureChange(1.045, 1.1)}) == pytest.approx(5.0)
+    assert texture_score({"left": TextureChange(1.245, 1.10, locked=2.0)}) == pytest.approx(0.2 / np.hypot(0.02, 0.08))
+    assert texture_score({"left": None, "right": None}) is None
 
 
 def test_the_largest_of_the_known_scores_counts() -> None:
-    assert Scores(None, 2.0, None, 1.0).largest == 2.0
-    assert Scores(None, None, None, None).largest is None
+    assert (Scores(1.0, 2.0).largest, Scores(None, 2.0).largest) == (2.0, 2.0)
+    assert Scores(None, None).largest is None

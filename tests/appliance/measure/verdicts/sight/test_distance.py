@@ -8,21 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.light.noise import TYPICAL_PAIR, CameraNoise
 from appliance.measure.light.patterns import Direction, build_sequence
-from appliance.measure.points.quality import QualityLimits
-from appliance.measure.points.table import PointTable
-from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdicts.sight.judge import (
     COLUMNS,
     ROWS,
     _clear_everywhere,
     _likeness,
     _strongest,
-    find_depths_by_stripes_mm,
     find_depths_mm,
-    look,
 )
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
@@ -45,11 +39,6 @@ def plane_at(
 def depths_mm(scan: RenderedScan) -> np.ndarray:
     rig = true_calibration(scan.renderer.truth).rig
     return find_depths_mm(scan.frames, scan.sequence, TYPICAL_PAIR, rig, WATER.index)
-
-
-def by_stripes_mm(left: np.ndarray, right: np.ndarray, scan: RenderedScan) -> np.ndarray:
-    rig = true_calibration(scan.renderer.truth).rig
-    return find_depths_by_stripes_mm({"left": left, "right": right}, scan.sequence, rig, WATER.index)
 
 
 @pytest.mark.parametrize(
@@ -143,45 +132,3 @@ def test_a_window_is_compared_where_the_whole_of_it_is_in_the_picture(column: fl
         bright = np.full(right.shape[1:], 249.0, np.float32)
         bright[corner] = 250.0
         assert _clear_everywhere(bright, at[None]).tolist() == [not inside]
-
-
-# ------------------------------------------------------------------------------------- by saturated stripes
-
-
-def test_what_is_saturated_has_a_distance() -> None:
-    scan = plane_at(330.0, 0.064)
-    bright = scan.frames["left"][scan.sequence.bright]
-    assert np.mean(bright[bright > 60] == 255) > 0.8
-    found = by_stripes_mm(scan.frames["left"], scan.frames["right"], scan)
-    assert abs(float(np.median(found)) / 330.0 - 1.0) < 0.07
-    assert np.mean(abs(found / 330.0 - 1.0) < 0.1) > 0.8, "most pixels agree, not one by luck"
-
-
-@pytest.mark.parametrize("what", ["a flood light", "silt"])
-def test_where_black_stripes_are_not_black_there_is_no_distance(what: str) -> None:
-    """Other light than the projector's saturates the pixels as well, or scattered light fills the black stripes."""
-    scan = plane_at(530.0, 0.012, ambient=6.0) if what == "a flood light" else plane_at(530.0, 0.064, water=SILT)
-    assert np.mean(scan.frames["left"][scan.sequence.bright] == 255) > 0.5
-    assert len(by_stripes_mm(scan.frames["left"], scan.frames["right"], scan)) == 0
-
-
-def test_a_few_pixels_and_numbers_that_meet_anywhere_are_no_distance() -> None:
-    """In a mirrored right image each number of the left one is somewhere on its line, by chance."""
-    scan = plane_at(330.0, 0.064)
-    left, right = scan.frames["left"], scan.frames["right"]
-    row, few = left.copy(), left.copy()
-    row[:, 1:], few[:, 1:], few[:, :, 40:] = 2, 2, 2
-    edge = np.where(np.arange(200) < 150, 2, right).astype(np.uint8)
-    for seen, found in (((left, right[:, :, ::-1]), 0), ((left, edge), 0), ((row, right), 41), ((few, right), 0)):
-        assert min(len(by_stripes_mm(*seen, scan)), 41) == found
-
-
-def test_a_saturated_plane_that_is_too_near_is_said_to_be_near() -> None:
-    """Without a point, and without a window whose fringes are clear."""
-    scan = plane_at(330.0, 0.064)
-    rig = true_calibration(scan.renderer.truth).rig
-    assert len(depths_mm(scan)) == 0
-    nothing = PointTable(1).cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-    seen = look(ScanImages(scan.sequence, scan.frames, {}), rig, WATER.index, nothing, QualityLimits())
-    assert seen.numbers["near_percent"] == pytest.approx(100.0, abs=5.0)
-    assert seen.numbers["distance_mm"] == pytest.approx(330.0, rel=0.07)
