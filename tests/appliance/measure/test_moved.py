@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from appliance.measure import procedure
 from appliance.measure.bracket import ProcessedSequence
 from appliance.measure.fault import FaultCode
 from appliance.measure.judges import JUDGES
@@ -65,6 +66,18 @@ def test_motion_that_spoils_points_is_told_before_the_full_cloud(in_a_hand: Work
             assert step.judgements[0].verdict.name == "identity"
             assert "windows" not in said, "what moves is soft in one camera and not in the other"
     assert in_a_hand.held.moved
+
+
+def test_where_something_moved_no_pixel_is_masked_as_a_speck(
+    in_a_hand: Worked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(procedure, "WORTH_MASKING_PERCENT", -1.0)
+    scan, calibration = scan_in_a_hand(), true_calibration(scan_in_a_hand().renderer.truth)
+    with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+        full = SequenceProcessor(pipeline, calibration, WATER).process(scan.frames, AcquisitionSettings())
+    last = in_a_hand.steps[-1]
+    assert isinstance(last, FullCloud)
+    assert full.found.summary == last.found.summary
 
 
 def test_no_frame_is_read_before_it_arrives(in_a_hand: Worked) -> None:

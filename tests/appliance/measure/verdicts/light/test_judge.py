@@ -102,6 +102,8 @@ def test_flicker_is_a_fault_exactly_where_it_does_harm(ambient: float, depth: fl
     judged = judge(scene)
     numbers = judged.verdict.numbers
     assert numbers["left_flicker_over_noise"] == pytest.approx(over_noise, rel=0.15, abs=0.06)
+    seen = depth * math.sin(1.2 * math.pi) / (1.2 * math.pi)
+    assert numbers["left_flicker_percent"] == pytest.approx(100.0 * ambient * abs(seen), rel=0.08, abs=0.1)
     if over_noise > 0.65:
         assert code(judged) is FaultCode.LIGHT_FLICKERS
     if over_noise < 0.35:

@@ -89,6 +89,12 @@ def test_moving_away_before_a_projector_whose_light_is_a_sine_is_named_and_kept(
     assert (said.judgement.verdict.numbers["drift_over_noise"] or 0.0) > 1.0
 
 
+def test_a_shake_that_turns_round_is_refused_although_it_hardly_drifts() -> None:
+    said = judge(clean(Motion(tremor_mm=(0.0, 0.0, 0.4), tremor_hz=6.0), "none", response="linear"))
+    assert said.judgement.verdict.passed is False
+    assert (said.added or 0.0) > 0.5
+
+
 def test_sliding_along_a_facing_plane_is_named_and_kept() -> None:
     said = judge(clean(Motion(velocity_mm_s=(6.0, 0.0, 0.0)), pose=FACING))
     assert said.kind is MotionKind.LATERAL

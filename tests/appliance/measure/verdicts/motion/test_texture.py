@@ -72,9 +72,11 @@ def test_paint_is_followed_right_and_down_in_px_of_the_camera(
     assert found == (None if width == 400 and moved == (0.1, 0.2) else pytest.approx(moved, abs=0.04 * bin_px))
 
 
-def test_another_picture_is_not_followed() -> None:
-    frames, decoder = seen(paint(400, 200, 7.0), paint(400, 200, 7.0)[::-1])
-    assert follow_px(decoder, means_of(frames, SEQUENCE)) is None
+@pytest.mark.parametrize(("share", "followed"), [(0.15, True), (0.6, False)])
+def test_a_picture_of_which_much_is_another_one_is_not_followed(share: float, followed: bool) -> None:
+    after = (1.0 - share) * paint(400, 200, 7.0, (1.0, 0.0)) + share * paint(400, 200, 7.0)[::-1]
+    frames, decoder = seen(paint(400, 200, 7.0), after)
+    assert (follow_px(decoder, means_of(frames, SEQUENCE)) is not None) == followed
 
 
 def test_fewer_than_two_hundred_pixels_away_from_borders_tell_nothing() -> None:
