@@ -1,4 +1,4 @@
-"""What the verdict on a scan is worth: identity, motion, light, water, uncertainty, against the truth."""
+"""What the verdict on a scan is worth: identity, motion, compensation, light, water, uncertainty, against the truth."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 from bench.progress import Progress
 from bench.result import Measured
 from bench.runner import machine
+from bench.verdict.compensation_page import write_page as write_compensation
 from bench.verdict.motion_page import write_page as write_motion
 from bench.verdict.parts import IN_WORLDS, KEEPING, PARTS, measure_part, part
 from bench.verdict.worlds import ORDINARY, WORLDS
@@ -49,12 +50,14 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--write-docs",
         action="store_true",
-        help="measure nothing; write the figures of docs/motion.md from --json",
+        help="measure nothing; write the figures of docs/motion.md and compensation.md from --json",
     )
     wanted = parser.parse_args(arguments)
     if wanted.write_docs:
         content = json.loads(wanted.json.read_text(encoding="utf-8"))
-        write_motion(content, Path("docs"))
+        if "motion" in content["parts"]:
+            write_motion(content, Path("docs"))
+        write_compensation(content, Path("docs"))
         return 0
     if not 1 <= wanted.scans <= 100_000:
         parser.error(f"--scans {wanted.scans}: allowed are 1 to 100000")

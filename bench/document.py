@@ -29,12 +29,14 @@ WHOLE_SCAN: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("complete_target_machine_ms", "last frame to full cloud: all verdicts, gaps, sigma", "ms CPU"),
         ("complete_wall_target_machine_ms", "the same by the clock", "ms"),
         ("complete_scan_target_machine_ms", "whole scan with judges", "ms CPU"),
+        ("compensation_target_machine_ms", "a compensation, where a hand moved", "ms CPU"),
         ("complete_machine_factor", "this machine's times against that one's", "×"),
         ("complete_peak_mb", "peak memory of the worker, shared frames and points included", "MB"),
+        ("moving_complete_own_peak_mb", "its own at a compensation, against what the product lets it take", "MB"),
     ),
 }
 """Tables whose rows have a target."""
-SCENES = (("", "disc"), ("pipe_", "pipe"), ("turbid_", "shell in turbid water"), ("moving_", "moving"))
+SCENES = (("", "disc"), ("pipe_", "pipe"), ("turbid_", "shell in turbid water"), ("moving_", "moving, compensated"))
 """What keys of ``latest.json`` begin with, and the column's head."""
 BY_SCENE: dict[str, tuple[tuple[str, str], ...]] = {
     "Here, medians of one run": (
@@ -62,6 +64,7 @@ BY_SCENE: dict[str, tuple[tuple[str, str], ...]] = {
         ("part_sides_cpu_ms", "left and right"),
         ("part_windows_cpu_ms", "windows"),
         ("part_causes_weighed_cpu_ms", "causes weighed"),
+        ("part_compensation_cpu_ms", "compensation"),
         ("part_full_cloud_cpu_ms", "full cloud"),
     ),
 }

@@ -327,7 +327,8 @@ def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
     fault = seen.unfit
     if fault is None:
         return None
-    if fault.code is FaultCode.MOVED:
+    # Compensated points may be looked at, but the decoded maps, which calibrate, are still those of the motion.
+    if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
         return RecordingCheck(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
     return RecordingCheck(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
 

@@ -1,6 +1,6 @@
 """The projector as the third eye of a calibration: learnt from its first normal scans, and from then on a check of it.
 
-Points of two cameras say where a projector stands that nobody has calibrated (``projector_fit``). The first
+Points of two cameras say where a projector stands that nobody has calibrated (``measure.motion.projector``). The first
 normal scans of a calibration teach it; the fit is kept with the calibration and never made again, so that what happens to
 the instrument later shows against it. Where the two rays of a point meet, a third surface passes: all that the projector
 lights with the point's pattern column. Its distance is the **third gap**, and it must be zero like the ray gap of the two.
@@ -29,14 +29,15 @@ from numpy.typing import NDArray
 
 from appliance.base import SealedFile, digest
 from appliance.calibrate.health import FOLDER, HealthJudgement, HealthTrend, LearntFile, ThirdTrend, judge_health
-from appliance.calibrate.projector_fit import ShownPoints, fit_projector
 from appliance.calibrate.water.artefact import triangulate
 from appliance.measure import (
     RIG_PARAMETERS,
     TURNS,
     HousedCamera,
     PatchGaps,
+    ShownPoints,
     StereoRig,
+    fit_projector_to,
     true_matches,
 )
 from appliance.store import FileSystem
@@ -84,7 +85,7 @@ class ThirdEye:
         scans = (*self.scans, SeenScan(gaps.water_index, *pairs))
         if len(scans) < FITTED_SCANS:
             return replace(self, scans=scans)
-        fitted = fit_projector(rig, [_points(rig, one) for one in scans], gaps.pattern_size_px)
+        fitted = fit_projector_to(rig, [_points(rig, one) for one in scans], gaps.pattern_size_px)
         # A calibration so strange that its points mean nothing fits no projector, either.
         finite = np.isfinite(fitted.residual_px)
         return ThirdEye(camera=fitted.camera, misfit_px=fitted.residual_px) if finite else ThirdEye()

@@ -16,7 +16,7 @@ from appliance.cli.desk import writable, write_files
 from appliance.cli.output import Exit, ProgressLine, UsageError, shown, table
 from appliance.cli.places import WithRoot, scan_folder
 from appliance.instrument import ASHORE
-from appliance.measure import SIDES
+from appliance.measure import SIDES, FaultCode
 from appliance.store import Label, Library, LibraryFolder, ScanEntry, hold_lock, verified
 
 SHELVES = tuple(one.value for one in LibraryFolder)
@@ -226,6 +226,7 @@ def _brief(entry: ScanEntry) -> dict[str, Any]:
         "wall_time": None if record is None else record.wall_time,
         "clock_trusted": None if record is None else record.clock_trusted,
         "grade": None if record is None or record.grade is None else record.grade.value,
+        "corrected": None if record is None else record.compensated,
         "told": None if record is None else [code.value for code in record.held_against],
         "points": None if points is None else round(points),
         "object": None if record is None else record.object,
@@ -270,7 +271,12 @@ def _remark(entry: ScanEntry) -> str:
     if entry.manifest.raw_only:
         return "raw frames only"
     record = entry.manifest.record
-    return entry.manifest.reason or ", ".join(code.value.replace("_", " ") for code in record.held_against)
+    told = [_words(code) for code in record.held_against if code is not FaultCode.COMPENSATED]
+    return entry.manifest.reason or ", ".join([*([_words(FaultCode.COMPENSATED)] if record.compensated else []), *told])
+
+
+def _words(code: FaultCode) -> str:
+    return "MOTION CORRECTED" if code is FaultCode.COMPENSATED else code.value.replace("_", " ")
 
 
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:

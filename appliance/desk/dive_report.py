@@ -82,12 +82,13 @@ def _scan(entry: ScanEntry) -> ReportScan:
     others = [text for name, text in failed.items() if name not in {GRADE, CAUSES}]
     told = others or list(failed.values())
     ungraded = ReportVerdict.DOUBTFUL if told else ReportVerdict.GOOD
+    belongs = [] if record.object is None else [f"object {record.object}"]
     count = record.cloud.get("points")
     found = ReportScan(
         name=name,
         verdict=_VERDICTS[record.grade] if record.grade is not None else ungraded,
         grade=record.grade,
-        reason="" if record.object is None else f"object {record.object}",
+        reason="; ".join([*belongs, *(["motion corrected"] if record.compensated else [])]),
         recorded=_when(record),
         points=None if count is None else round(count),
         sigma_mm=record.cloud.get("noise_mm"),
@@ -113,7 +114,7 @@ def _scan(entry: ScanEntry) -> ReportScan:
         points=len(cloud.points_mm),
         distance_mm=float(np.median(cloud.points_mm[:, 2])),
         sigma_mm=float(np.median(cloud.sigma_mm)),
-        ray_gap_mm=float(np.median(np.abs(cloud.ray_gap_mm))),
+        ray_gap_mm=None if record.compensated else float(np.median(np.abs(cloud.ray_gap_mm))),
         picture_png=picture_of_scan(cloud.points_mm, cloud.intensity),
     )
 

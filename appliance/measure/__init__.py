@@ -193,6 +193,10 @@ if TYPE_CHECKING:
     from .light.water import (
         Water,  # The water around the instrument, and the wavelength of the light that travels through it
     )
+    from .motion.projector import (
+        ShownPoints,  # Points of one scan, and what the projector showed there
+        fit_projector_to,  # Fit the projector to the points of several scans
+    )
     from .news import (
         Bracket,  # Outcome of a second exposure: the cloud of both, or the fault for which there is none
         CoarseCloud,  # Cloud of every few pixels

@@ -1,8 +1,8 @@
 """Owns two sequences of one scene as one scan: whether they show the same, how far it moved in between, and one cloud.
 
-At rest, the decoded maps are merged, pixel by pixel, before points are found. After a small movement from one to the
-other each sequence gets its own points, and the second cloud is laid against the first. Anything else is refused: the
-first sequence is a scan by itself.
+At rest, the decoded maps are merged, pixel by pixel, before points are found. After a small movement each sequence gets
+its own points, and the second cloud is laid against the first. Anything else is refused: the first sequence is a scan
+by itself.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class ProcessedSequence:
     exposure: Exposure
     noise: StereoNoise
     moved: bool
-    """True if a movement spoilt its points while it was recorded: they are those of no moment."""
+    """True if something moved while it was recorded: its maps are those of no moment; its points may be."""
+    spoilt: bool
+    """True if the points are spoilt, too: the motion could not be taken out of them."""
 
 
 @dataclass(slots=True)
@@ -77,9 +79,9 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     for name, one in (("first", first), ("second", second)):
         story.numbers[f"{name}_ms"], story.numbers[f"{name}_gain_db"] = one.exposure.time_us / 1e3, one.exposure.gain_db
         story.numbers[f"{name}_points"] = float(len(one.cloud.pixel))
-    # Points of no moment cannot be registered.
-    if first.moved or second.moved:
-        which = "first" if first.moved else "second"
+    # Compensated points can be registered, points of no moment cannot.
+    if first.spoilt or second.spoilt:
+        which = "first" if first.spoilt else "second"
         return story.refused(f"instrument and scene moved while the {which} exposure was recorded")
     height_px, width_px = first.bright.shape
     surface = surface_of(first.cloud, second.cloud, (height_px, width_px)) if len(first.cloud.pixel) else None
@@ -87,8 +89,9 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     if surface is None or found is None:
         return story.refused("the two exposures have too little in common to tell how they lie to each other")
     story.numbers |= _registration(found)
-    # Pixel by pixel where nothing moved in between, which loses nothing; else in space.
-    if found.moved_px < STILL_PX:
+    # Pixel by pixel where nothing moved, which loses nothing; else in space, where points of both must be rays of one
+    # moment.
+    if found.moved_px < STILL_PX and not first.moved and not second.moved:
         agreements, variance_px2 = _merge_maps(pipeline, first, second)
         story.numbers |= _agreements(agreements)
         if all(agreement.agrees for agreement in agreements.values()):

@@ -42,11 +42,13 @@ class WorkProgress:
 
 @dataclass(frozen=True, slots=True)
 class Verdicts:
-    """All judgements of the scan before its full cloud, identity first."""
+    """All judgements of the scan, identity first, in place of those before."""
 
     judgements: tuple[Judgement, ...]
     cpu_s: float = 0.0
-    """Processor time of all judges but that of identity."""
+    """Processor time of all judges but that of identity; of the second time, that of the compensation."""
+    compensating: bool = False
+    """True if instrument and scene moved against each other: it is tried next to take that out of the points."""
 
 
 @dataclass(frozen=True, slots=True)

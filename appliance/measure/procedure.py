@@ -1,4 +1,4 @@
-"""Owns what happens to a sequence: identify → coarse cloud → judge → full cloud.
+"""Owns what happens to a sequence: identify → coarse cloud → judge → compensate → full cloud.
 
 It is written once, as the generator ``SequenceProcessor.steps``. The instrument's worker, the desk, the warm-up, the
 benches and the tests all run it, so that the same frames get the same points and the same verdicts everywhere.
@@ -20,10 +20,12 @@ from appliance.measure.calibration.file import Calibration
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.decode.decoder import DecodedMaps
 from appliance.measure.decode.specks import mask_specks
+from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.judges import Gatherer, JudgeInput, in_order, is_fault, judged_by_all
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.water import Water
+from appliance.measure.motion.attempt import Attempt, attempt
 from appliance.measure.news import (
     Bracket,
     CoarseCloud,
@@ -62,7 +64,7 @@ class SequenceProcessor:
         self._frames: dict[str, NDArray[np.uint8]] = {}
         self._gatherers: dict[str, Gatherer]
         """Made by ``begin``: a sequence's own."""
-        self._moved = False
+        self._moved = self._compensated = False
         self._full: Found | None = None
         self._tasks = WorkList(pipeline.crew)
         """Tasks that belong to the sequence in work."""
@@ -74,7 +76,7 @@ class SequenceProcessor:
         self._tasks.close()
         self._tasks, self._last_frames = WorkList(self._pipeline.crew), []
         self._settings, self._full = settings, None
-        self._moved = False
+        self._moved = self._compensated = False
         self._frames.clear()
         # What a scan that was cut off has left in the old ones is gone with them.
         pipeline, noise = self._pipeline, settings.noise
@@ -135,7 +137,7 @@ class SequenceProcessor:
         coarse = finding.answer(helping=True)
 
         images = ScanImages(pipeline.sequence, self._frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
-        # Judges look at raw frames, maps and the coarse cloud, before anything is changed by masking.
+        # Judges look at raw frames, maps and the coarse cloud, before anything is changed by compensation or masking.
         given = JudgeInput(images, gathered, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
         bend = pipeline.bend()
         judging = judged_by_all(given, tasks)
@@ -149,8 +151,9 @@ class SequenceProcessor:
         for one in judging:
             spoken[one.name] = one.judgement
             judged_s += one.cpu_s
-            # The full cloud need not wait for judges that have nothing to do with it. Where coordinates are changed
-            # first, specks masked or a bend taken out, it waits: judges read them.
+            # The full cloud need not wait for judges that have nothing to do with it: compensation, too, starts from
+            # the plain one. Where coordinates are changed first, specks masked or a bend taken out, it waits: judges
+            # read them.
             if one.name == "water" and not bend.counts and not _specks_count(one.judgement):
                 begun = pipeline.begin_full(tasks)
             yield WorkProgress(one.name)
@@ -158,14 +161,33 @@ class SequenceProcessor:
         self._moved = is_fault(said["motion"])
         # The judges' own time: the full cloud may be in work before all of them have spoken.
         told_s += judged_s
-        yield Verdicts((identity, *self._weighed(said, coarse.summary)), judged_s)
+        yield Verdicts((identity, *self._weighed(said, coarse.summary)), judged_s, compensating=self._moved)
 
-        # Specks are told by frames that differ, which they do wherever something moved.
-        if not self._moved and _specks_count(said["water"]):
+        full: Found | None = None
+        if self._moved:
+            # The full cloud will be that of one moment of the scan where that makes it good, else the plain one.
+            # The plain cloud is made first: compensation starts from it, and it is what remains if that fails.
+            # It solves phases from the frames anew, and compares: with maps as they were decoded.
+            plain = begun() if begun is not None else pipeline.find_full(straightened=False)
+            begun = None
+            motion = said["motion"]
+            percent = motion.verdict.numbers["added_noise_percent"]
+            added = None if percent is None else 0.01 * percent
+            tried = attempt(pipeline, plain, images, self._calibration, self._water, added)
+            full = tried.found or pipeline.find_full()
+            if tried.found is not None:
+                self._compensated = True
+                said["motion"] = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
+            said["compensation"] = Judgement(_compensation(tried, settings.frame_s))
+            now_s = time.process_time()
+            yield Verdicts((identity, *self._weighed(said, full.summary)), now_s - told_s)
+            told_s = now_s
+        # Not both: specks are told by frames that differ, which they do wherever something moved.
+        elif _specks_count(said["water"]):
             pipeline.crew.each(self._mask_specks, SIDES)  # what passed by makes no points
             pipeline.masked()
 
-        full = begun() if begun is not None else pipeline.find_full()
+        full = full or (begun() if begun is not None else pipeline.find_full())
         self._full = full
         said["holes"], said["distance"] = self._judge_holes(full), judge_distance(full.summary, rig.volume)
         # Causes are weighed again, with the full cloud.
@@ -201,11 +223,15 @@ class SequenceProcessor:
         pipeline, sequence = self._pipeline, self._pipeline.sequence
         mask = pipeline.decoded("left").mask
         step = grid_step_px(mask.shape[1])
-        there = np.zeros(mask.shape, bool)
+        there, before = np.zeros(mask.shape, bool), None
         for first, stop in full.pieces:
             there.reshape(-1)[pipeline.table.points.pixel[first:stop]] = True
         grid = np.s_[::step, ::step]
-        return judge_holes(mask[grid], self._frames["left"][sequence.dark][grid], there[grid])
+        if self._compensated:
+            before = np.zeros(mask.shape, bool)
+            before.reshape(-1)[pipeline.sample(step).pixel] = True
+            before = before[grid]
+        return judge_holes(mask[grid], self._frames["left"][sequence.dark][grid], there[grid], before)
 
     def _mask_specks(self, side: str) -> None:
         decoded, noise = self._pipeline.decoded(side), of_side(self._settings.noise, side)
@@ -260,6 +286,7 @@ class SequenceProcessor:
             self._settings.exposure,
             self._settings.noise,
             moved=self._moved,
+            spoilt=self._moved and not self._compensated,
         )
 
     def _weighed(self, said: Mapping[str, Judgement], summary: CloudSummary) -> tuple[Judgement, ...]:
@@ -270,3 +297,23 @@ class SequenceProcessor:
 def _specks_count(water: Judgement | None) -> bool:
     """Tell whether particles passed by in so many pixels that these are looked for."""
     return water is not None and (water.verdict.numbers["speck_percent"] or 0.0) > WORTH_MASKING_PERCENT
+
+
+def _compensation(tried: Attempt, frame_s: float) -> Verdict:
+    """Return the verdict ``compensation``; its errors are in units of those of a scan at rest."""
+    if tried.motion is None:
+        return Verdict("compensation", False, {}, tried.why)
+    motion = tried.motion
+    # Displacement from the first sine image to the last, over the time between.
+    lasted_s = frame_s * (motion.frames[-1] - motion.frames[0])
+    x, y, z = (motion.motion_mm[-1, :3] - motion.motion_mm[0, :3]) / lasted_s
+    numbers: dict[str, float | None] = {
+        "error_before": tried.error_before,
+        "error_after": tried.error_after,
+        "noise_factor": motion.noise_factor,
+        "speed_x_mm_s": float(x),
+        "speed_y_mm_s": float(y),
+        "speed_z_mm_s": float(z),
+        "reference_s": motion.reference_s,
+    }
+    return Verdict("compensation", tried.found is not None, numbers, tried.why)

@@ -90,6 +90,11 @@ SPOILS_POINTS = frozenset(
 )
 """Faults that make points of a recorded scan wrong: the diver may keep the scan, but is never told it is good or
 usable."""
+TOLD_BESIDE_GOOD = frozenset({FaultCode.COMPENSATED})
+"""Faults that are told of a scan and ask for nothing.
+
+Anything else that is held against one asks the diver to repeat it, or to change something.
+"""
 MADE_UP_FOR = frozenset({FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK})
 """Faults of one sequence that a second one with another exposure makes up for."""
 
@@ -111,7 +116,7 @@ def grade(coverage_percent: float | None, noise_mm: float | None, held_against: 
     if not SPOILS_POINTS.isdisjoint(held_against) or not is_usable(coverage_percent, noise_mm):
         return Grade.BAD
     enough = _within(coverage_percent, noise_mm, GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM)
-    return Grade.GOOD if enough and not held_against else Grade.USABLE
+    return Grade.GOOD if enough and TOLD_BESIDE_GOOD.issuperset(held_against) else Grade.USABLE
 
 
 def is_usable(coverage_percent: float | None, noise_mm: float | None) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,6 +29,8 @@ from appliance.measure.light.noise import TYPICAL, TYPICAL_PAIR
 from appliance.measure.light.patterns import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
+from appliance.measure.motion.estimate import estimate
+from appliance.measure.motion.redecode import compensate
 from appliance.measure.points import straighten
 from appliance.measure.points.fuse import fuse
 from appliance.measure.points.pipeline import Pipeline
@@ -47,19 +50,21 @@ from appliance.measure.verdicts.water.backscatter import warm_up as warm_water
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
+_ALONG_MM = -0.67
+"""Way per frame that makes the steps of the phase so small that the albedo is asked for: 40 mm/s at 60 Hz."""
 
 
 def what_an_empty_scan_does_not_run(
     sequence: PatternSequence,
 ) -> tuple[Callable[[], object], ...]:
-    """Return what runs the kernels for bent fringes, changing light, backscatter, specks and a second exposure;
+    """Return what runs the kernels for bent fringes, changing light, backscatter, specks, motion and a second exposure;
     else the first scan that has some would wait for a compiler. Each loads for a fraction of a second; what more scans
     need comes first."""
     # Types decide what is loaded, not sizes: large pictures of nothing would only have to be paged in.
     frames = np.zeros((len(sequence), *reversed(_SIZE_PX)), np.uint8)
     return (
         straighten.warm_up, warm_light, warm_water, warm_surface, warm_texture, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil,
-        partial(warm_specks, frames), _run_pair,
+        partial(warm_specks, frames), compensate_wall, _run_pair,
     )  # fmt: skip
 
 
@@ -95,6 +100,7 @@ POINT_PIECES = (Piece("matching and triangulation", "appliance.measure.warm:find
 """All that points need where the images were decoded by something else."""
 PIECES = (
     *POINT_PIECES,
+    Piece("motion compensation", "appliance.measure.warm:compensate_wall"),
     Piece("changing light", "appliance.measure.verdicts.light.fit:warm_up"),
     Piece("pattern identity", "appliance.measure.warm:judge_patterns"),
     Piece("motion verdict", "appliance.measure.warm:judge_scan"),
@@ -102,6 +108,25 @@ PIECES = (
     Piece("two exposures", "appliance.measure.warm:merge_walls"),
 )
 """Everything that a scan may need, just recorded or stored."""
+
+
+def compensate_wall() -> None:
+    """Run the kernels that estimate motion and undo it: in the dark, before a flat wall that moves along with the
+    fringes."""
+    with _nothing() as (pipeline, calibration, frames):
+        decoded = {side: pipeline.decoded(side) for side in SIDES}
+        v, u = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
+        # Dark frames decode to nothing; with coordinates by hand the kernels have pixels to work on.
+        for maps in decoded.values():
+            maps.p_px[:], maps.q_px[:] = 12.0 * u, 12.0 * v
+        images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
+        origin, direction = calibration.rig.left.rays(
+            np.stack([u, v], -1).reshape(-1, 2).astype(np.float64), _WATER.index
+        )
+        wall = origin + direction * ((500.0 - origin[:, 2:]) / direction[:, 2:])
+        motion = estimate(images, calibration, _WATER, wall, np.arange(u.size, dtype=np.uint32))
+        along = np.outer(np.arange(len(frames)), [_ALONG_MM, 0.0, 0.0, 0.0, 0.0, 0.0])
+        compensate(images, calibration, _WATER, replace(motion, trajectory_mm=along))
 
 
 def find_points() -> None:

@@ -124,9 +124,16 @@ class ScanRecord:
         return tuple(code for code in codes if not (whole and code in MADE_UP_FOR))
 
     @property
+    def compensated(self) -> bool:
+        """The scan moved, and that was taken out of its points."""
+        done = self._verdict("compensation")
+        return done is not None and done.passed is True
+
+    @property
     def gap_mm(self) -> float | None:
-        """Median ray gap; ``None``: not known."""
-        return self.cloud.get("gap_mm")
+        """Median ray gap; ``None`` where it is not known, as of a compensated scan: its rows come from the model, and
+        meet whatever is wrong."""
+        return None if self.compensated else self.cloud.get("gap_mm")
 
     def _verdict(self, name: str) -> Verdict | None:
         return next((one for one in self.verdicts if one.name == name), None)

@@ -22,6 +22,7 @@ from appliance.measure import (
     Calibration,
     Cloud,
     Fault,
+    FaultCode,
     FullCloud,
     Grade,
     Judgement,
@@ -136,12 +137,15 @@ class ReprocessedScan:
 
     @property
     def unfit(self) -> Fault | None:
-        """Reason why its decoded maps must not calibrate; ``None`` where they may."""
+        """Reason why its decoded maps must not calibrate; ``None`` where they may.
+
+        They are those of before any compensation.
+        """
         return next((fault for fault in self.faults if _spoils_maps(fault)), None)
 
 
 def _spoils_maps(fault: Fault) -> bool:
-    return fault.code in SPOILS_SCAN | SPOILS_POINTS
+    return fault.code in SPOILS_SCAN | SPOILS_POINTS | {FaultCode.COMPENSATED}
 
 
 def reprocess_scan(
@@ -222,7 +226,7 @@ def _work_through(
     for step in processor.steps(even_if_wrong=True):
         match step:
             case Verdicts():
-                progress("matching")
+                progress("taking the motion out" if step.compensating else "matching")
             case FullCloud():
                 full = step
             case _:

@@ -79,6 +79,12 @@ PARTS = MappingProxyType(
         "identity": Entry(
             "bench.verdict.identity", "wrong orders of frames are found and rightly named", 60, 1, world=OUTSIDE
         ),
+        "compensation": Entry(
+            "bench.outside.compensation",
+            "hands' movement undone: how far what is shown errs, and what is refused",
+            40,
+            1,
+        ),
         "causes": Entry(
             "bench.verdict.causes", "the first reason that is given for a bad scan is a true one", 80, 1, world=OUTSIDE
         ),

@@ -90,19 +90,23 @@ def worked_through(
     summary = full.found.summary
     spoilt = any(fault.code in SPOILS_SCAN for fault in faults)
     said = Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults})
-    codes = tuple(fault.code for fault in faults)
+    codes = tuple(fault.code for fault in faults if fault.code is not FaultCode.COMPENSATED)
     return Scanned(cloud, full, said, codes, cpu_s)
 
 
-def moment_s(exposure: Exposure, sequence: PatternSequence = SEQUENCE) -> float:
+def moment_s(scanned: Scanned, exposure: Exposure, sequence: PatternSequence = SEQUENCE) -> float:
     """Return the time after the first pulse whose surface the points should lie on."""
+    reference_s = scanned.numbers("compensation").get("reference_s")
+    moved = any(j.verdict.name == "compensation" and j.verdict.passed for j in scanned.full.judgements)
+    if moved and reference_s is not None:
+        return reference_s + 0.5e-6 * exposure.time_us
     # Depth follows from the fringes across the baseline.
     return float(np.mean(sequence.axis(Direction.X).sine)) * FRAME_S + 0.5e-6 * exposure.time_us
 
 
 def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
     """Return what one scan says and how far its points are from the truth."""
-    renderer, at_s = world.renderer(), moment_s(exposure)
+    renderer, at_s = world.renderer(), moment_s(scanned, exposure)
     cloud, summary = scanned.cloud, scanned.full.found.summary
     view = renderer.view("left", at_s)
     seen = view.seen_by_all
@@ -125,6 +129,7 @@ def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
         "grade": scanned.grade.value,
         "accepted": scanned.accepted,
         "faults": [code.value for code in scanned.codes],
+        "compensated": any(j.verdict.name == "compensation" and j.verdict.passed for j in scanned.full.judgements),
         "texts": {j.verdict.name: j.verdict.text for j in scanned.full.judgements if j.fault is not None},
         "seen": int(np.count_nonzero(seen)),
         "complete_percent": 100.0 * float((found & seen.ravel()).sum()) / max(float(seen.sum()), 1.0),

@@ -101,7 +101,7 @@ def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None)
     good, error_mm = _worth(scan, cloud)
     return Outcome(
         Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults}),
-        tuple(fault.code for fault in ranked),
+        tuple(fault.code for fault in ranked if fault.code is not FaultCode.COMPENSATED),
         summary.coverage_percent, good, error_mm,
         {one.verdict.name: one.verdict.text for one in judgements},
         {one.verdict.name: dict(one.verdict.numbers) for one in judgements},

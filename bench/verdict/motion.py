@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from appliance.measure.light.noise import StereoNoise
 from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.light.water import Water
+from appliance.measure.motion.attempt import attempt
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.verdicts.motion.judge import MotionJudgement, judge_motion
 from bench.result import Measured
@@ -53,6 +54,9 @@ class Judged:
     """Share of the points that the movement costs: they contradict themselves and are left out."""
     still: MotionJudgement
     moving: MotionJudgement
+    compensated: float | None
+    """Where the moving recording is refused and then shown with its movement undone: its error over that at rest; ``None``: it is
+    not, and NaN where too few points tell."""
     bright: NDArray[np.uint8]
     """(h, w): the left camera's bright frame of the moving recording."""
 
@@ -72,6 +76,8 @@ class Judged:
             "lost_percent": _rounded(100.0 * self.lost),
             "at_rest": _said(self.still),
             "moving": _said(self.moving),
+            "compensated": self.compensated is not None,
+            "compensated_over_rest": None if self.compensated is None else _rounded(self.compensated),
         }
 
 
@@ -134,8 +140,11 @@ def examine(case: Case, kept: Scans) -> Judged:
         for one in recorded.values()
     )
     noise_of_points_mm, added, lost = harm(case, standing, moved, recorded, water, noise)
+    undone = None
+    if moving.judgement.verdict.passed is False:
+        undone = compensated(case, standing, moved, recorded, water, noise, moving.added)
     bright = recorded[Take.MOVING].noisy["left"][build_sequence(case.period_px).bright]
-    return Judged(case, noise_of_points_mm, added, lost, still, moving, bright)
+    return Judged(case, noise_of_points_mm, added, lost, still, moving, undone, bright)
 
 
 def harm(
@@ -161,6 +170,33 @@ def harm(
         return math.nan, math.nan, lost
     squared = max(rms_mm(moving_mm) ** 2 - rms_mm(rest_mm) ** 2, 0.0)
     return noise, math.sqrt(1.0 + squared / noise**2) - 1.0, lost
+
+
+def compensated(
+    case: Case,
+    standing: Renderer,
+    moved: Renderer,
+    recorded: Mapping[Take, Recorded],
+    water: Water,
+    stated: StereoNoise,
+    judged_to_add: float | None,
+) -> float | None:
+    """Return how far the points of the moving recording err when they are shown with the movement undone, over those at rest, both with
+    noise; ``None`` where compensation is not shown, NaN where too few points tell."""
+    sequence, calibration = build_sequence(case.period_px), complete_calibration(standing.truth)
+    with Pipeline(calibration, water, sequence, noise=stated) as pipeline:
+        rest = cloud_of(pipeline, recorded[Take.REST].noisy)
+        moving = recorded[Take.MOVING]
+        images, _ = as_judged(pipeline, moving.noisy, case.gain_db, moving.exposure_s, stated)
+        tried = attempt(pipeline, pipeline.find_full(straightened=False), images, calibration, water, judged_to_add)
+        if tried.found is None:
+            return None
+        assert tried.motion is not None, "what is shown has a moment that it belongs to"
+        cloud = pipeline.table.cloud(tried.found)
+        if min(len(rest.pixel), len(cloud.pixel)) < LEAST_POINTS:
+            return math.nan
+        errors, at_rest = errors_mm(moved, cloud, tried.motion.reference_s), errors_mm(standing, rest, 0.0)
+    return rms_mm(errors[0]) / rms_mm(at_rest[0])
 
 
 def cloud_of(pipeline: Pipeline, frames: Frames) -> Cloud:

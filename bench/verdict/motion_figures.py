@@ -14,8 +14,8 @@ from bench.verdict.motion_cases import KINDS
 
 HARMFUL, HARMLESS, LOST = 0.10, 0.05, 0.10
 """Noise added, as a fraction; and a share of the points whose loss is harm, too."""
-REFUSED_PERCENT = 99.0
-"""Of harmful scans must be refused."""
+REFUSED_PERCENT, COMPENSATED_MOST = 99.0, 1.2
+"""Of harmful scans must be refused; and so many times as at rest may those err that are shown compensated."""
 GROUPS = {"untextured": ("none",), "slight": ("slight",), "textured": ("strong", "checker")}
 DISTURBANCES = ("flicker", "waves", "specks", "turbid", "dark", "period 16", "period 32", "period 64", "small")
 Row = Mapping[str, Any]
@@ -42,8 +42,13 @@ def refused(row: Row, take: str = "moving") -> bool:
     return row[take]["passed"] is False
 
 
+def compensated(row: Row) -> bool:
+    """Refused by the verdict, and then shown with its movement undone: neither lost nor shown as it was recorded."""
+    return bool(row.get("compensated"))
+
+
 def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
-    """What the targets ask for, each with its limits."""
+    """What the targets ask for, each with its limits; what is shown compensated is counted apart."""
     judged = [row for row in rows if row["at_rest"]["passed"] is not None]
     alarms = sum(refused(row, "at_rest") for row in judged)
     found = [tally("motion: at rest and refused", alarms, len(judged), at_most=0.0, key="motion_false_alarms")]
@@ -61,8 +66,23 @@ def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
     ]
     for what, mine, at_least, at_most in asked:
         mine = [row for row in mine if row["moving"]["passed"] is not None]
-        stopped = sum(map(refused, mine))
-        found.append(rate(f"motion: refused, of those {what}", stopped, len(mine), at_most=at_most, at_least=at_least))
+        stopped = [row for row in mine if refused(row)]
+        name = f"motion: refused, of those {what}"
+        found.append(rate(name, len(stopped), len(mine), at_most=at_most, at_least=at_least))
+        if stopped:
+            shown = f"motion: shown compensated, of those refused {what}"
+            found.append(tally(shown, sum(map(compensated, stopped)), len(stopped)))
+    undone = [row for row in hands if compensated(row)]
+    known = [row["compensated_over_rest"] for row in undone if row["compensated_over_rest"] is not None]
+    beyond = sum(one > COMPENSATED_MOST for one in known)
+    found.append(
+        tally(
+            f"motion: shown compensated and erring over {COMPENSATED_MOST:g} times as at rest",
+            beyond,
+            len(known),
+            at_most=0.0,
+        )
+    )
     left = [row for row in hands if harmful(row)]
     unjudged = sum(row["moving"]["passed"] is None for row in left)
     found.append(tally("motion: adding over 10 %, too few points left to be judged", unjudged, len(left)))

@@ -39,9 +39,17 @@ class WorldPart(Protocol):
         """As ``KeepingPart.measure``, with the scans of ``world`` (``worlds.WORLDS``)."""
 
 
-IN_WORLDS = ("motion", "identity", "identity_good", "causes")
+IN_WORLDS = ("motion", "identity", "identity_good", "causes", "compensation", "compensation_hard")
 """The names of those."""
-KEEPING = ("motion", "causes", "identity_good")
+KEEPING = (
+    "motion",
+    "causes",
+    "identity_good",
+    "compensation",
+    "compensation_full",
+    "compensation_hard",
+    "compensation_speed",
+)
 """The names of those."""
 PARTS = MappingProxyType(
     {
@@ -49,6 +57,10 @@ PARTS = MappingProxyType(
         "identity_good": "good scans, at rest, moving, in milk and rushing by, that are called wrong",
         "motion": "what moved is rejected, what did no harm is not",
         "motion_speed": "noise against the speed of the hands, for both orders of the steps",
+        "compensation": "rigid motion taken out of the points",
+        "compensation_full": "the same at the instrument's own resolution",
+        "compensation_hard": "the same in flicker, milk, without paint, with steps and labels",
+        "compensation_speed": "the same against the hand's speed",
         "light": "exposure, flicker, two exposures in one",
         "pair": "the second exposure that is proposed: what both show, at rest and moved, against any single one",
         "turbidity": "what is said of the water",

@@ -46,18 +46,19 @@ UNTIL_VERDICT = (
 )
 SUMS: dict[str, Sequence[str]] = {
     "verdict": UNTIL_VERDICT,
-    "complete": (*UNTIL_VERDICT, parts.FULL),
-    "complete_scan": (parts.RECORDING, *UNTIL_VERDICT, parts.FULL),
+    "complete": (*UNTIL_VERDICT, parts.COMPENSATION, parts.FULL),
+    "complete_scan": (parts.RECORDING, *UNTIL_VERDICT, parts.COMPENSATION, parts.FULL),
 }
 """By the name in a key: last frame to verdict, to full cloud, and the whole scan. A part that a side or a scene has not counts nothing."""
 
 
 SAME = ("points", "judgements")
-HEADS = ((DISC, "disc"), ("pipe", "pipe"), ("turbid", "shell in turbid water"), ("moving", "moving"))
+HEADS = ((DISC, "disc"), ("pipe", "pipe"), ("turbid", "shell in turbid water"), ("moving", "moving, compensated"))
 ROWS = {
     parts.RECORDING: "while recording: 23 pairs",
     **{part: part for part in UNTIL_VERDICT},
     parts.BACKSCATTER: "of the coarse cloud, what lies behind backscatter",
+    parts.COMPENSATION: "compensation",
     parts.FULL: "full cloud",
     "verdict": "last frame to verdict",
     "complete": "last frame to full cloud",

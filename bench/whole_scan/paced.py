@@ -31,6 +31,7 @@ from tests.appliance.store.scenes import ORIGIN
 from tests.appliance.store.scenes import record as plain_record
 
 CLOUD_TIMEOUT_S = 60.0
+"""A compensation takes seconds."""
 LIMITS = WorkLimits(memory_mb=4000.0)
 """A scan that takes more memory than the product allows is measured all the same, and its memory is judged."""
 SAMPLE_S = 0.001
@@ -56,6 +57,8 @@ class PacedScan:
     """From the last pair of frames to the full cloud, whatever was told in between."""
     judging_cpu_ms: float
     """Between coarse cloud and verdict."""
+    compensating_cpu_ms: float
+    """Between the verdict and the last one; 0: nothing had moved."""
     full_step_cpu_ms: float
     points: int
     faults: tuple[str, ...]
@@ -66,7 +69,7 @@ class PacedScan:
     @property
     def verdict_cpu_ms(self) -> float:
         """From the last pair of frames to the verdict."""
-        return self.complete_cpu_ms - self.full_step_cpu_ms
+        return self.complete_cpu_ms - self.full_step_cpu_ms - self.compensating_cpu_ms
 
     @property
     def coarse_cpu_ms(self) -> float:
@@ -87,6 +90,7 @@ class _Heard:
     verdict_s: float | None = None
     full_s: float | None = None
     judging_cpu_s: float = 0.0
+    compensating_cpu_s: float = 0.0
     full_cpu_s: float = 0.0
     points: int = 0
     faults: tuple[str, ...] = ()
@@ -142,6 +146,7 @@ class PacedWorker:
             recording_cpu_ms=last_cpu_ms - begun_cpu_ms,
             complete_cpu_ms=ended_cpu_ms - last_cpu_ms,
             judging_cpu_ms=1e3 * heard.judging_cpu_s,
+            compensating_cpu_ms=1e3 * heard.compensating_cpu_s,
             full_step_cpu_ms=1e3 * heard.full_cpu_s,
             points=heard.points,
             faults=heard.faults,
@@ -167,7 +172,10 @@ class PacedWorker:
                     heard.faults = _codes(judgements)
                 case News(_, Verdicts(judgements, cpu_s)):
                     heard.faults = _codes(judgements)
-                    heard.verdict_s, heard.judging_cpu_s = now_s, cpu_s
+                    if heard.verdict_s is None:
+                        heard.verdict_s, heard.judging_cpu_s = now_s, cpu_s
+                    else:
+                        heard.compensating_cpu_s += cpu_s
                 case other:
                     raise RuntimeError(f"the worker answered {other!r:.200}")
         return heard

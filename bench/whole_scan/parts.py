@@ -19,7 +19,7 @@ from appliance.measure.procedure import SequenceProcessor
 from bench.whole_scan.scenes import TimedScene
 
 RECORDING, LAST_PAIR, COARSE, BACKSCATTER = "recording", "last pair", "coarse cloud", "of it: backscatter"
-IDENTITY, WEIGHING, FULL = "identity", "causes weighed", "full cloud"
+IDENTITY, WEIGHING, COMPENSATION, FULL = "identity", "causes weighed", "compensation", "full cloud"
 
 
 class Procedure:
@@ -47,6 +47,7 @@ class Procedure:
             if index == last:
                 self._note(RECORDING, clock)
         self._note(LAST_PAIR, clock)
+        judged = False
         for step in processor.steps():
             match step:
                 case PatternIdentity():
@@ -56,7 +57,8 @@ class Procedure:
                 case WorkProgress(name):
                     self._note(name, clock)
                 case Verdicts():
-                    self._note(WEIGHING, clock)
+                    self._note(COMPENSATION if judged else WEIGHING, clock)
+                    judged = True
                 case FullCloud():
                     self._note(FULL, clock)
         self._taken_ms[BACKSCATTER].append(self._backscatter_ms())

@@ -1,7 +1,7 @@
 """Owns the four scenes that a whole scan is timed on, and the folder in which their frames are kept: drawn once, timed often.
 
 ``disc``: the tilted disc of closed forms that fills three quarters of the image. ``pipe``: clear water, nothing moves.
-``turbid``: a shell in slightly turbid water. ``moving``: a pipe before a hand that moves and trembles.
+``turbid``: a shell in slightly turbid water. ``moving``: a pipe before a hand that moves and trembles; such a scan is compensated.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
 from bench.scan_frames import make_scan
 from bench.turbidity.scan import FRAME_S, PERIOD_PX, noise_of, set_water
+from bench.verdict.compensation_cases import NAMED
 from bench.verdict.kept_scans import kept_scan
-from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.water.medium import turbid
 from tests.support import synthetic
@@ -33,12 +33,10 @@ FOLDER = Path(".cache/scenes")
 TRUTH_SET, SEED = "modelled", 12_007
 SLIGHTLY_PER_M = 0.6
 """Beam attenuation of water that a diver still calls clear."""
-HAND = Motion((6.0, 5.0, 6.2), tremor_mm=(0.2, 0.2, 0.2), rotation_deg_s=(1.0, -1.5, 1.0))
-"""A slow hand that trembles."""
 RENDERED = {
     "pipe": Scene("pipe", texture="checker"),
     "turbid": Scene("shell", texture="slight", water=turbid(SLIGHTLY_PER_M)),
-    "moving": Scene("pipe", texture="checker", motion=HAND),
+    "moving": Scene("pipe", texture="checker", motion=NAMED["a"]),
 }
 DISC = "disc"
 NAMES = (DISC, *RENDERED)

@@ -50,12 +50,18 @@ wait headline PROJECTOR TIMING 90
 wait state AIM 30
 clear
 pause 1
+motion velocity_mm_s=2,0,25 tremor_mm=0.1,0.1,0.1
+press scan
+wait alert COMPENSATED 90
+press scan
+wait scans 2 60
+wait state AIM 60
 motion velocity_mm_s=30,0,0 tremor_mm=1,1,1 tremor_hz=15
 press scan
 wait headline MOVED * px 90
 wait action REPEAT 1
 press scan
-wait scans 2 60
+wait scans 3 60
 wait state AIM 60
 end
 """
@@ -85,7 +91,7 @@ def test_what_was_kept_is_whole_lies_on_the_pipe_and_is_the_same_at_the_desk(
     rig: Rig, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = library.ids()[0]
-    assert [library.verify(scan).ok for scan in library.ids()] == [True] * 2
+    assert [library.verify(scan).ok for scan in library.ids()] == [True] * 3
     assert library.entries(LibraryFolder.SET_ASIDE) == []
     off_mm = off_surface_mm(rig, kept)
     assert len(off_mm) > 40_000
@@ -113,10 +119,14 @@ def test_a_good_scan_carries_every_judgement_with_its_numbers(library: Library) 
     assert 0.0 <= (kept["water"].numbers["veil_percent"] or 0.0) < 10.0
 
 
-def test_a_moved_scan_is_said_to_be_wrong(library: Library) -> None:
-    _, moved = verdicts(library, LibraryFolder.SCANS)
-    assert moved["motion"].passed is False
-    assert (moved["motion"].numbers["added_noise_percent"] or 0.0) > 50.0
+def test_a_moved_scan_is_put_right_or_said_to_be_wrong_and_the_manifest_says_which(library: Library) -> None:
+    _, corrected, wrong = verdicts(library, LibraryFolder.SCANS)
+    assert (corrected["motion"].passed, corrected["compensation"].passed) == (False, True)
+    speeds = [corrected["compensation"].numbers[f"speed_{axis}_mm_s"] for axis in "xyz"]
+    assert speeds[2] == pytest.approx(-25.0, abs=4.0), "the scene comes nearer as the instrument goes on"
+    assert (wrong["motion"].passed, wrong["compensation"].passed) == (False, False)
+    assert (wrong["motion"].numbers["added_noise_percent"] or 0.0) > 50.0
+    assert wrong["compensation"].text, "and why it stays as it is"
 
 
 def test_what_is_left_of_a_scan_that_broke_in_its_second_direction_is_kept_apart_and_rescued_unchecked(

@@ -39,7 +39,7 @@ def record(kind: str, response: Response | None = None, noise: bool = True) -> B
         # As decoded: the full cloud takes out of the coordinates what the response bends them by.
         pipeline.coarse()
         left = coordinate_errors(scan.renderer, pipeline, "left")
-        cloud = pipeline.sample(1)
+        cloud = pipeline.table.cloud(pipeline.find_full(straightened=False))
     depth = depth_errors(scan.renderer, cloud)
     inner = depth.seen & (np.abs(depth.along_ray_mm) < 1.0)
     return Bent(

@@ -17,7 +17,7 @@ from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.scan_images import ScanImages
 from appliance.measure.verdicts.motion.judge import MotionJudgement, judge_motion
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
-from tests.support.rendered import FRAME_S
+from tests.support.moved import FRAME_S
 from tests.support.synthetic import push_all
 from tests.support.truth import WATER
 

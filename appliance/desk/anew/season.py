@@ -38,6 +38,8 @@ def page_of_table(table: Path) -> tuple[str, int]:
 
 def season_page(rows: Sequence[Cells], source: str) -> str:
     """Return the page about the ``rows`` of a table (``results.read_table``); ``source`` is named on it."""
+    # Rows of a compensated scan come from a model, in which rays always meet.
+    known = [row if "compensation=yes" not in row["verdicts"].split() else {**row, "gap_mm": ""} for row in rows]
     times = sorted(_recorded(row) for row in rows if row["recorded"]) or ["no clock"]
     calibrations = sorted({row["calibration"][:_SHOWN_DIGITS] for row in rows if row["calibration"]})
     about = {"From": times[0], "To": times[-1], "Calibrations": _few(calibrations, 3, ", "), "Table": source}
@@ -47,7 +49,7 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
         ("Lengths over time", "Measured, less what the certificate says. A step is a knock or a new calibration, a slope a housing that moves.",
          rows, "length_error_mm", "length error, µm", lambda row: row["artefact"]),
         ("Health of the calibration", "Median distance at which the two rays of a point miss each other. It rises when a camera moved or the water is another.",
-         rows, "gap_mm", "ray gap, µm", lambda row: row["calibration"][:_SHOWN_DIGITS]),
+         known, "gap_mm", "ray gap, µm", lambda row: row["calibration"][:_SHOWN_DIGITS]),
         ("Noise", "Median expected standard deviation of a point.",
          rows, "noise_mm", "noise, µm", lambda row: "spoilt" if row["spoilt"] == "True" else row["grade"] or "not graded"),
         ("Water", "Temperature that the scans were worked through with.",

@@ -48,8 +48,8 @@ judge of light has it; the second counts where the picture is saturated as well.
 them, for the water's part does, up to the third."""
 SPOILT_SHARE = 0.05
 """Share of the picture's pixels that are saturated, from which on other light is held against it."""
-FAST_MM_S = 30.0
-"""Speed from which two scans of three are spoilt."""
+FAST_MM_S = 70.0
+"""Speed from which two scans of three keep too few points, although motion is undone."""
 CORNERS, LEAST_CORNERS = 60, 6
 CORNER_QUALITY, CORNER_DISTANCE_PX = 0.02, 6.0
 CORNER_DN = 6.0

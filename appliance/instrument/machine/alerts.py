@@ -24,8 +24,9 @@ from drivers.api import Key
 
 
 class Severity(IntEnum):
-    """Severity, shown as dive computers show it: solid yellow, flashing red."""
+    """Severity, shown as dive computers show it: white, solid yellow, flashing red."""
 
+    INFO = 0
     WARNING = 1
     CRITICAL = 2
 
@@ -76,7 +77,7 @@ class Rule:
     """Change of each number, with its direction, after which an acknowledged alert is shown in full again."""
 
 
-_W, _C = Severity.WARNING, Severity.CRITICAL
+_I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
 _INCOMPLETE = Words("INCOMPLETE {received:.0f}/{expected:.0f}", "UNVOLLSTÄNDIG {received:.0f}/{expected:.0f}")
 _REPEAT = Words("REPEAT", "NOCHMAL")
 # What a diver can do about anything inside of the housing; what to look at ashore is in
@@ -125,6 +126,12 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             Words("MOVED {shift_px:.1f} px", "BEWEGT {shift_px:.1f} px"),
             _REPEAT,
             Words("MOVED", "BEWEGT"),
+        ),
+        # The only INFO of the table: nothing is asked of the diver. Where it lost a part, PART_MISSING says so.
+        FaultCode.COMPENSATED: Rule(
+            _I,
+            Words("MOTION CORRECTED", "BEWEGUNG BEHOBEN"),
+            Words("POINTS ARE RIGHT: KEEP", "PUNKTE STIMMEN: BEHALTEN"),
         ),
         FaultCode.PART_MISSING: Rule(
             _W, Words("PART MISSING", "TEIL FEHLT"), Words("HOLD STILL, REPEAT", "STILL HALTEN, NOCHMAL")

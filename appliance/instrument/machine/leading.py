@@ -17,7 +17,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import assert_never
 
-from appliance.instrument.machine.alerts import RULES, Alert, alert_of, lasting, notice_of, seen
+from appliance.instrument.machine.alerts import RULES, Alert, Severity, alert_of, lasting, notice_of, seen
 from appliance.instrument.machine.states import Machine, State
 from appliance.instrument.machine.words import Label, Text, worded
 from appliance.instrument.ranging.reach import Reach
@@ -171,7 +171,8 @@ class Leader(Enum):
 
 def leader(shown: Sequence[Alert], overlap: OverlapSaid | None = None, reach: Reach = Reach.UNKNOWN) -> Leader:
     """Return what leads a screen with these alerts, with what is said of the overlap, and at that distance."""
-    if in_full(shown) is not None:
+    full = in_full(shown)
+    if full is not None and full.severity > Severity.INFO:
         return Leader.ALERT
     if reach in (Reach.CLOSER, Reach.BACK):
         return Leader.DISTANCE

@@ -279,9 +279,9 @@ def _plate(
 def _temperature(canvas: Canvas, view: AimView, top: float) -> None:
     """Draw the housing's temperature in the colour of its band: white, yellow, or white on red."""
     # The colour comes from the alerts, not from limits of its own: number and warning can then never disagree.
-    band = max((alert.severity for alert in view.alerts if alert.code in _ABOUT_HEAT), default=None)
+    band = max((alert.severity for alert in view.alerts if alert.code in _ABOUT_HEAT), default=Severity.INFO)
     ground, ink = {
-        None: (theme.INK, theme.WHITE),
+        Severity.INFO: (theme.INK, theme.WHITE),
         Severity.WARNING: (theme.YELLOW, theme.INK),
         Severity.CRITICAL: (theme.BLOOD, theme.WHITE),
     }[band]

@@ -152,13 +152,14 @@ def _marks(canvas: Canvas, others: Sequence[Alert], bottom: float) -> None:
     for place, alert in enumerate(ranked):
         headline, action = words_of(alert, canvas.language)
         headline = f"{headline}: {action}" if alert.passing else headline
+        colour = theme.WHITE if alert.severity is Severity.INFO else theme.YELLOW
         more = len(ranked) - place
         # The last mark may go to the edge; before it, room is left for the count of those that did not fit.
         if x + 26 + canvas.measure(headline, CAPTION, BLACK) > canvas.width - (16 if more == 1 else count_px):
-            canvas.words(f"+{more}", (x, bottom - 8), CAPTION, BLACK, theme.YELLOW)
+            canvas.words(f"+{more}", (x, bottom - 8), CAPTION, BLACK, colour)
             return
-        canvas.box(x, middle - 8, 16, 16, theme.RED if alert.severity is Severity.CRITICAL else theme.YELLOW, 3)
-        x += 26 + canvas.words(headline, (x + 26, bottom - 8), CAPTION, BLACK, theme.YELLOW) + 24
+        canvas.box(x, middle - 8, 16, 16, theme.RED if alert.severity is Severity.CRITICAL else colour, 3)
+        x += 26 + canvas.words(headline, (x + 26, bottom - 8), CAPTION, BLACK, colour) + 24
 
 
 def words_of(alert: Alert, language: Language) -> tuple[str, str]:
@@ -182,11 +183,13 @@ def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:
 
 
 def alert_colours(severity: Severity, time_s: float) -> tuple[theme.Colour, theme.Colour, theme.Colour]:
-    """Return (ground, ink, edge) of an alert at a moment: solid yellow, or flashing red that stays readable."""
+    """Return (ground, ink, edge) of an alert at a moment: white, solid yellow, or flashing red that stays readable."""
     match severity:
         case Severity.CRITICAL:
             return (theme.BLOOD if theme.flash_on(time_s) else theme.INK), theme.WHITE, theme.RED
         case Severity.WARNING:
             return theme.YELLOW, theme.INK, theme.YELLOW
+        case Severity.INFO:
+            return theme.PANEL, theme.WHITE, theme.LINE
         case unknown:
             assert_never(unknown)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
+from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.leading import Leader, leader
 from appliance.instrument.machine.words import Text
 from appliance.instrument.screens import theme
@@ -21,7 +22,7 @@ from appliance.instrument.screens.cloud import CloudPainter
 from appliance.instrument.screens.frame import alerts_top, draw_title, room_between
 from appliance.instrument.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.instrument.screens.views import GalleryView, ReviewView, StoredScan
-from appliance.measure import Grade
+from appliance.measure import FaultCode, Grade
 
 GRADES = {
     Grade.GOOD: (Text.GOOD, theme.GREEN),
@@ -176,6 +177,16 @@ def _column(canvas: Canvas, scan: StoredScan, led: bool, bottom: float) -> None:
         canvas.words(Text.DAMAGED, (left + 16, top + 45), TITLE - 2, BLACK, theme.INK, max_width=right - left - 24)
     elif scan.grade is not None:
         below = draw_verdict(canvas, scan.grade, scan.lengths_doubtful, top, led=led)
+    if scan.corrected and not scan.damaged:
+        canvas.words(
+            RULES[FaultCode.COMPENSATED].headline,
+            (left, below + 22),
+            CAPTION,
+            BOLD,
+            theme.MUTED,
+            max_width=right - left,
+        )
+        below += 26
     rows = figures(scan.points, scan.coverage_percent, scan.noise_mm, scan.distance_mm)
     draw_figures(canvas, rows, below + 4, bottom)
 

@@ -177,6 +177,8 @@ class StoredScan:
     preview: NDArray[np.uint8] | None = None
     """(h, w, 3) uint8 RGB as it was stored; it must not change while it is shown."""
     grade: Grade | None = None
+    corrected: bool = False
+    """Motion was taken out of its points."""
     lengths_doubtful: bool = False
     points: int | None = None
     coverage_percent: float | None = None

@@ -80,6 +80,7 @@ def read(library: Library, scan_id: str) -> StoredScan:
         damaged=not entry.ok or not readable,
         preview=preview,
         grade=record.grade,
+        corrected=record.compensated,
         lengths_doubtful=graded is not None and graded.numbers.get(LENGTHS_DOUBTFUL) == 1.0,
         points=None if points is None else int(points),
         coverage_percent=record.cloud.get("coverage_percent"),

@@ -151,8 +151,8 @@ class WindowWatch:
         """Judge scan number ``scan`` and return its verdict and what holds from now on; ``None`` where it was counted
         before.
 
-        A scan counts once, however often the worker judges it: a process that was started again must not make two scans
-        of one.
+        A scan counts once, however often the worker judges it: a process that was started again, or a compensated
+        cloud, must not make three scans of one.
         """
         if scan == self._counted:
             return None

@@ -34,7 +34,7 @@ from appliance.measure.points.match import RightMaps, fill_inverse_map, right_ma
 from appliance.measure.points.quality import STILL, GapSampler, QualityLimits, measure_ripple, summarise
 from appliance.measure.points.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.measure.points.select import PointLimits
-from appliance.measure.points.sigma import SigmaFactors, sigma_factors
+from appliance.measure.points.sigma import SigmaFactors, read_between, sigma_factors
 from appliance.measure.points.straighten import CoordinateMaps, PhaseBend, measure_bend, take_out
 from appliance.measure.points.table import Cloud, PointTable
 from appliance.measure.points.triangulate import Rays, rays_of
@@ -250,12 +250,13 @@ class Pipeline:
         self._veil = self._veil.removed()
         self._prepare()
 
-    def find_full(self) -> Found:
+    def find_full(self, *, straightened: bool = True) -> Found:
         """Find the full cloud, as ``full`` does, and leave the points in the table.
 
-        What the projector's response bends coordinates by is taken out of the decoders' maps first, where it counts.
+        ``straightened``: what the projector's response bends coordinates by is taken out of the decoders' maps first,
+        where it counts. Whoever goes on to look at the frames beside the maps wants them as they were decoded.
         """
-        if not self._straight:
+        if straightened and not self._straight:
             self._straighten()
         return self._with_gaps(self._find(1))
 
@@ -331,6 +332,37 @@ class Pipeline:
         rows = [self._sampled] * BLOCKS
         blocks = self._blocks(self._left_maps(), self._right, self._factors, stride, limits, table, rows)
         return table.cloud(self._found([block() for block in blocks], stride, table))
+
+    def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
+        """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the
+        table.
+
+        They were read between pixels. What the projector's response bends them by is taken out of them, where it
+        counts. Gaps are not sampled: they would not be those of a scan at rest, and points have none: rows come from a
+        model of both cameras, and their rays meet whatever is wrong. Raises ValueError for maps without variances: what
+        reading between pixels leaves of the noise does not follow from their modulation.
+        """
+        if not (left.variance_px2.size and right.variance_px2.size):
+            raise ValueError("maps read between pixels came without variances; give both sides' variance_px2")
+        shown = self._sequence
+        factors, bend = self._factors, measure_bend((left, right), shown.period_px)
+        if bend.counts:
+            self._take_out((left, right), bend)
+            ripple = measure_ripple(left.p_px, left.illuminated_columns, shown.period_px)
+            factors = sigma_factors(shown.period_px, self._noise, ripple)
+            noisier = np.float32(bend.variance_factor(shown.period_px))
+            left, right = (one._replace(variance_px2=one.variance_px2 * noisier) for one in (left, right))
+        maps = right_maps(
+            right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px, right.variance_px2
+        )
+        fill_inverse_map(maps, self._inverse_stride)
+        # Cameras and projector share the field.
+        fringe_px = self._sequence.period_px / self._sequence.width_px * left.p_px.shape[1]
+        factors = read_between(factors, fringe_px)
+        found = self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
+        for first, stop in found.pieces:
+            self.table.points.gap_mm[first:stop] = np.nan
+        return replace(found, summary=replace(found.summary, gap_mm=None))
 
     def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:
         limits = limits or self._kernel_limits(stride)

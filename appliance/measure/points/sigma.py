@@ -45,8 +45,13 @@ from appliance.measure.points.quality import KNEE, STILL, Ripple
 
 BLUR_PX2 = 0.2
 """Variance of what one pixel sees, in px²: its own area and the lens."""
+SPLINE_BLUR_PX2 = 1.0 / 3.0
+"""Variance in px² of the cubic B-spline's spot: what reading between pixels adds to ``BLUR_PX2``."""
 BORDER_PX = 0.07
 """Expected error, in px, where a neighbour has no coordinate."""
+SHARED = np.float32(1.17)
+"""Variance of a coordinate read between pixels where neighbours have half of their noise in common, as the B-spline
+leaves it, over that of independent ones; mean over all places."""
 SURE = np.float32(20.0)
 """Multiple of a coordinate's variance beyond which a bend counts: noise alone makes 5 in the mean."""
 RIPPLE_KNEE = np.float32(KNEE)
@@ -71,9 +76,15 @@ class SigmaFactors(NamedTuple):
     ripple_rad: np.float32
     """Phase of the ripple per px of the pattern."""
     blur2_px4: np.float32
-    """``BLUR_PX2`` squared."""
+    """Square of the variance of what one place of the maps sees: of ``BLUR_PX2``, and of the spline's where they were
+    read by it."""
     border_px2: np.float32
     """``BORDER_PX`` squared."""
+    right_correlation: np.float32 = np.float32(1.0)
+    """``SHARED`` where right pixels share noise with their neighbours, else 1.
+
+    It multiplies a variance that the right maps carry.
+    """
 
 
 def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) -> SigmaFactors:
@@ -93,6 +104,20 @@ def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) ->
     )
 
 
+def read_between(factors: SigmaFactors, fringe_px: float) -> SigmaFactors:
+    """Return the factors for maps with variances whose grey values were read between pixels by the cubic B-spline.
+
+    What is read is blurred by the spline's spot as well, neighbours share noise, and of fringes ``fringe_px`` long the
+    third harmonic, which makes the ripple, is lost more than the first.
+    """
+    lost = float((np.sinc(3.0 / fringe_px) / np.sinc(1.0 / fringe_px)) ** 4)
+    return factors._replace(
+        ripple_px2=factors.ripple_px2 * np.float32(lost**2),
+        blur2_px4=np.float32((BLUR_PX2 + SPLINE_BLUR_PX2) ** 2),
+        right_correlation=SHARED,
+    )
+
+
 def four_step_variance_px2(
     modulation_dn: NDArray[np.float32], offset_dn: NDArray[np.float32], noise: CameraNoise, period_px: int
 ) -> NDArray[np.float32]:
@@ -107,7 +132,7 @@ def four_step_variance_px2(
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _expect(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.float32], n: int) -> None:
     """Write POINT_VARIANCE of noise, footprint and border, the noise being that of modulation, offset and camera."""
-    scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2 = factors
+    scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2, _correlation = factors
     for x in range(n):
         m1, m2, light, slope = s[MODULATION + x], w[MODULATION_RIGHT + x], s[OFFSET + x], w[SLOPE + x]
         before, after = s[P + x - 1], s[P + x + 1]
@@ -139,7 +164,7 @@ def _expect(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.float32
 def _expect_given(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.float32], n: int) -> None:
     """Write POINT_VARIANCE as ``_expect`` does, with the noise that the maps carry instead of that of modulation and
     light."""
-    blur2, border2 = factors.blur2_px4, factors.border_px2
+    blur2, border2, correlation = factors.blur2_px4, factors.border_px2, factors.right_correlation
     for x in range(n):
         modulation, slope = s[MODULATION + x], w[SLOPE + x]
         before, after = s[P + x - 1], s[P + x + 1]
@@ -147,7 +172,7 @@ def _expect_given(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.f
         left2 = left_slope * left_slope
         left2 = left2 if left2 > MIN_SLOPE2 else MIN_SLOPE2
         # Noise: V_left + share · V_right.
-        noise = s[PHASE_VARIANCE + x] + w[RIGHT_SHARE + x] * w[PHASE_VARIANCE_RIGHT + x]
+        noise = s[PHASE_VARIANCE + x] + w[RIGHT_SHARE + x] * (correlation * w[PHASE_VARIANCE_RIGHT + x])
         # Footprint: β (½ ∇²p + ∇p · ∇ln B), the second part as the difference of both cameras.
         gradient = s[MODULATION + x + 1] - s[MODULATION + x - 1]
         uneven = gradient * left_slope * (left2 - slope2) / (left2 * modulation)
@@ -202,4 +227,5 @@ def without_neighbours(f: SigmaFactors) -> SigmaFactors:
     """Return the factors of noise and ripple alone."""
     return SigmaFactors(
         f.scale2_px2, f.dark_left, f.shot_left, f.dark_right, f.shot_right, f.ripple_px2, f.ripple_rad, _ZERO, _ZERO,
+        f.right_correlation,
     )  # fmt: skip

@@ -104,11 +104,11 @@ def find_causes(
         ]
     )
     # A part is missing for a reason; that it is missing is told where no other is known.
-    explained = [cause for cause in named if cause.fault.code is not FaultCode.PART_MISSING]
-    named = explained or named
-    if named or usable:
+    unexplained = {FaultCode.PART_MISSING, FaultCode.COMPENSATED}.issuperset(cause.fault.code for cause in named)
+    named = [cause for cause in named if unexplained or cause.fault.code is not FaultCode.PART_MISSING]
+    if (named and any(cause.fault.code is not FaultCode.COMPENSATED for cause in named)) or usable:
         return tuple(named)
-    return (Cause(_unexplained(summary), 0.0, False),)
+    return (*named, Cause(_unexplained(summary), 0.0, False))
 
 
 def with_causes(
@@ -147,6 +147,7 @@ def with_causes(
 
 _JUDGES: Mapping[FaultCode, str] = {
     FaultCode.MOVED: "motion",
+    FaultCode.COMPENSATED: "motion",
     FaultCode.TOO_BRIGHT: "light",
     FaultCode.TOO_DARK: "light",
     FaultCode.AMBIENT: "light",
@@ -177,7 +178,8 @@ def _is_weighed(one: Judgement) -> bool:
 
 
 def _failed(verdict: Verdict, cause: Cause) -> Verdict:
-    if verdict.passed is False:
+    """COMPENSATED leaves the verdict on motion as it is."""
+    if cause.fault.code is FaultCode.COMPENSATED or verdict.passed is False:
         return verdict
     return replace(verdict, passed=False, text=f"{cause.fault.code.value}: {cause.fault.detail}")
 
@@ -209,7 +211,7 @@ def _all(
     if rushing is not None:
         yield rushing
     else:
-        yield from _motion(of, motion)
+        yield from _motion(of, motion, summary, poor)
         yield from _flicker(light, of, motion)
     if outside is not None:
         yield outside
@@ -221,7 +223,7 @@ def _all(
         yield faint
 
 
-def _motion(of: Mapping[str, Judgement], motion: Numbers) -> Iterator[Cause]:
+def _motion(of: Mapping[str, Judgement], motion: Numbers, summary: CloudSummary, poor: bool) -> Iterator[Cause]:
     judged = of.get("motion")
     fault = None if judged is None else judged.fault
     added, lost = motion.get("added_noise_percent"), motion.get("lost_percent") or 0.0
@@ -231,6 +233,12 @@ def _motion(of: Mapping[str, Judgement], motion: Numbers) -> Iterator[Cause]:
     numbers = {"added_noise_percent": added, "shift_px": motion.get("shift_px"), "speed_mm_s": motion.get("speed_mm_s")}
     known = {name: value for name, value in numbers.items() if value is not None}
     detail = "" if judged is None else judged.verdict.text
+    if fault is not None and fault.code is FaultCode.COMPENSATED:
+        yield Cause(fault, 0.0, True)
+        if poor:
+            # Undone, and yet too few points are left: the noise is gone, what was lost while it moved is lost.
+            yield Cause(Fault(FaultCode.MOVED, detail, known), 0.01 * min(lost, 100.0), False)
+        return
     yield Cause(fault or Fault(FaultCode.MOVED, detail, known), 1.0 - left, fault is not None)
 
 

@@ -1,9 +1,10 @@
 """Owns the judgement whether the cloud has holes where the left camera saw a surface, and what made them.
 
 Coverage counts pixels, and cannot tell a hole in the middle from what no scan can give: shadow, dark paint, and what
-the right camera does not see. A surface is *seen* without a point where pixels are saturated, and where their Gray code
-contradicts their phase or jumps. Single pixels and lines of them are edges; what a square of three grid places fits into
-is a hole.
+the right camera does not see. A surface is *seen* without a point where pixels are saturated, where their Gray code
+contradicts their phase or jumps, and, of a scan that moved, where rays that meet within the volume gave a point before
+its motion was undone. Single pixels and lines of them are edges; what a square of three grid places fits into is a
+hole.
 """
 
 from __future__ import annotations
@@ -40,17 +41,22 @@ def grid_step_px(width_px: int) -> int:
     return max(1, round(width_px / GRID_PX))
 
 
-def judge_holes(mask: NDArray[np.uint8], dark: NDArray[np.uint8], there: Mask2D) -> Judgement:
+def judge_holes(
+    mask: NDArray[np.uint8], dark: NDArray[np.uint8], there: Mask2D, before: Mask2D | None = None
+) -> Judgement:
     """Judge the left image's grid places (h, w): their ``mask`` and ``dark`` image, and whether they are ``there`` in
     the cloud.
 
-    Numbers: ``hole_percent`` and ``largest_percent``, all holes and the largest one, of the seen surface;
-    ``saturated_percent`` of the holes' pixels.
+    ``before``: places that gave a point before the motion was undone; ``None``: nothing moved. Numbers:
+    ``hole_percent`` and ``largest_percent``, all holes and the largest one, of the seen surface; ``saturated_percent``
+    of the holes' pixels.
     """
     # Where the dark image is saturated, the projector adds nothing, and decoding takes it for shadow.
     burnt = dark >= np.uint8(FULL_DN)
     light = burnt | (mask == Mask.SATURATED)
     seen = (np.isin(mask, _WITHOUT_COORDINATE) | burnt) & ~there
+    if before is not None:
+        seen |= before & ~there
     surface = int(there.sum()) + int(seen.sum())
     if surface == 0:
         return Judgement(Verdict(NAME, None, {}, "no surface is seen"))

@@ -69,17 +69,18 @@ def test_the_list_shows_each_scan_with_its_state_time_and_points(root: Path, tmp
 
 def test_the_list_says_what_the_screen_said_and_notes_are_the_users(root: Path, shell: Shell) -> None:
     numbers = {"points": 20, "coverage_percent": 82.0, "noise_mm": 0.02}
-    told = Verdict("causes", False, {"too_bright_percent": 7.0})
+    moved = Verdict("motion", False, {}, "7 px"), Verdict("compensation", True)
+    told = Verdict("causes", False, {"compensated_percent": 0.0, "too_bright_percent": 7.0})
     for word, causes in (("good", ()), ("usable", (told,))):
-        kept = record(cloud=numbers, verdicts=(*causes, Verdict("grade", True, {}, word)))
+        kept = record(cloud=numbers, verdicts=(*moved, *causes, Verdict("grade", True, {}, word)))
         Library(root).begin(frames(), kept, ORIGIN).publish(kept, cloud())
     scans(shell, root, "label", "000005", "--note", "the bow")
     *_, good, usable = scans(shell, root, "list").out.splitlines()
     assert (good.split()[2], usable.split()[2]) == ("GOOD", "USABLE")
-    assert good.endswith("the bow")
-    assert usable.rstrip().endswith("TOO BRIGHT")
+    assert ("MOTION CORRECTED" in good, good.endswith("the bow")) == (True, True)
+    assert usable.rstrip().endswith("MOTION CORRECTED, TOO BRIGHT")
     last = scans(shell, root, "list", "--json").document[-1]
-    assert (last["grade"], last["told"], last["note"]) == ("usable", ["TOO_BRIGHT"], None)
+    assert (last["grade"], last["corrected"], last["note"]) == ("usable", True, None)
 
 
 def test_a_damaged_scan_is_marked_and_the_others_are_fine(root: Path, shell: Shell) -> None:

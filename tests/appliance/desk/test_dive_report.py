@@ -65,8 +65,8 @@ def test_the_page_has_the_grade_that_the_screen_showed_and_what_is_held_against_
     entry = Library(root).entry("000001")
     assert entry.manifest is not None
     told = Verdict("motion", False, {}, "7 px"), Verdict("water", True), Verdict("sight", None)
-    seen = Verdict("causes", False, {"too_bright_percent": 7.0}, "TOO_BRIGHT 7 %")
-    verdicts = told if word is None else (*told, seen, Verdict("grade", True, {}, word))
+    seen = Verdict("causes", False, {"too_bright_percent": 7.0}, "TOO_BRIGHT 7 %"), Verdict("compensation", True)
+    verdicts = told if word is None else (*told, *seen, Verdict("grade", True, {}, word))
     record = replace(entry.manifest.record, verdicts=verdicts, object=3)
     judged = replace(entry, manifest=replace(entry.manifest, record=record))
     report = report_of_dive(root, [judged, entry], lambda *_: None)
@@ -78,7 +78,7 @@ def test_the_page_has_the_grade_that_the_screen_showed_and_what_is_held_against_
     if word is None:
         assert scan.verdict is ReportVerdict.DOUBTFUL
         return
-    assert (scan.word, scan.reason, scan.ray_gap_mm) == (word, "object 3", plain.ray_gap_mm)
+    assert (scan.word, scan.reason, scan.ray_gap_mm) == (word, "object 3; motion corrected", None)
     assert f" {word}</span>" in text
     assert any("000001" in line for line in report.warnings) == (word != "good")
 

@@ -96,6 +96,28 @@ def test_at_rest_the_pair_is_merged_pixel_by_pixel_and_is_better_than_either(des
     np.testing.assert_array_equal(cloud.intensity, desk.short_dn.ravel()[cloud.pixel])
 
 
+@pytest.mark.parametrize("which", ["first", "second"])
+def test_a_sequence_in_which_something_moved_is_laid_against_the_other_one_in_space(desk: Desk, which: str) -> None:
+    """Its maps are those of no moment, and must not be merged pixel by pixel."""
+    first = replace(desk.first, moved=which == "first")
+    desk.processor._moved = desk.processor._compensated = which == "second"
+    merged, cloud = desk.merged(first)
+    assert cloud is not None
+    verdict = merged.pair.verdict
+    assert verdict.passed
+    assert verdict.text.endswith("points were registered")
+    numbers = {name: number or 0.0 for name, number in verdict.numbers.items()}
+    assert numbers["points"] == len(cloud.pixel)
+    assert numbers["points_both_percent"] == pytest.approx(100.0, abs=5.0)
+    assert numbers["points_only_second_percent"] == pytest.approx(0.0, abs=5.0)
+    assert numbers["points_masked_percent"] == pytest.approx(0.0, abs=1.0)
+    assert numbers["shared_percent"] == pytest.approx(100.0, abs=2.0)
+    assert 0.2 < numbers["residual_over_noise"] < 1.2, "both are one wall"
+    assert numbers["moved_mm"] == pytest.approx(0.0, abs=0.3)
+    grey = cloud.intensity / np.maximum(desk.short_dn.ravel()[cloud.pixel].astype(float), 1.0)
+    assert np.median(grey) == pytest.approx(1.0, abs=0.03), "both clouds' grey values are those of the shorter exposure"
+
+
 def test_points_that_motion_spoilt_or_that_are_hardly_any_are_not_mixed_with_others(desk: Desk) -> None:
     few = desk.first.cloud.thinned(20)
     none = replace(few, pixel=np.zeros(0, np.uint32), points_mm=np.zeros((0, 3), np.float32))
@@ -103,7 +125,7 @@ def test_points_that_motion_spoilt_or_that_are_hardly_any_are_not_mixed_with_oth
         merged, _ = desk.merged(replace(desk.first, cloud=cloud))
         assert merged.found is None
         assert "too little in common" in merged.pair.verdict.text
-    for which, first in (("first", replace(desk.first, moved=True)), ("second", desk.first)):
+    for which, first in (("first", replace(desk.first, moved=True, spoilt=True)), ("second", desk.first)):
         desk.processor._moved = which == "second"
         merged, _ = desk.merged(first)
         assert (merged.found, merged.pair.verdict.passed) == (None, False)

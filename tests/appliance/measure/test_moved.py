@@ -1,4 +1,4 @@
-"""A scan in a moving hand: how much of it shows in the points, and what is said of it."""
+"""A scan in a moving hand: the judges' verdict comes first, the motion is taken out of the points, and both are told."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from appliance.measure.fault import FaultCode
 from appliance.measure.judges import JUDGES
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.patterns import RISING_STEPS, STEPS, Direction, build_sequence
+from appliance.measure.motion.attempt import Attempt
 from appliance.measure.news import CoarseCloud, FullCloud, PatternIdentity, SequenceFact, Verdicts, WorkProgress
 from appliance.measure.points.pipeline import Pipeline
-from appliance.measure.procedure import SequenceProcessor
+from appliance.measure.procedure import SequenceProcessor, _compensation
+from appliance.measure.verdict import Verdict
 from hw_sim.objects.motion import Motion
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Imaging, Scene
@@ -51,21 +53,34 @@ def in_a_hand() -> Worked:
             pass
         steps, held = list(processor.steps()), processor.hold()
         processor.begin(AcquisitionSettings())
-        assert (processor.finished, processor._moved) == (False, False), "another scan"
+        assert (processor.finished, processor._moved, processor._compensated) == (False, False, False), "another scan"
         return Worked(steps, held)
 
 
-def test_motion_that_spoils_points_is_told_before_the_full_cloud(in_a_hand: Worked) -> None:
+def test_it_is_told_that_motion_is_being_undone_and_again_what_came_of_it(in_a_hand: Worked) -> None:
     kinds = [type(step) for step in in_a_hand.steps]
-    assert kinds == [PatternIdentity, CoarseCloud, *[WorkProgress] * len(JUDGES), Verdicts, FullCloud]
-    for step in in_a_hand.steps:
-        if isinstance(step, Verdicts | FullCloud):
-            said = {one.verdict.name: one for one in step.judgements}
-            assert said["motion"].fault is not None
-            assert said["motion"].fault.code is FaultCode.MOVED
-            assert step.judgements[0].verdict.name == "identity"
-            assert "windows" not in said, "what moves is soft in one camera and not in the other"
-    assert in_a_hand.held.moved
+    assert kinds == [PatternIdentity, CoarseCloud, *[WorkProgress] * len(JUDGES), Verdicts, Verdicts, FullCloud]
+    before, after = (step for step in in_a_hand.steps if isinstance(step, Verdicts))
+    assert (before.compensating, after.compensating) == (True, False)
+    said = {one.verdict.name: one for one in before.judgements}
+    assert said["motion"].fault is not None
+    assert said["motion"].fault.code is FaultCode.MOVED
+    for told in (before, after):
+        assert told.judgements[0].verdict.name == "identity"
+
+
+def test_motion_that_was_undone_is_no_fault_of_the_points(in_a_hand: Worked) -> None:
+    last = in_a_hand.steps[-1]
+    assert isinstance(last, FullCloud)
+    said = {one.verdict.name: one for one in last.judgements}
+    motion = said["motion"]
+    assert motion.fault is not None
+    assert (motion.fault.code, motion.fault.detail) == (FaultCode.COMPENSATED, motion.verdict.text)
+    assert said["compensation"].verdict.passed
+    added = motion.verdict.numbers["added_noise_percent"]
+    assert said["compensation"].verdict.numbers["error_before"] == pytest.approx(1.0 + 0.01 * (added or 0.0))
+    assert "windows" not in said, "what moves is soft in one camera and not in the other"
+    assert (in_a_hand.held.moved, in_a_hand.held.spoilt) == (True, False)
 
 
 def test_where_something_moved_no_pixel_is_masked_as_a_speck(
@@ -92,6 +107,11 @@ def test_no_frame_is_read_before_it_arrives(in_a_hand: Worked) -> None:
                 processor.push(side, arrived[side], k)
         before = next(step for step in processor.steps() if isinstance(step, Verdicts))
     assert before.judgements == next(step for step in in_a_hand.steps if isinstance(step, Verdicts)).judgements
+
+
+def test_where_no_motion_could_be_told_the_verdict_says_why() -> None:
+    verdict = _compensation(Attempt(None, None, "Motion was not estimated: too few points."), FRAME_S)
+    assert verdict == Verdict("compensation", False, {}, "Motion was not estimated: too few points.")
 
 
 @pytest.mark.parametrize(("steps", "least", "most"), [(STEPS, 0.9, 1.2), (RISING_STEPS, 2.0, 6.0)])

@@ -9,13 +9,14 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
+from appliance.instrument.machine.alerts import RULES, Severity
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import LOST, UNKNOWN, Guidance, Move, Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.measure.light.noise import MAD_TO_SIGMA, TYPICAL, CameraNoise, StereoNoise, camera_noise
 from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.verdict import SPOILS_POINTS, Grade, Verdict, grade, is_usable
+from appliance.measure.verdict import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, Verdict, grade, is_usable
 from appliance.store.config.load import load_rig
 
 CAMERA = CameraNoise(read_dn=0.9, dn_per_e=0.05, black_dn=3.0)
@@ -144,12 +145,17 @@ def test_good_is_three_fifths_of_the_surface_to_60_micrometres_and_usable_a_quar
 @pytest.mark.parametrize("code", FaultCode)
 def test_a_scan_whose_warning_says_repeat_is_not_good(code: FaultCode) -> None:
     """Whatever the diver is told to do about a scan: no green GOOD stands beside it."""
-    assert grade(90.0, 0.02, [code]) is (Grade.BAD if code in SPOILS_POINTS else Grade.USABLE)
+    said = grade(90.0, 0.02, [code])
+    if RULES[code].severity is not Severity.INFO:
+        assert said is not Grade.GOOD
+    assert (said is Grade.GOOD) == (code in TOLD_BESIDE_GOOD)
+    assert (said is Grade.BAD) == (code in SPOILS_POINTS)
+    assert "REPEAT" not in RULES[FaultCode.COMPENSATED].action.english
 
 
 def test_what_spoils_points_is_worse_than_any_other_warning() -> None:
     spoiling = {FaultCode.MOVED, FaultCode.LIGHT_FLICKERS, FaultCode.SIDES_EXCHANGED, FaultCode.NOT_IN_WATER}
     assert spoiling == SPOILS_POINTS
-    assert grade(90.0, 0.02, [FaultCode.TOO_BRIGHT, FaultCode.WATER_DIRTY]) is Grade.USABLE
+    assert grade(90.0, 0.02, [FaultCode.TOO_BRIGHT, FaultCode.COMPENSATED]) is Grade.USABLE
     assert grade(90.0, 0.02, [FaultCode.TOO_BRIGHT, FaultCode.MOVED]) is Grade.BAD
     assert grade(20.0, 0.02, [FaultCode.TOO_BRIGHT]) is Grade.BAD

@@ -226,6 +226,7 @@ def test_names_that_people_and_the_program_give_are_taken(tmp_path: Path) -> Non
 
 
 CLOUD = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_mm": 512.0, "gap_mm": 0.0002}
+UNDONE = Verdict("compensation", True, {}, "Motion of 3.1 px during the x fringes was undone")
 
 
 def causes(*codes: FaultCode) -> Verdict:
@@ -241,10 +242,12 @@ def test_a_stored_scan_has_one_grade_the_word_that_the_diver_read(tmp_path: Path
     assert of(Verdict(GRADE_NAME, True, {}, "splendid")).grade is of(causes()).grade is None
     library = Library(tmp_path)
     library.prepare()
-    kept = of(Verdict(GRADE_NAME, True, {}, "usable"))
-    pending = library.begin(frames(), kept, ORIGIN)
-    pending.publish(kept, cloud())
-    assert read(library, pending.scan_id).grade is Grade.USABLE
+    for verdicts in ((UNDONE,), ()):
+        kept = of(Verdict(GRADE_NAME, True, {}, "usable"), *verdicts)
+        pending = library.begin(frames(), kept, ORIGIN)
+        pending.publish(kept, cloud())
+        shown = read(library, pending.scan_id)
+        assert (shown.grade, shown.corrected) == (Grade.USABLE, bool(verdicts))
 
 
 def test_what_a_second_exposure_made_up_for_is_not_held_against_a_pair() -> None:
@@ -252,6 +255,13 @@ def test_what_a_second_exposure_made_up_for_is_not_held_against_a_pair() -> None
     pair = Verdict("pair", True)
     assert of(causes(FaultCode.TOO_BRIGHT), pair, second=second).held_against == (FaultCode.AMBIENT,)
     assert of(causes(FaultCode.TOO_BRIGHT), second=second).held_against == (FaultCode.TOO_BRIGHT,)
+
+
+def test_a_compensated_scan_has_no_ray_gap() -> None:
+    """Its rows come from the model: 0.2 µm would look like a perfect calibration."""
+    assert (of(UNDONE).gap_mm, of(UNDONE).compensated) == (None, True)
+    plain = of(replace(UNDONE, passed=False))
+    assert (plain.gap_mm, plain.compensated) == (0.0002, False)
 
 
 @pytest.mark.parametrize("steps", STEP_ORDERS)

@@ -115,8 +115,9 @@ def test_what_is_not_known_is_left_out_and_not_drawn_as_nothing() -> None:
         cells(1, gap_mm=""),
         cells(2, gap_mm="nan"),
         cells(5, gap_mm="inf"),
+        cells(6, verdicts="compensation=yes"),
     ]
-    page = page_of(*unknown, cells(3), cells(4, gap_mm=0.007))
+    page = page_of(*unknown, cells(3, verdicts="compensation=no"), cells(4, gap_mm=0.007))
     assert [words[:6] for *_, words in dots(chart(page, "ray gap, µm"))] == ["000003", "000004"]
     assert season_page([], "t.csv").count("Nothing in the table.") == 4
     failed = page_of(cells(1, state="failed", reason="x: missing", **UNKNOWN))

@@ -182,7 +182,7 @@ def test_of_any_two_faults_one_leads_whichever_came_first() -> None:
 @pytest.mark.parametrize(
     "ordered",
     [
-        (C.LEAK, C.LASER_ON, C.NOT_SAVED, C.CAMERA_LOST, C.FRAME_MISSING, C.MOVED, C.SCAN_FAR, C.UNCALIBRATED),
+        (C.LEAK, C.LASER_ON, C.NOT_SAVED, C.CAMERA_LOST, C.FRAME_MISSING, C.MOVED, C.SCAN_FAR, C.UNCALIBRATED, C.COMPENSATED),
         (C.SIDES_EXCHANGED, C.SCAN_NEAR, C.AMBIENT, C.WATER_DIRTY, C.TOO_BRIGHT, C.SCAN_POOR, C.WARM),
         (C.AIM_LIGHT, C.AIM_FAST, C.AIM_TURBID, C.AIM_DARK),
     ],
@@ -198,6 +198,8 @@ def test_beside_an_alert_in_full_a_lack_of_overlap_and_a_distance_do_not_lead() 
     for code, rule in rules.RULES.items():
         said = (rules.alert_of(Fault(code)),)
         expected = Leader.PASSING if rule.passing else Leader.ALERT
+        if rule.severity is rules.Severity.INFO:
+            expected = Leader.OVERLAP
         assert leader(said, NOTHING_SHARED) is expected, code
         for reach in (Reach.CLOSER, Reach.BACK):
             outside = leader(said, NOTHING_SHARED, reach)
@@ -256,13 +258,13 @@ def test_lengths_are_doubted_as_long_as_one_reason_lasts() -> None:
         assert rules.lengths_doubtful(run(aim(), *events)) == doubted
 
 
-def test_a_scan_is_refused_with_the_gravest_reason() -> None:
+def test_a_scan_is_refused_with_the_gravest_reason_and_news_are_no_warning() -> None:
     for order in permutations((C.STORAGE_FULL, C.LASER_ON, C.SUPPLY_LOW)):
         reason = refusal(run(aim(), *map(raised, order)))
         assert reason is not None
         assert reason.code is C.LASER_ON
-    grave = [rules.alert_of(Fault(code)).severity for code in (C.MOVED, C.LEAK)]
-    assert grave == [rules.Severity.WARNING, rules.Severity.CRITICAL]
+    grave = [rules.alert_of(Fault(code)).severity for code in (C.COMPENSATED, C.MOVED, C.LEAK)]
+    assert grave == [rules.Severity.INFO, rules.Severity.WARNING, rules.Severity.CRITICAL]
     alert = rules.alert_of(Fault(C.UNCALIBRATED))
     assert (alert.lasts, alert.seen, alert.passing) == (False, False, False)
 

@@ -34,6 +34,7 @@ from tests.appliance.instrument.screens.golden.scenes import SCENES
 Picture = NDArray[np.uint8]
 LEAK = Alert(FaultCode.LEAK, Severity.CRITICAL, "LEAK", "ASCEND")
 LOST = Alert(FaultCode.CAMERA_LOST, Severity.WARNING, "RIGHT CAM LOST", "OFF AND ON, OR END DIVE")
+NEWS = Alert(FaultCode.BOARD_RESET, Severity.INFO, "BOARD RESET", "NOTHING TO DO")
 DIM = Alert(FaultCode.AIM_DARK, Severity.WARNING, "TOO DARK TO SCAN", "GO CLOSER", passing=True)
 YELLOW, GREEN, AQUA = (255, 210, 31), (91, 227, 138), (63, 208, 232)
 GREY = np.full((1200, 1600), 90, np.uint8)
@@ -141,7 +142,7 @@ def test_flashing_stays_below_three_per_second() -> None:
     assert 10 <= sum(later and not earlier for earlier, later in pairwise(bright)) < 30
 
 
-@pytest.mark.parametrize("alerts", [(LOST, LEAK), (DIM, LOST, LEAK)])
+@pytest.mark.parametrize("alerts", [(LOST, LEAK), (NEWS, LOST, LEAK)])
 def test_the_gravest_alert_wins_whatever_the_order(painter: Painter, alerts: tuple[Alert, ...]) -> None:
     first, other = (drawn(painter, replace(AIM, alerts=order)) for order in (alerts, alerts[::-1]))
     assert tuple(first[316, 797]) == tuple(other[316, 797]) == (0xFF, 0x3B, 0x3B)  # the edge of a critical one
@@ -224,7 +225,7 @@ def test_a_screen_is_drawn_anew_as_soon_as_anything_on_it_is_and_not_before(cont
     ]  # fmt: skip
     changes = [
         {"left": GREY.copy()}, {"right": None}, {"scans_taken": 13}, {"temperature_c": None}, {"exposure": "12 ms"}, {"object": 3},
-        {"alerts": (LOST,)}, {"keys": {}},
+        {"alerts": (NEWS,)}, {"keys": {}},
     ]  # fmt: skip
     changed = [(AIM, replace(AIM, **change), 0.0, True) for change in changes]  # type: ignore[arg-type]
     with Painter(context, (400, 240)) as painter:

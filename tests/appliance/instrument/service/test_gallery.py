@@ -50,7 +50,7 @@ def test_lengths_are_doubtful_where_the_diver_was_told_so(library: Library) -> N
     for doubtful in (True, False):
         shown = read(library, saved(library, preview=False, doubtful=doubtful))
         assert (shown.lengths_doubtful, shown.preview, shown.damaged) == (doubtful, None, False)
-        assert shown.noise_mm == 0.03
+        assert (shown.noise_mm, shown.corrected) == (0.03, False)
 
 
 @pytest.mark.parametrize("name", ["preview.png", "manifest.json", "cloud.ply"])

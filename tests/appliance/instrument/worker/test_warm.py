@@ -23,7 +23,7 @@ from appliance.store.wish import Wish
 from tests.behaviour.frozen import RECORDINGS
 from tests.support import synthetic
 
-SCANS = {"moved": "000004", "turbid water": "000007", "milk": "000008", "specks": "000009"}
+SCANS = {"compensated": "000004", "turbid water": "000007", "milk": "000008", "specks": "000009"}
 FLICKERS = "000001"
 
 
@@ -67,3 +67,14 @@ def test_no_scan_needs_a_kernel_that_is_not_there(tmp_path: Path) -> None:
             SequenceProcessor(pipeline, calibration, calibration.water).process(frames, AcquisitionSettings())
     after = signatures()
     assert {kernel for kernel, count in after.items() if count != before.get(kernel, 0)} == set()
+
+
+@pytest.mark.usefixtures("warm")
+def test_a_scan_that_moves_along_with_the_fringes_needs_no_compiler_either() -> None:
+    # Its steps shrink until the albedo is asked for: the scans above do not move so.
+    known = signatures()
+    kernels = {
+        "residuals.accumulate", "stripes.accumulate_gray", "phase_solver.depth_rows", "phase_solver.solve_rows",
+        "albedo.gather", "redecode.drop_edges",
+    }  # fmt: skip
+    assert {kernel: known[f"appliance.measure.motion.{kernel}"] for kernel in kernels} == dict.fromkeys(kernels, 1)

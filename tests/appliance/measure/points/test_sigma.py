@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from appliance.measure.light.patterns import build_sequence
+from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.quality import measure_ripple
+from appliance.measure.points.rows import LeftMaps
+from tests.support import synthetic
 
 WIDTH, HEIGHT = 400, 300
 NOISE_PX = 0.03
@@ -25,3 +29,13 @@ def test_a_ripple_of_the_projector_is_found_in_the_scan_itself(amplitude_px: flo
     assert found.amplitude_px == pytest.approx(amplitude_px, abs=0.012)
     assert found.noise_px == pytest.approx(NOISE_PX, rel=0.2)
     assert found.counts == (amplitude_px > 0.0 and slope > 1.0), "wide fringes lose nothing between pixels"
+
+
+def test_maps_read_between_pixels_are_refused_where_a_camera_has_no_variances() -> None:
+    nothing, none = np.full((HEIGHT, WIDTH), np.nan, np.float32), np.zeros((HEIGHT, WIDTH), np.uint8)
+    bare = LeftMaps(nothing, nothing, none, none, none, np.zeros((HEIGHT, 2), np.int32))
+    known = bare._replace(variance_px2=np.ones_like(nothing))
+    with Pipeline(synthetic.calibration(), synthetic.WATER, build_sequence(16)) as pipeline:
+        for left, right in ((bare, bare), (known, bare), (bare, known)):
+            with pytest.raises(ValueError, match="without variances"):
+                pipeline.find_replaced(left, right)

@@ -19,7 +19,7 @@ from appliance.measure.verdicts.causes import Cause, find_causes, with_causes
 DARK, BRIGHT, LAMP, DIRTY, MOVED = (
     FaultCode.TOO_DARK, FaultCode.TOO_BRIGHT, FaultCode.AMBIENT, FaultCode.WATER_DIRTY, FaultCode.MOVED,
 )  # fmt: skip
-NEAR, FAR, FLICKER = FaultCode.SCAN_NEAR, FaultCode.SCAN_FAR, FaultCode.LIGHT_FLICKERS
+NEAR, FAR, FLICKER, UNDONE = FaultCode.SCAN_NEAR, FaultCode.SCAN_FAR, FaultCode.LIGHT_FLICKERS, FaultCode.COMPENSATED
 GOOD = CloudSummary(44_597, 81.7, 530.7, 0.022, 0.001)
 POOR = replace(GOOD, coverage_percent=20.0)
 NO_POINTS = CloudSummary(0, 0.0, None, None, None)
@@ -103,6 +103,8 @@ SILT: dict[str, Any] = {"veil_percent": 40.0, "hidden_percent": 75.0, "masked_pe
         ((STILL, FLOOD, sight(2.0, 4.0, light_dn=1.0)), NO_POINTS, USUAL, [LAMP, DARK]),
         ((STILL, said("water", DIRTY, veil_percent=None, hidden_percent=35.0, masked_percent=100.0), saturated(99.6), sight(None, 3.7)), NO_POINTS, USUAL, [BRIGHT]),
         ((STILL, said("water", DIRTY, **SILT), saturated(17.6, left_lit_percent=91.4), sight()), NO_POINTS, USUAL, [BRIGHT, DIRTY]),
+        # 16 ms and 12 dB before hands: the noise was undone, and a third is saturated.
+        ((motion(85.0, UNDONE), saturated(33.0), sight()), replace(GOOD, coverage_percent=0.9), USUAL, [BRIGHT, UNDONE]),
         # The fault of a judge whose numbers are not weighed stands behind those that are.
         ((said("bubbles", FaultCode.LEAK), motion(60.0, MOVED)), GOOD, USUAL, [MOVED, FaultCode.LEAK]),
     ],
@@ -206,6 +208,15 @@ def test_a_movement_that_its_judge_let_pass_is_named_for_a_poor_scan_with_what_i
     assert not cause.certain
     assert cause.fault.numbers == {"added_noise_percent": 25.0, "shift_px": 2.0}
     assert cause.fault.detail == "as seen"
+
+
+def test_a_movement_that_was_undone_takes_of_a_poor_scan_what_it_took() -> None:
+    poor = causes(motion(25.0, UNDONE), SEEN, summary=POOR)
+    assert set(poor) == {MOVED, UNDONE}
+    assert poor[MOVED].share == pytest.approx(0.04)
+    assert not poor[MOVED].certain
+    harmless = causes(motion(0.0, UNDONE, lost_percent=0.0), SEEN, summary=POOR)
+    assert set(harmless) == {UNDONE, FaultCode.SCAN_POOR}, "what was undone explains no poor scan"
 
 
 def rushing(
@@ -394,7 +405,10 @@ def test_a_scan_that_nothing_ails_says_so() -> None:
     assert found[0].verdict.text == "nothing ails it"
 
 
-def test_a_verdict_that_passed_fails_where_its_fault_becomes_a_cause() -> None:
+def test_a_movement_that_was_undone_leaves_its_verdict_as_it_is() -> None:
+    undone = replace(motion(25.0, UNDONE), verdict=Verdict("motion", True, motion().verdict.numbers, "axial"))
+    (first, *_) = with_causes((undone,), GOOD, USUAL, LONGER)
+    assert (first.verdict.passed, first.verdict.text) == (True, "axial")
     failed = with_causes((motion(25.0, MOVED),), GOOD, USUAL, LONGER)[0]
     assert (failed.verdict.passed, failed.verdict.text) == (False, "as seen")
     slow = with_causes((motion(60.0), SEEN), POOR, USUAL, (USUAL,))[0]

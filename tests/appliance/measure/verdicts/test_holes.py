@@ -89,6 +89,17 @@ def test_a_hole_is_three_places_wide_and_high_and_the_largest_is_told() -> None:
     assert numbers["largest_percent"] == pytest.approx(100.0 * 12 / 200**2)
 
 
+def test_a_flange_that_was_lost_when_the_motion_was_undone_is_missing() -> None:
+    mask, dark, there = scene(0, Mask.VALID)
+    before = there.copy()
+    there[100:140, 100:300] = False
+    assert judge_holes(mask, dark, there).fault is None, "it is not known whether anything was there"
+    found = judge_holes(mask, dark, there, before)
+    assert found.fault is not None
+    assert found.fault.code is FaultCode.PART_MISSING
+    assert found.verdict.numbers["hole_percent"] == pytest.approx(20.0)
+
+
 def test_nothing_seen_is_nothing_to_judge() -> None:
     empty = judge_holes(np.full(SHAPE, Mask.SHADOW, np.uint8), np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, bool))
     far = judge_distance(CloudSummary(0, 0.0, None, None, None), STANDARD)
@@ -122,8 +133,11 @@ def test_a_scan_outside_of_its_volume_says_so(
 def test_what_is_missing_is_told_once_and_only_where_nothing_else_explains_it() -> None:
     summary = CloudSummary(9, 90.0, 578.0, 0.02, 0.01)
     missing = Judgement(Verdict("holes", False), Fault(FaultCode.PART_MISSING, "", {"hole_percent": 7.0}))
+    numbers = {"added_noise_percent": 1.0, "score": 2.0, "score_limit": 1.0}
+    moved = Judgement(Verdict("motion", False, numbers), Fault(FaultCode.COMPENSATED))
     for judgements, codes in (
         ((missing,), [FaultCode.PART_MISSING]),
+        ((moved, missing), [FaultCode.COMPENSATED, FaultCode.PART_MISSING]),
         ((missing, judge_distance(summary, STANDARD)), [FaultCode.SCAN_FAR]),
     ):
         assert [cause.fault.code for cause in find_causes(judgements, summary, Exposure(12_000), ())] == codes

@@ -16,7 +16,8 @@ from hw_sim.scene import Imaging, Scene
 from hw_sim.truth import draw_truth
 from hw_sim.water.medium import Water
 from tests.support.judged import judge_frames, record
-from tests.support.rendered import FRAME_S, render_scan
+from tests.support.moved import FRAME_S
+from tests.support.rendered import render_scan
 from tests.support.truth import true_calibration
 
 STILL, AWAY = Motion(), Motion(velocity_mm_s=(0.0, 0.0, -8.0))

@@ -1,8 +1,8 @@
-"""The projector fitted to what scans say of it, so that nobody has to calibrate it.
+"""Owns where the projector is: fitted to what one scan says of it, so that nobody has to calibrate it.
 
 The projector is modelled as a camera that sends. The fit starts from the drawing (in the middle between the cameras,
 towards the middle of the volume, behind the same port), whose tolerances are its prior, and the pattern coordinates of
-the scans' own points do the rest. On the surface the model is then as good as the points; off it, within the tolerances
+the scan's own points do the rest. On the surface the model is then as good as the points; off it, within the tolerances
 of the mounting.
 """
 
@@ -15,7 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure import MAD_TO_SIGMA, HousedCamera, Lens, Port, StereoRig, matrix3, rotation_matrix
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.noise import MAD_TO_SIGMA
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.rotation import matrix3, rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -52,11 +56,18 @@ class FittedProjector:
     """Robust standard deviation of a coordinate against the model."""
 
 
-def fit_projector(rig: StereoRig, scans: Sequence[ShownPoints], size_px: tuple[int, int]) -> FittedProjector:
-    """Fit the projector to the points of ``scans``; ``size_px`` are width and height of the pattern.
+def fit_projector(
+    rig: StereoRig, water_index: float, points_mm: Array, pattern_px: Array, size_px: tuple[int, int]
+) -> FittedProjector:
+    """Fit the projector to points (n, 3) mm in the left camera frame and their pattern coordinates (n, 2) px.
 
-    Raises ValueError for fewer than ``MIN_POINTS`` points.
+    ``size_px`` are width and height of the pattern. Raises ValueError for fewer than ``MIN_POINTS`` points.
     """
+    return fit_projector_to(rig, [ShownPoints(water_index, points_mm, pattern_px)], size_px)
+
+
+def fit_projector_to(rig: StereoRig, scans: Sequence[ShownPoints], size_px: tuple[int, int]) -> FittedProjector:
+    """Fit the projector to the points of several scans, as ``fit_projector`` does to those of one."""
     points_mm = np.concatenate([one.points_mm for one in scans])
     pattern_px = np.concatenate([one.pattern_px for one in scans])
     if len(points_mm) < MIN_POINTS:

@@ -1,0 +1,29 @@
+"""What undoing a hand's motion is worth where it is hard: flickering light, milky water, no paint, steps with sharp labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bench.result import Measured
+from bench.verdict.compensation import judged, made_worse, of
+from bench.verdict.compensation_cases import HARD, hard_cases
+from bench.verdict.parts import Say
+from bench.verdict.worlds import ORDINARY
+
+
+def measure(
+    scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
+) -> tuple[list[Measured], dict[str, Any]]:
+    """Every named hand in every such condition; ``scans`` does not matter."""
+    rows = judged(hard_cases(seed), say, keep, world)
+    found = []
+    for name in HARD:
+        mine = [row for row in rows if row["name"].split("-", 1)[1] == name]
+        used = [row for row in mine if row["used"]]
+        found += [
+            Measured(f"{name}: compensated", float(len(used)), f"of {len(mine)}"),
+            of(f"{name}, compensated: rms over at rest, worst", used, "after", max, at_most=1.2),
+            of(f"{name}, compensated: the same, nothing done", used, "before", max),
+        ]
+    return [*found, made_worse(rows)], {"seed": seed, "rows": rows}
