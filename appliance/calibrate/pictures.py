@@ -1,7 +1,7 @@
 """Owns a folder of pictures of a board: which pictures belong together, and reading them.
 
 The instrument's folder holds pairs ``NAME_left.png`` and ``NAME_right.png`` (8 bit, grey; also tif, bmp, pgm), or
-folders: of scans, whose bright frames are taken, or ``NAME/left.png`` and ``NAME/right.png``. ``docs/calibration.md``
+folders: of scans, whose bright frames are taken, or ``NAME/left.png`` and ``NAME/right.png``. ``docs/air-calibration.md``
 says how to record them.
 
 Somebody's pictures are told apart by a word in their names or in those of their folders (``left``, ``R``, ``cam1``, …),
