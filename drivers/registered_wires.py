@@ -2,7 +2,7 @@
 
 A rig file is data, often somebody else's. What it names as ``wires`` is called with what it gives as ``wires_options``; were
 any function allowed, reading a rig file would be running it. So the list is part of the program, and a world of its own
-adds itself here (``docs/adr/0031-wires-are-registered.md``).
+adds itself here (``docs/adr/0003-wires-are-the-only-meeting-point.md``).
 """
 
 from __future__ import annotations

@@ -72,13 +72,22 @@ def test_the_walk_through_a_scan_names_what_is_in_the_code() -> None:
     assert not [name for name in names if not set(re.findall(r"\w+", name.partition("(")[0])) <= known]
 
 
-def test_every_decision_is_listed_once_by_its_title() -> None:
+def test_every_decision_is_listed_once_by_its_title_and_is_short() -> None:
     folder = ROOT / "docs" / "adr"
     index = (folder / "README.md").read_text(encoding="utf-8")
     for record in sorted(folder.glob("0*.md")):
+        text = record.read_text(encoding="utf-8")
+        assert len(text.split()) <= 350, record.name
         if record.name != "0000-template.md":
-            title = record.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+            title = text.partition("\n")[0].removeprefix("# ")
             assert index.count(f"- [{title}]({record.name})") == 1, record.name
+
+
+def test_a_number_is_a_decision_that_holds_or_a_line_of_the_history() -> None:
+    folder = ROOT / "docs" / "adr"
+    records = [record.name[:4] for record in folder.glob("0*.md") if record.name != "0000-template.md"]
+    past = re.findall(r"^\| (\d{4}) \|", (folder / "history.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(records + past) == [f"{number:04}" for number in range(1, len(records + past) + 1)]
 
 
 def test_every_scenario_is_in_the_list_of_faults() -> None:

@@ -96,7 +96,7 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
         "object": options.object_name,
         "texture": options.texture,
         "seed": options.seed,
-        # Lock-step goes as fast as it can between two sequences, and no person keeps up with that (ADR 0017).
+        # Lock-step goes as fast as it can between two sequences, and no person keeps up with that (ADR 0004).
         "pace": options.pace or ("attended" if options.window else None),
         "window": options.window or None,
         "console": options.console or None,
