@@ -1,9 +1,9 @@
-"""Owns how a function for scripts refuses an argument of a wrong type: in one sentence that names what was given and
-what is wanted.
+"""Type checks of arguments for the functions that scripts call.
 
-A type checker says the same before the call, to those who run one. The types are those of the annotations, so that none
-is written twice: classes, unions, numbers, texts, arrays, functions, and lists of one kind of thing. What an annotation
-says beyond that is not looked at.
+A wrong type is refused by one sentence that names the argument, its value and the type that belongs there. A type
+checker says the same before the call, to those who run one. The types are those of the annotations, so that none is
+written twice: classes, unions, numbers, texts, arrays, functions and sequences of one type. Anything else in an
+annotation is not checked.
 """
 
 from __future__ import annotations
@@ -39,33 +39,37 @@ _SHOWN = 40
 
 
 def refuse_wrong_types(function: Callable[P, R], name: str | None = None) -> Callable[P, R]:
-    """Return ``function`` with its arguments compared with its annotations at every call; TypeError says which is
-    wrong.
+    """Return ``function`` with its arguments checked against its annotations at every call.
 
-    ``name``: what callers know it by; default: its own.
+    Raises TypeError, which names the wrong argument. ``name``: the name of the function in the text; default: its
+    qualified name.
     """
     signature = inspect.signature(function)
-    called = name or function.__qualname__
+    shown_name = name or function.__qualname__
 
     @functools.wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            given = signature.bind(*args, **kwargs).arguments
+            arguments = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
-            names = [one.replace(annotation=one.empty) for one in signature.parameters.values() if one.name != "self"]
-            raise TypeError(f"{called}: {error}; it is {called}{inspect.Signature(names)}") from None
-        # Only now: annotations are texts, and may name what a module of the other end imports.
-        wanted = _annotations(function)
-        for argument, value in given.items():
-            if argument in wanted and not fits(value, wanted[argument]):
-                raise TypeError(f"{called}: {argument} is {shown(value)}; wanted is {named(wanted[argument])}")
+            names = [
+                parameter.replace(annotation=parameter.empty)
+                for parameter in signature.parameters.values()
+                if parameter.name != "self"
+            ]
+            raise TypeError(f"{shown_name}: {error}; it is {shown_name}{inspect.Signature(names)}") from None
+        # Only now: annotations are texts, and may name a class whose module is imported later.
+        annotations = _annotations(function)
+        for argument, value in arguments.items():
+            if argument in annotations and not fits(value, annotations[argument]):
+                raise TypeError(f"{shown_name}: {argument} is {shown(value)}; wanted is {named(annotations[argument])}")
         return function(*args, **kwargs)
 
     return checked
 
 
 def refuse_wrong_fields(kind: type[R]) -> type[R]:
-    """Return a dataclass whose constructor compares its arguments with the fields' annotations."""
+    """Return a dataclass whose constructor checks its arguments against the fields' annotations."""
     setattr(kind, "__init__", refuse_wrong_types(kind.__init__, kind.__name__))  # noqa: B010
     return kind
 
@@ -75,31 +79,33 @@ def _annotations(function: Callable[..., Any]) -> Mapping[str, Any]:
     return typing.get_type_hints(function)
 
 
-def fits(value: object, wanted: Any) -> bool:
-    """Return True if ``value`` is what the annotation ``wanted`` says; True also where an annotation says nothing that
-    can be seen."""
-    origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
-    kind = origin or wanted
+def fits(value: object, annotation: Any) -> bool:
+    """Return True if ``value`` has the type that ``annotation`` names.
+
+    True also for annotations that cannot be checked.
+    """
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    kind = origin or annotation
     if kind in _UNIONS:
-        return any(fits(value, one) for one in inner)
+        return any(fits(value, option) for option in inner)
     if kind is typing.Literal:
         return value in inner
     if kind in _NUMBERS:
         return isinstance(value, _NUMBERS[kind]) and not isinstance(value, bool)
     if origin is not None and isinstance(value, str | bytes):
-        return False  # a text is a sequence of texts, and nobody means it
+        return False  # a text is also a sequence of texts, but is never meant as one
     if kind is Sequence and isinstance(value, np.ndarray):
         return value.ndim > 0
     if isinstance(kind, type) and not isinstance(value, kind):
         return False
-    # An iterator is not looked into, which would use it up.
-    return not (inner and isinstance(value, list | tuple)) or all(fits(one, inner[0]) for one in value)
+    # The elements of an iterator are not checked, since that would use it up.
+    return not (inner and isinstance(value, list | tuple)) or all(fits(option, inner[0]) for option in value)
 
 
-def named(wanted: Any) -> str:
-    """Return an annotation in words: ``a Mesh, a FusedCloud or None``."""
-    origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
-    kind = origin or wanted
+def named(annotation: Any) -> str:
+    """Return an annotation as English text: ``a Mesh, a FusedCloud or None``."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    kind = origin or annotation
     if kind in _UNIONS:
         *first, last = dict.fromkeys(map(named, inner))
         return f"{', '.join(first)} or {last}" if first else last
@@ -111,15 +117,15 @@ def named(wanted: Any) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value and its type in a few words, never over more than one line."""
+    """Return a value and its type as a short text of one line."""
     if value is None:
         return "None"
     if isinstance(value, np.ndarray):
         return f"a NumPy array of shape {value.shape}"
     name = _a(type(value).__name__)
     if isinstance(value, list | tuple):
-        held = ", ".join(dict.fromkeys(type(one).__name__ for one in value[:_SHOWN]))
-        return f"{name} of {len(value)}" + (f" ({held})" if held else "")
+        types = ", ".join(dict.fromkeys(type(element).__name__ for element in value[:_SHOWN]))
+        return f"{name} of {len(value)}" + (f" ({types})" if types else "")
     if isinstance(value, str | Path | numbers.Number):
         text = repr(value) if isinstance(value, str) else str(value)
         return f"{text[:_SHOWN]}{'…' if len(text) > _SHOWN else ''}, {name}"

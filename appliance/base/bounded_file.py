@@ -1,8 +1,8 @@
-"""Owns how a file is read that somebody else wrote: a regular one, at once, of no more than a stated number of bytes.
+"""Reading files that come from outside: regular ones only, and no more than a stated number of bytes.
 
-Descriptions, lists, rig files, tables, cameras' files, calibrations and pictures have names that people type. A pipe
-would be waited for, a device or a film read until memory ends; both are refused before a byte is read. What is refused
-is an ``OSError`` with its reason in ``strerror``, like whatever else a file system refuses.
+Descriptions, lists, rig files, tables, cameras' files, calibrations and pictures have names that people type. Opening a
+pipe would wait for ever, and a device or a film would be read until memory ends; both are refused before a byte is
+read. A refusal is an ``OSError`` with its reason in ``strerror``, like those of the file system.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ _KINDS = (
     (stat.S_ISDIR, "a folder"),
 )
 MOST_INTEGER = 2**63 - 1
-"""Largest whole number of TOML 1.0, which has 64 bits; Python would read one of any length, and fail when it is
-computed with."""
+"""Largest integer of TOML 1.0, which has 64 bits.
+
+Python would read one of any length, and fail when it computes with it.
+"""
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
@@ -32,24 +34,26 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
 
     Raises OSError for any other kind, and for one of more than ``most_bytes``.
     """
-    # Without waiting: opening a pipe that nobody writes to would last for ever.
-    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    with os.fdopen(number, "rb") as file:
-        about = os.fstat(number)
-        _refuse_kind(path, about.st_mode)
+    # Without waiting: opening a pipe that has no writer would last for ever.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        _refuse_kind(path, status.st_mode)
         # A file may grow while it is read, and those of /proc have no size.
-        data = b"" if about.st_size > most_bytes else file.read(most_bytes + 1)
-    if about.st_size > most_bytes or len(data) > most_bytes:
+        data = b"" if status.st_size > most_bytes else file.read(most_bytes + 1)
+    if status.st_size > most_bytes or len(data) > most_bytes:
         raise OSError(errno.EFBIG, f"larger than {most_bytes} bytes", str(path))
     return data
 
 
 def refuse_irregular(path: Path, most_bytes: int | None = None) -> None:
-    """Raise OSError for anything but a regular file, and for one of more than ``most_bytes``; for libraries that open a
-    file themselves."""
-    about = path.stat()
-    _refuse_kind(path, about.st_mode)
-    if most_bytes is not None and about.st_size > most_bytes:
+    """Raise OSError unless ``path`` is a regular file of at most ``most_bytes``.
+
+    For libraries that open a file themselves.
+    """
+    status = path.stat()
+    _refuse_kind(path, status.st_mode)
+    if most_bytes is not None and status.st_size > most_bytes:
         raise OSError(errno.EFBIG, f"larger than {most_bytes} bytes", str(path))
 
 
@@ -60,7 +64,7 @@ def _refuse_kind(path: Path, mode: int) -> None:
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """Return the text of a regular file in UTF-8, without the byte-order mark that some editors put before it.
+    """Return the text of a regular file in UTF-8, without a byte-order mark at its beginning.
 
     Raises OSError like ``read_bounded``, and UnicodeDecodeError.
     """
@@ -68,9 +72,9 @@ def read_text(path: Path, most_bytes: int) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what TOML 1.0 holds.
+    """Return the tables of a TOML 1.0 text.
 
-    Raises ValueError, also for whole numbers of more than 64 bits and for tables too deep to be read.
+    Raises ValueError, also for integers of more than 64 bits and for tables that are nested too deeply.
     """
     try:
         content = tomllib.loads(text)
@@ -83,12 +87,12 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _integers(value: Any, key: str) -> Iterator[tuple[str, int]]:
-    """Yield the whole numbers in tables and lists, with their keys."""
+    """Yield the integers in tables and lists, with their keys."""
     if isinstance(value, dict):
-        for name, one in value.items():
-            yield from _integers(one, f"{key}.{name}" if key else str(name))
+        for name, element in value.items():
+            yield from _integers(element, f"{key}.{name}" if key else str(name))
     elif isinstance(value, list):
-        for one in value:
-            yield from _integers(one, key)
+        for element in value:
+            yield from _integers(element, key)
     elif isinstance(value, int):
         yield key, value

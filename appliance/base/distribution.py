@@ -1,8 +1,8 @@
-"""Owns the name that pip knows this program by, and whether another program of its import name is installed beside it.
+"""The name of this program at pip, and a check for another program of the same import name.
 
 `kingfisher` on PyPI is a program for DNA reads. It has the same command and the same import name, so that of the two
-the one that was installed last is called, and the files of both lie in one folder. Ours is therefore called something
-else there.
+the one that was installed last is called, and the files of both lie in one folder. That is why this program has another
+name there.
 """
 
 from __future__ import annotations
@@ -18,18 +18,17 @@ _OURS = Path(__file__).parents[1].name
 
 
 def other_program() -> str | None:
-    """Return one sentence about another distribution that has our command and import name; ``None`` where there is
-    none."""
-    from importlib import metadata  # late: it takes longer to load than all else that `kingfisher --version` needs
+    """Return one sentence about an installed distribution that shadows ours; ``None``: there is none."""
+    from importlib import metadata  # late: it takes longer to load than the rest of `kingfisher --version`
 
     try:
-        found = metadata.distribution(_OTHER)
+        installed = metadata.distribution(_OTHER)
     except metadata.PackageNotFoundError:
         return None
-    if _OURS in (found.read_text("top_level.txt") or "").split():
+    if _OURS in (installed.read_text("top_level.txt") or "").split():
         return None  # this program, as it was called before
     return (
-        f"another program called kingfisher ({found.version}: {found.metadata['Summary'] or 'no summary'}) is "
+        f"another program called kingfisher ({installed.version}: {installed.metadata['Summary'] or 'no summary'}) is "
         "installed here and has the "
         f"same command and import name: pip uninstall {_OTHER}, then install {DISTRIBUTION} again"
     )

@@ -1,8 +1,8 @@
-"""The face of a room: the names that others may import from it, loaded when somebody asks for one.
+"""The face of a package: the names that others may import from it, each loaded at its first use.
 
-A room's ``__init__`` lists them under ``if TYPE_CHECKING:``, as ``from .module import Name as Name  # a sentence``,
+A package's ``__init__`` lists them under ``if TYPE_CHECKING:``, as ``from .module import Name as Name  # a sentence``,
 where type checkers, import contracts and readers find them. Loading all of them at once would load every kernel before
-a verb's first mistake is told.
+the first mistake in a command line is reported.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Owns how kernels are compiled before somebody waits for a picture: in pieces, on all cores, each piece once.
+"""Compiling kernels ahead of their first use: in pieces, on all cores, each piece once.
 
-A piece is a function that runs some kernels on next to nothing; numba compiles what it has not in its cache. Each piece
-runs in one of several processes, which share the cache's folder, so that a computer with two cores needs half the time.
-A mark in the folder remembers the piece; it holds until a kernel's file is written anew. Pieces are stated by whoever
-has kernels: ``appliance.measure.warm`` those of the product.
+A piece is a function that runs some kernels on tiny inputs; numba compiles those that its cache lacks. Each piece runs
+in one of several processes, which share the cache's folder, so that a computer with two cores needs half the time. A
+mark in the folder remembers each compiled piece. It holds until a kernel's file is written again. Packages with kernels
+state their pieces; ``appliance.measure.warm`` has those of the product.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ LOCK = ".compiling"
 MOST_PROCESSES = 8
 """Each takes up to 0.6 GB of memory."""
 TICK_S = 1.0
-"""Time in seconds between two reports of the progress while nothing ends."""
+"""Longest time in seconds between two reports of the progress."""
 PIECE_S = 900.0
-"""The longest that one piece may take; the longest known takes half a minute of a processor of its own."""
+"""Longest time for one piece; the slowest one takes half a minute on a processor of its own."""
 LOCK_S = 1800.0
 END_S = 10.0
-"""A process that has nothing left to do, or was killed, ends in no time."""
+"""Longest time for a process to end that has no work left, or was killed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,28 +44,28 @@ class Piece:
     """Some kernels that are compiled together."""
 
     what: str
-    """Plain English words for these kernels, for whoever waits."""
+    """Name of these kernels in plain English, for people who wait."""
     function: str
-    """``package.module:function``; called without arguments, its result is not looked at."""
+    """``package.module:function``; called without arguments, its result is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
 class Compiling:
-    """Progress of compiling: ``done`` pieces of ``of``."""
+    """Progress of compiling: ``done`` pieces of ``total``."""
 
     done: int
-    of: int
+    total: int
     what: tuple[str, ...]
-    """Names of the pieces being compiled now; empty: somebody else is compiling, and is waited for."""
+    """Names of the pieces being compiled now; empty while another process compiles."""
     seconds: float
-    """Time in seconds since it began."""
+    """Time in seconds since the beginning."""
 
 
 class CompileError(Exception):
-    """Some kernels could not be compiled; the text says which and why."""
+    """Some kernels could not be compiled; the text names them, each with its reason."""
 
 
-Said = Callable[[Compiling], None]
+Report = Callable[[Compiling], None]
 
 
 def missing_kernels(folder: Path, pieces: Sequence[Piece]) -> list[Piece]:
@@ -77,31 +77,32 @@ def missing_kernels(folder: Path, pieces: Sequence[Piece]) -> list[Piece]:
 def compile_pieces(
     folder: Path,
     pieces: Sequence[Piece],
-    said: Said = lambda _: None,
+    report: Report = lambda _: None,
     processor: Processor | None = None,
     processes: int | None = None,
 ) -> None:
-    """Compile what ``folder`` has not of ``pieces``, the first ones first, for ``processor`` (default: this one).
+    """Compile those of ``pieces`` that ``folder`` lacks, in their order.
 
-    Waits where another process is compiling into the same folder, and then does what is left. ``said`` is called at the
-    beginning, at each change, and at least every ``TICK_S``; ``processes`` defaults to the cores that this process may
-    use. Raises CompileError after everything else was compiled, OSError when the folder cannot be written.
+    ``processor``: default is that of this computer. Waits while another process compiles into the same folder, and then
+    does the remaining pieces. ``report`` is called at the beginning, at each change, and at least every ``TICK_S``.
+    ``processes`` defaults to the cores that this process may use. Raises CompileError after all other pieces were
+    compiled, OSError when the folder cannot be written.
     """
     if not missing_kernels(folder, pieces):
         return
     begun_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    # Looked at twice: who waited for the lock finds that the other process has done the work.
-    with _alone(folder / LOCK, lambda: said(Compiling(0, 0, (), time.monotonic() - begun_s))):
-        left = missing_kernels(folder, pieces)
-        if left:
-            _Team(folder, left, said, processor, begun_s).work(processes or len(os.sched_getaffinity(0)))
+    # Checked again: after waiting for the lock, the other process has done the work.
+    with _alone(folder / LOCK, lambda: report(Compiling(0, 0, (), time.monotonic() - begun_s))):
+        missing = missing_kernels(folder, pieces)
+        if missing:
+            _Team(folder, missing, report, processor, begun_s).work(processes or len(os.sched_getaffinity(0)))
 
 
 def build_kernels(
-    target: Path, pieces: Sequence[Piece], said: Said = lambda _: None, processor: Processor | None = None
+    target: Path, pieces: Sequence[Piece], report: Report = lambda _: None, processor: Processor | None = None
 ) -> Path:
-    """Compile ``pieces`` into a folder of ``target``, which is there whole or not at all; return that folder.
+    """Compile ``pieces`` into a new folder of ``target``, atomically; return that folder.
 
     Raises OSError when ``target`` cannot be written, CompileError.
     """
@@ -109,43 +110,42 @@ def build_kernels(
     if (folder / COMPLETE).exists():
         return folder
     target.mkdir(parents=True, exist_ok=True)
-    making = Path(tempfile.mkdtemp(prefix=".making-", dir=target))
+    temporary = Path(tempfile.mkdtemp(prefix=".making-", dir=target))
     try:
-        compile_pieces(making, pieces, said, processor)
-        (making / COMPLETE).touch()
-        making.chmod(0o755)
-        # Made elsewhere and renamed, so that nobody can read a half-filled folder; two at once are equal, and one wins.
+        compile_pieces(temporary, pieces, report, processor)
+        (temporary / COMPLETE).touch()
+        temporary.chmod(0o755)
+        # Filled elsewhere and renamed, so that no process reads a half-filled folder. Of two equal ones one remains.
         with suppress(FileExistsError):
             shutil.rmtree(folder, ignore_errors=True)
-            making.rename(folder)
+            temporary.rename(folder)
     finally:
-        shutil.rmtree(making, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
     return folder
 
 
 class _Team:
-    """Processes that take one piece after the other. One thread asks them and hears them."""
+    """Processes that compile one piece after the other; one thread directs them."""
 
     def __init__(
-        self, folder: Path, pieces: Sequence[Piece], said: Said, processor: Processor | None, begun_s: float
+        self, folder: Path, pieces: Sequence[Piece], report: Report, processor: Processor | None, begun_s: float
     ) -> None:
-        self._folder, self._said, self._begun_s = folder, said, begun_s
+        self._folder, self._report, self._begun_s = folder, report, begun_s
         self._processor = processor
         # Not fork: it copies locks that other threads hold, and none of the threads that would release them.
         self._context = multiprocessing.get_context("spawn")
-        # Taken from the end, so that pieces are begun in the order in which they were given: the ones needed first,
-        # first.
+        # Reversed, since pieces are popped from the end: the ones needed first are compiled first.
         self._left = list(reversed(pieces))
-        self._of = len(pieces)
+        self._total = len(pieces)
         self._done = 0
         self._working: dict[Connection, tuple[BaseProcess, Piece, float]] = {}
         self._failed: list[str] = []
 
     def work(self, processes: int) -> None:
-        """Compile until nothing is left, in at most ``processes`` processes. Raises CompileError."""
+        """Compile all pieces in at most ``processes`` processes. Raises CompileError."""
         (self._folder / MARKS).mkdir(exist_ok=True)
         try:
-            for _ in range(min(processes, MOST_PROCESSES, self._of)):
+            for _ in range(min(processes, MOST_PROCESSES, self._total)):
                 self._start()
             self._say()
             while self._working:
@@ -161,13 +161,12 @@ class _Team:
             raise CompileError("; ".join(self._failed))
 
     def _start(self) -> None:
-        """Start another process, if there is something left for it to do."""
+        """Start another process if a piece is left."""
         if self._left:
             mine, theirs = self._context.Pipe()
             process = self._context.Process(target=_serve, args=(theirs, self._folder, self._processor), daemon=True)
             process.start()
-            # This side's copy of their end: left open, the pipe would not end with the process, and its death not be
-            # noticed.
+            # This side's copy of the child's end: left open, it would hide the death of the process.
             theirs.close()
             self._give(mine, process)
 
@@ -192,7 +191,7 @@ class _Team:
         del self._working[pipe]
         if error is None:
             self._done += 1
-            # Marked only when done and one by one: an interrupted start goes on where it was.
+            # Each piece is marked when it is done, so that an interrupted build goes on where it was.
             _mark(self._folder, piece).write_text(stamps(), encoding="ascii")
         else:
             self._failed.append(f"{piece.what}: {error}")
@@ -214,16 +213,17 @@ class _Team:
     def _say(self) -> None:
         if self._working:
             what = tuple(piece.what for _, piece, _ in self._working.values())
-            self._said(Compiling(self._done, self._of, what, time.monotonic() - self._begun_s))
+            self._report(Compiling(self._done, self._total, what, time.monotonic() - self._begun_s))
 
 
 def _serve(pipe: Connection, folder: Path, processor: Processor | None) -> None:
-    """Serve as a compiling process: the name of a piece's function in, ``None`` or an error's text out, until the
-    pipe closes."""
+    """Serve as a compiling process until the pipe closes.
+
+    In: the name of a piece's function. Out: ``None``, or the text of an error.
+    """
     point_at(folder, processor)
-    # A compiler makes millions of objects, and most of what is still there when garbage is looked for stays: looking
-    # while it works costs a tenth of its time. So it is looked for between pieces, and what stays is not looked at
-    # again.
+    # A compiler makes millions of objects, most of which stay. Collecting garbage while it works costs a tenth of its
+    # time, so it is collected between pieces, and surviving objects are frozen.
     gc.disable()
     try:
         while True:
@@ -231,24 +231,27 @@ def _serve(pipe: Connection, folder: Path, processor: Processor | None) -> None:
             try:
                 run: Callable[[], Any] = getattr(importlib.import_module(module), function)
                 run()
-            except Exception as error:  # whoever waits hears which piece it was
+            except Exception as error:  # the parent reports it with the name of the piece
                 pipe.send(f"{type(error).__name__}: {error}")
             else:
                 pipe.send(None)
             gc.collect()
             gc.freeze()
     except (EOFError, OSError, KeyboardInterrupt):
-        pass  # nothing is left to be done
+        pass  # the parent has closed the pipe: the work is done
 
 
 @contextmanager
 def _alone(lock: Path, waiting: Callable[[], None]) -> Iterator[None]:
-    """Inside, no other process compiles into the folder. ``waiting`` is called while one does. Raises CompileError."""
+    """Hold the folder's lock inside; ``waiting`` is called while another process has it.
+
+    Raises CompileError.
+    """
     never = threading.Event()
-    with lock.open("a") as held:
+    with lock.open("a") as file:
         for _ in range(round(LOCK_S / TICK_S)):
             try:
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError:
                 waiting()

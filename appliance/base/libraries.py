@@ -1,7 +1,6 @@
-"""Owns what is said where a library of the desk is absent: an instrument has none of them, and a computer at the desk
-may.
+"""Libraries of the desk, which may be absent: importing them, and the error where one is missing.
 
-So they are imported where they are used, by what is asked for there and by nothing else.
+An instrument has none of them. So they are imported only where they are used.
 """
 
 from __future__ import annotations
@@ -15,29 +14,32 @@ from appliance.base.process_start import uninterrupted
 
 
 class MissingLibraryError(Exception):
-    """A library of the desk is not installed; the text says what it is needed for, and how to get it."""
+    """A library of the desk is not installed; the text says which use needs it, and how to install it."""
 
 
 def require(module: str, package: str, what: str) -> None:
-    """Raises MissingLibraryError where ``package`` is absent, before minutes of work; nothing is imported."""
+    """Raise MissingLibraryError if ``package`` is absent; imports nothing.
+
+    For the beginning of work that takes minutes.
+    """
     if importlib.util.find_spec(module.partition(".")[0]) is None:
         raise MissingLibraryError(f"{what} needs {package}: pip install '{EXTRA}'")
 
 
 def needed(module: str, package: str, what: str) -> ModuleType:
-    """Import ``module`` of ``package``, which ``what`` (a file or a page, in words) cannot do without.
+    """Import ``module`` of ``package``, which ``what`` (a file or a page, in words) needs.
 
     Raises MissingLibraryError where it is absent.
     """
     try:
         with uninterrupted():
-            found: ModuleType = importlib.import_module(module)
+            library: ModuleType = importlib.import_module(module)
     except ModuleNotFoundError as error:
         lacking = error.name or module
-        # Where the library is there and lacks something of its own, that is named, and not the library.
+        # If the library is installed but lacks a dependency, the dependency is named.
         missing = package if lacking.partition(".")[0] == module.partition(".")[0] else lacking
-        # Whoever asked pip for `kingfisher` has got that one instead.
+        # After `pip install kingfisher` it is the other program that is installed.
         raise MissingLibraryError(
             "; ".join(filter(None, (f"{what} needs {missing}: pip install '{EXTRA}'", other_program())))
         ) from error
-    return found
+    return library

@@ -1,5 +1,4 @@
-"""Owns the pages that reports are: one file of HTML with its pictures in it, quiet on a screen, on paper with nothing
-cut."""
+"""Pages of reports: one HTML file with its pictures in it, for screen and paper."""
 
 from __future__ import annotations
 
@@ -100,8 +99,7 @@ tfoot th { border-top: 2px solid var(--ink); border-bottom: 0; }
   tr, figure, .tile, .warnings, .beside, .view, tfoot { break-inside: avoid; }
 }
 """
-"""The style sheet of every page. Fonts are those that the reader's computer has: a page brings none, and asks for
-none."""
+"""Style sheet of every page. It uses fonts of the reader's computer: a page brings none and loads none."""
 NOTHING_RUNS = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """Content security policy of a page without scripts."""
 
@@ -115,12 +113,12 @@ class Html(str):
 class Page:
     """A page in the making, from its head on. All text is escaped here, unless it is ``Html``."""
 
-    def __init__(self, title: str, subtitle: str = "", about: Mapping[str, Any] | None = None) -> None:
-        """``about``: facts by name, for the head."""
-        facts = "".join(f"<div><dt>{_escaped(k)}</dt><dd>{_cell(v)}</dd></div>" for k, v in (about or {}).items())
+    def __init__(self, title: str, subtitle: str = "", facts: Mapping[str, Any] | None = None) -> None:
+        """Begin a page; ``facts``: facts by name, for the head."""
+        terms = "".join(f"<div><dt>{_escaped(k)}</dt><dd>{_cell(v)}</dd></div>" for k, v in (facts or {}).items())
         below = f"<p>{_escaped(subtitle)}</p>" if subtitle else ""
         self._title = _escaped(title)
-        self._parts = [f"<header><h1>{self._title}</h1>{below}<dl>{facts}</dl></header>"]
+        self._parts = [f"<header><h1>{self._title}</h1>{below}<dl>{terms}</dl></header>"]
 
     def add(self, content: str) -> None:
         """Add HTML as it is."""
@@ -135,11 +133,11 @@ class Page:
         self.add(f'<p class="note">{_escaped(text)}</p>')
 
     def problem(self, text: str) -> None:
-        """Add a line that says what is wrong."""
+        """Add a line about a fault, in red."""
         self.add(f'<p class="no">{_escaped(text)}</p>')
 
     def tiles(self, figures: Iterable[tuple[str, str, str]]) -> None:
-        """Add the figures that stand large: a name, a value, and small words below."""
+        """Add figures in large type: name, value, and small text below."""
         each = "".join(
             f'<div class="tile"><span>{_escaped(name)}</span><b>{_escaped(value)}</b><small>{_escaped(more)}</small></div>'
             for name, value, more in figures
@@ -152,8 +150,10 @@ class Page:
         self.add(f'<div class="wide"><table>{body}</table></div>')
 
     def rows(self, content: Sequence[Mapping[str, Any]], marks: Mapping[str, str] | None = None) -> None:
-        """Add a table with one row each (at least one), all with the keys of the first. ``marks``: the class of a cell
-        by its text."""
+        """Add a table with one row each (at least one), all with the keys of the first.
+
+        ``marks``: the CSS class of a cell by its text.
+        """
         marked = marks or {}
         cells = ([(_cell(value), marked.get(str(value), "")) for value in row.values()] for row in content)
         self._table(map(_escaped, content[0]), cells, "")
@@ -170,15 +170,15 @@ class Page:
         )
 
     def figure(self, caption: str, picture: bytes | str) -> None:
-        """Add a picture, a PNG file or a whole ``svg`` element, with what it shows."""
+        """Add a picture, a PNG file or a complete ``svg`` element, with its caption."""
         text = _escaped(caption)
         if isinstance(picture, bytes):
-            # As data within the page: a report that is mailed or archived takes its pictures along.
+            # Embedded, so that a report that is mailed or archived keeps its pictures.
             picture = f'<img alt="{text}" src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
         self.add(f'<figure class="shown">{picture}<figcaption>{text}</figcaption></figure>')
 
     def as_html(self, policy: str = NOTHING_RUNS, scripts: str = "") -> str:
-        """Return the whole page. ``policy``: what a browser may fetch or run."""
+        """Return the complete page. ``policy``: its content security policy."""
         return (
             f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" '
             f'content="{policy}"><meta name="viewport" content="width=device-width, initial-scale=1">'

@@ -1,7 +1,13 @@
-"""Owns how a process of the instrument begins, without processor time and heat that nobody gains anything from; and how
-it is interrupted.
+"""Start and interruption of a process of the instrument.
 
-Both helpers for the beginning come before the modules that they concern are imported, and neither changes a result.
+  use_one_blas_thread    no idle threads of linear algebra
+  importing              imports without garbage collection
+  uninterrupted          Ctrl-C waits until a library is loaded
+  interrupts             whether an exception is a Ctrl-C
+  raise_if_interrupted   turn such an exception back into one
+
+The first two save processor time and heat, and change no result. They are called before the modules are imported that
+they concern.
 """
 
 from __future__ import annotations
@@ -17,7 +23,7 @@ BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 
 
 def use_one_blas_thread(environment: MutableMapping[str, str]) -> None:
-    """Let linear algebra take one thread in processes of this ``environment``, unless it says otherwise already.
+    """Let linear algebra take one thread in processes of this ``environment``, unless it is set already.
 
     The matrices of a scan are small: OpenBLAS's other threads gain nothing on them, but each turns in a busy loop for
     tens of milliseconds after every product, in wait for the next. In a scan's worker that was a seventh of all
@@ -28,13 +34,13 @@ def use_one_blas_thread(environment: MutableMapping[str, str]) -> None:
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Import modules inside without the garbage collector, and keep it from what they made ever after.
+    """Import modules inside without garbage collection, and freeze the objects that they make.
 
-    What an import makes stays: some hundred thousand objects, through which the collector would go again and again
-    while they become more (a fifth of the time that the imports take), and later in the midst of the heartbeat.
+    The objects of an import stay: some hundred thousand, which the collector would walk through again and again while
+    the imports run (a fifth of their time), and later in the midst of a cycle of the service.
     """
     if not gc.isenabled():
-        yield  # whoever switched it off will look after it
+        yield  # the caller has switched it off, and will switch it on again
         return
     gc.disable()
     try:
@@ -46,41 +52,42 @@ def importing() -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let an interruption (Ctrl-C) wait for the end of what is inside: libigl, amidst its loading, makes an
-    ``ImportError`` of it."""
+    """Delay an interruption (Ctrl-C) until the block has ended.
+
+    While libigl is being loaded, it would make an ``ImportError`` of it.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread is interrupted
         return
-    struck: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: struck.append(number))
+    signals: list[int] = []
+    previous_handler = signal.signal(signal.SIGINT, lambda number, _: signals.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-        for number in struck[:1]:
+        signal.signal(signal.SIGINT, previous_handler)
+        for number in signals[:1]:
             signal.raise_signal(number)
 
 
 def interrupts(error: BaseException) -> bool:
     """Return True if ``error`` is an interruption (Ctrl-C), or was made of one.
 
-    It may strike between any two bytecodes of the main thread. Within a callback of a compiled library it arrives as
-    what that library makes of it: inside numba's unpickling, as ``SystemError: … returned a result with an exception
-    set``.
+    It may come between any two bytecodes of the main thread. Compiled libraries replace one that comes in their
+    callback by an error of their own: numba's unpickling by ``SystemError: … returned a result with an exception set``.
     """
-    seen: set[int] = set()
-    at: BaseException | None = error
-    while at is not None and id(at) not in seen:
-        if isinstance(at, KeyboardInterrupt):
+    visited_ids: set[int] = set()
+    cause: BaseException | None = error
+    while cause is not None and id(cause) not in visited_ids:
+        if isinstance(cause, KeyboardInterrupt):
             return True
-        seen.add(id(at))
-        # The interpreter's own error has the interruption as its cause; any other error may well have happened while
-        # one was handled.
-        at = at.__cause__ if isinstance(at, SystemError) else None
+        visited_ids.add(id(cause))
+        # Only the interpreter's SystemError has the interruption as its cause. Any other error with that cause may
+        # have happened while an interruption was being handled.
+        cause = cause.__cause__ if isinstance(cause, SystemError) else None
     return False
 
 
 def raise_if_interrupted(error: BaseException) -> None:
-    """Raises KeyboardInterrupt where ``error`` was made of one, for whoever writes errors down as results."""
+    """Raise KeyboardInterrupt if ``error`` was made of one; for code that records errors as results."""
     if interrupts(error):
         raise KeyboardInterrupt from error

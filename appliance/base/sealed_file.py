@@ -1,13 +1,11 @@
-"""Owns what a small JSON file of the instrument is: of one schema, no larger than it may be, with the checksum of
-everything else in it.
+"""Small JSON files of the instrument: one schema, a largest size, and a checksum of the content.
 
-A format is a frozen dataclass and one ``SealedFile`` of it. Values are of the fields' annotated types, and within the
-ranges that stand there as ``Annotated[float, Within(…)]``; what they mean for each other is asked by the dataclass's
-constructor, or by ``check``. It takes what JSON makes of the written values: a whole number where a fraction is
-expected, and a fraction that is whole where a whole number is. Keys that no field has are left alone: a later version
-may have written them.
+A format is a frozen dataclass and a ``SealedFile`` of it. Values are checked against the fields' annotated types, and
+against ranges that stand there as ``Annotated[float, Within(…)]``; conditions between values are checked by the
+dataclass's constructor, or by ``check``. As JSON does not tell them apart, an integer is taken for a fraction, and a
+fraction without decimals for an integer. Unknown keys are ignored: a later version may have written them.
 
-Without pydantic: a list of scans, which reads hundreds of manifests and labels, should answer at once
+pydantic would be too slow: a list of scans reads hundreds of manifests and labels, and should answer at once
 (``docs/adr/0035``).
 """
 
@@ -39,7 +37,7 @@ from typing import (
 from appliance.base.bounded_file import read_bounded
 
 T = TypeVar("T")
-OF_ANYBODY: Mapping[str, Any] = MappingProxyType({})
+NO_OWNER: Mapping[str, Any] = MappingProxyType({})
 LEFT_OUT: Mapping[str, Any] = MappingProxyType({"left out": True})
 """Metadata of a field that is not written while it has its default."""
 
@@ -47,7 +45,7 @@ LEFT_OUT: Mapping[str, Any] = MappingProxyType({"left out": True})
 class ContentError(Exception):
     """Reason why a file cannot be used.
 
-    ``what``: the file; ``value``: its key and the value there, or what else is wrong.
+    ``what``: the file; ``value``: its key and the value there, or another description of the error.
     """
 
     def __init__(self, what: str, value: str, allowed: str = "", remedy: str = "") -> None:
@@ -58,28 +56,28 @@ class ContentError(Exception):
         self.remedy = remedy
 
     def __str__(self) -> str:
-        said = f"{self.what}: {self.value}" if self.what else self.value
-        return "; ".join(part for part in (said, self.allowed and f"allowed: {self.allowed}", self.remedy) if part)
+        subject = f"{self.what}: {self.value}" if self.what else self.value
+        return "; ".join(part for part in (subject, self.allowed and f"allowed: {self.allowed}", self.remedy) if part)
 
 
 @dataclass(frozen=True, slots=True)
 class Within:
-    """Range of a number, both ends included. A truth value is none."""
+    """Range of a number, both ends included. Booleans are not numbers here."""
 
     low: float
     high: float
-    whole: bool = False
-    """A fraction is not taken, even if it is whole."""
+    integers_only: bool = False
+    """Fractions are refused, even those without decimals."""
 
     def takes(self, value: Any) -> TypeGuard[float]:
-        """Tell whether a value of JSON lies in the range."""
-        right = isinstance(value, int if self.whole else int | float) and not isinstance(value, bool)
-        return right and self.low <= value <= self.high
+        """Return True if a value of JSON lies in the range."""
+        has_type = isinstance(value, int if self.integers_only else int | float) and not isinstance(value, bool)
+        return has_type and self.low <= value <= self.high
 
     @property
     def allowed(self) -> str:
         """The range in words."""
-        kind = "whole numbers" if self.whole else "finite numbers"
+        kind = "whole numbers" if self.integers_only else "finite numbers"
         if math.isfinite(self.high):
             return f"{self.low:g}..{self.high:g}"
         return f"{kind} from {self.low:g}" if math.isfinite(self.low) else kind
@@ -90,13 +88,13 @@ FINITE = Within(-math.inf, math.inf)
 
 @dataclass(frozen=True, slots=True)
 class Among:
-    """The only values that are taken."""
+    """The only values that are accepted."""
 
     values: tuple[Any, ...]
 
     def takes(self, value: Any) -> bool:
-        """Tell whether a value of JSON is one of them."""
-        return any(type(value) is type(one) and value == one for one in self.values)
+        """Return True if a value of JSON is one of them."""
+        return any(type(value) is type(accepted) and value == accepted for accepted in self.values)
 
     @property
     def allowed(self) -> str:
@@ -108,46 +106,52 @@ class Among:
 class SealedFile(Generic[T]):
     """One kind of file, whose content is the frozen dataclass ``kind``.
 
-    ``of`` in its methods are the keys that say whose a file is, and what must stand there.
+    ``owner`` in its methods are keys that say to whom a file belongs, each with the value that must stand there.
     """
 
     kind: type[T]
     schema: int
-    """The only one that this version reads."""
+    """The only schema that this version reads."""
     max_bytes: int
     what: str = ""
-    """Its first word in every sentence about it, as in "noise /storage/noise.json"."""
+    """First word of every sentence about the file, as in "noise /storage/noise.json"."""
     remedy: str = ""
     """Advice about a file that cannot be used."""
     indent: int | None = 2
     checksum: bool = True
-    """It has one, and its keys are in order; else they are in that of the fields."""
+    """True if the file has a checksum. Then its keys are sorted; else they are in the order of the fields."""
     check: Callable[[T], object] = field(default=lambda stored: stored)
-    """Raises ValueError for a content that cannot be."""
+    """Raises ValueError for an invalid content."""
 
-    def content(self, stored: T, of: Mapping[str, Any] = OF_ANYBODY) -> dict[str, Any]:
-        """Return what is written, but for the checksum. Raises TypeError for a value that JSON cannot hold."""
-        return {"schema": self.schema, **of, **plain(stored)}
+    def content(self, stored: T, owner: Mapping[str, Any] = NO_OWNER) -> dict[str, Any]:
+        """Return the object to be written, without its checksum.
 
-    def encode(self, stored: T, of: Mapping[str, Any] = OF_ANYBODY) -> bytes:
+        Raises TypeError for a value that JSON cannot hold.
+        """
+        return {"schema": self.schema, **owner, **plain(stored)}
+
+    def encode(self, stored: T, owner: Mapping[str, Any] = NO_OWNER) -> bytes:
         """Return the file's bytes.
 
         Raises TypeError for a value that JSON cannot hold; NaN and infinity become null: not known.
         """
-        content = self.content(stored, of)
+        content = self.content(stored, owner)
         if self.checksum:
             content["sha256"] = digest(content)
         return (json.dumps(content, indent=self.indent, sort_keys=self.checksum) + "\n").encode()
 
-    def decode(self, data: bytes, name: str, of: Mapping[str, Any] = OF_ANYBODY) -> T:
-        """Parse and check a file's bytes. Raises ContentError naming ``name``, what is wrong and the remedy."""
+    def decode(self, data: bytes, name: str, owner: Mapping[str, Any] = NO_OWNER) -> T:
+        """Parse and check a file's bytes.
+
+        Raises ContentError with ``name``, the wrong value, the allowed range and the remedy.
+        """
         try:
             content = self._opened(data)
-            for key, wanted in {"schema": self.schema, **of}.items():
-                found = content.pop(key, None)
-                if found != wanted:
+            for key, expected in {"schema": self.schema, **owner}.items():
+                actual = content.pop(key, None)
+                if actual != expected:
                     version = ", which this version reads" if key == "schema" else ""
-                    raise ContentError("", f"{key} {_shown(found)}", _shown(wanted) + version)
+                    raise ContentError("", f"{key} {_shown(actual)}", _shown(expected) + version)
             stored = shaped(self.kind, content)
             self.check(stored)
             return stored
@@ -156,8 +160,8 @@ class SealedFile(Generic[T]):
         except ValueError as error:
             raise ContentError(name, str(error), remedy=self.remedy) from error
 
-    def load(self, path: Path, of: Mapping[str, Any] = OF_ANYBODY, name: str | None = None) -> T | None:
-        """Read a file; ``None`` where there is none. Raises ContentError naming it by its path, or by ``name``."""
+    def load(self, path: Path, owner: Mapping[str, Any] = NO_OWNER, name: str | None = None) -> T | None:
+        """Read a file; ``None`` where there is none. Raises ContentError with its path, or with ``name``."""
         name = f"{self.what} {path}".lstrip() if name is None else name
         try:
             data = read_bounded(path, self.max_bytes)
@@ -165,22 +169,22 @@ class SealedFile(Generic[T]):
             return None
         except OSError as error:
             raise ContentError(name, f"cannot be read ({error.strerror})", remedy=self.remedy) from error
-        return self.decode(data, name, of)
+        return self.decode(data, name, owner)
 
     def _opened(self, data: bytes) -> dict[str, Any]:
-        """Return the content without its checksum. Raises ContentError for any other bytes, however large or deep."""
+        """Return the content without its checksum. Raises ContentError for bytes that are no such file."""
         if len(data) > self.max_bytes:
             raise ContentError("", f"{len(data)} bytes", f"at most {self.max_bytes}")
         try:
-            # Python's parser takes NaN, Infinity and 1e999, none of which is JSON or was ever written.
+            # Python's parser takes NaN, Infinity and 1e999, which are not JSON and are never written.
             content = json.loads(data, parse_constant=_not_finite, parse_float=_finite)
-        # Deeply nested brackets, which damage can make of anything, end Python's parser with a RecursionError.
+        # Damage can make deeply nested brackets, on which Python's parser raises RecursionError.
         except (ValueError, RecursionError) as error:
             raise ContentError("", f"not readable as JSON ({type(error).__name__}: {error})") from error
         if not isinstance(content, dict):
             raise ContentError("", f"a JSON object was expected, not {type(content).__name__}")
         if self.checksum:
-            # Taken out first, as it was not there when the sum was made.
+            # Removed first, since the checksum does not include itself.
             stated, actual = content.pop("sha256", None), digest(content)
             if stated != actual:
                 raise ContentError(
@@ -212,9 +216,9 @@ def _not_finite(text: str) -> float:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to what JSON holds: plain numbers, None for what is not finite.
+    """Convert a value to JSON's types: plain numbers, None for numbers that are not finite.
 
-    Raises TypeError for what it cannot hold.
+    Raises TypeError for a value that JSON cannot hold.
     """
     match value:
         case None | bool() | int() | str():
@@ -224,12 +228,14 @@ def plain(value: Any) -> Any:
         case Enum():
             return value.value
         case Mapping():
-            return {str(key): plain(one) for key, one in value.items()}
+            return {str(key): plain(element) for key, element in value.items()}
         case Sequence() if not isinstance(value, bytes | bytearray | memoryview):
-            return [plain(one) for one in value]
+            return [plain(element) for element in value]
         case _ if is_dataclass(value):
-            named = [(one, getattr(value, one.name)) for one in fields(value)]
-            return {one.name: plain(held) for one, held in named if one.metadata != LEFT_OUT or held != one.default}
+            values = [(item, getattr(value, item.name)) for item in fields(value)]
+            return {
+                item.name: plain(entry) for item, entry in values if item.metadata != LEFT_OUT or entry != item.default
+            }
         case _ if str(getattr(value, "dtype", None)) == "bool":  # NumPy's, which need not be loaded for that
             return bool(value)
         case SupportsIndex():  # NumPy's integers
@@ -247,14 +253,14 @@ def plain(value: Any) -> Any:
 def shaped(kind: type[T], value: object) -> T:
     """Return the dataclass ``kind`` with the fields of a JSON object.
 
-    Raises ContentError for the first that is wrong, by its path.
+    Raises ContentError for the first wrong value, with its path.
     """
-    made: T = _shaped(kind, value, "")
-    return made
+    result: T = _shaped(kind, value, "")
+    return result
 
 
 def _shaped(kind: Any, value: object, path: str) -> Any:
-    """Return ``value`` as the annotation ``kind`` has it."""
+    """Return ``value`` converted to the annotation ``kind``."""
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any:
         return value
@@ -266,12 +272,12 @@ def _shaped(kind: Any, value: object, path: str) -> Any:
     if origin in (Union, UnionType):
         if value is None and NoneType in arguments:
             return None
-        (other,) = (option for option in arguments if option is not NoneType)
-        return _shaped(other, value, path)
+        (required,) = (option for option in arguments if option is not NoneType)
+        return _shaped(required, value, path)
     if origin is not None and issubclass(origin, Mapping):
         if not isinstance(value, dict):
             raise _wrong(path, "an object", value)
-        return {key: _shaped(arguments[1], one, f"{path}.{key}") for key, one in value.items()}
+        return {key: _shaped(arguments[1], element, f"{path}.{key}") for key, element in value.items()}
     if origin is tuple:
         return _sequence(arguments, value, path)
     if is_dataclass(kind):
@@ -285,43 +291,45 @@ def _sequence(kinds: tuple[Any, ...], value: object, path: str) -> tuple[Any, ..
     if kinds[-1] is not Ellipsis and len(value) != len(kinds):
         raise _wrong(path, f"a list of {len(kinds)}", value)
     of_each = [kinds[0]] * len(value) if kinds[-1] is Ellipsis else kinds
-    return tuple(_shaped(kind, one, f"{path}.{k}") for k, (kind, one) in enumerate(zip(of_each, value, strict=True)))
+    return tuple(
+        _shaped(kind, element, f"{path}.{k}") for k, (kind, element) in enumerate(zip(of_each, value, strict=True))
+    )
 
 
 def _fields(kind: Any, value: object, path: str) -> Any:
     if not isinstance(value, dict):
         raise _wrong(path, "an object", value)
-    given = {}
+    arguments = {}
     for name, hint, needed in _hints(kind):
         if name in value:
-            given[name] = _shaped(hint, value[name], f"{path}.{name}")
+            arguments[name] = _shaped(hint, value[name], f"{path}.{name}")
         elif needed:
             raise ContentError("", f"{path}.{name}".lstrip(".") + " is missing")
     try:
-        return kind(**given)
+        return kind(**arguments)
     except ValueError as error:
         raise ContentError("", f"{path}: {error}".lstrip(".: ")) from error
 
 
 @cache
 def _hints(kind: Any) -> tuple[tuple[str, Any, bool], ...]:
-    """Return the name of each field, its type, and whether it must be there."""
+    """Return for each field: name, type, and whether it must be present."""
     hints = get_type_hints(kind, include_extras=True)
     return tuple(
-        (one.name, _there(hints[one.name], one), one.default is MISSING and one.default_factory is MISSING)
-        for one in fields(kind)
+        (item.name, _there(hints[item.name], item), item.default is MISSING and item.default_factory is MISSING)
+        for item in fields(kind)
     )
 
 
-def _there(hint: Any, one: Field[Any]) -> Any:
-    """Return the type of a field that is there: null does not stand for one that is left out."""
-    if one.metadata == LEFT_OUT and get_origin(hint) in (Union, UnionType):
+def _there(hint: Any, item: Field[Any]) -> Any:
+    """Return the type of a field that is present: null does not stand for one that is left out."""
+    if item.metadata == LEFT_OUT and get_origin(hint) in (Union, UnionType):
         return next(option for option in get_args(hint) if option is not NoneType)
     return hint
 
 
 def _single(kind: Any, value: object, path: str) -> Any:
-    """Return a text, a number, a yes or no, or one of an enumeration's values."""
+    """Return a text, a number, a boolean, or a member of an enumeration."""
     if kind is str and isinstance(value, str):
         return value
     if isinstance(value, int | float):
@@ -335,10 +343,10 @@ def _single(kind: Any, value: object, path: str) -> Any:
         except (OverflowError, ValueError):  # not finite, or more digits than a fraction has room for
             raise _wrong(path, "a number", value) from None
     if isinstance(kind, type) and issubclass(kind, Enum):
-        found = next((one for one in kind if one.value == value), None)
-        if found is None:
-            raise _wrong(path, " or ".join(repr(one.value) for one in kind), value)
-        return found
+        member = next((option for option in kind if option.value == value), None)
+        if member is None:
+            raise _wrong(path, " or ".join(repr(option.value) for option in kind), value)
+        return member
     raise _wrong(path, {str: "a text", bool: "true or false", int: "a whole number"}.get(kind, "a number"), value)
 
 

@@ -1,7 +1,6 @@
-"""Owns how values with arrays are shown where somebody looks at them in a notebook: in one line, arrays by their shape.
+"""Short representations of dataclasses with arrays, for notebooks: one line, arrays by their shape.
 
-A dataclass of a cloud prints whole arrays of NaN otherwise, over many lines, and a cell that ends in its name is a
-wall.
+A dataclass of a cloud would otherwise print whole arrays of NaN, over many lines.
 """
 
 from __future__ import annotations
@@ -12,15 +11,13 @@ from typing import Any
 import numpy as np
 
 _SHOWN = 40
-"""Longest text of a field; what is longer is named by its class."""
+"""Longest text of a field; a longer one is replaced by the name of its class."""
 
 
 def one_line(self: Any) -> str:
     """Return a dataclass in one line, for ``__repr__``: ``Mesh(vertices_mm=(8100, 3) float32, …)``."""
-    # `self`, for it stands in a class's body as a method does.
-    return (
-        f"{type(self).__name__}({', '.join(f'{one.name}={_short(getattr(self, one.name))}' for one in fields(self))})"
-    )
+    # `self`, since classes take this function as a method.
+    return f"{type(self).__name__}({', '.join(f'{item.name}={_short(getattr(self, item.name))}' for item in fields(self))})"
 
 
 def _short(value: object) -> str:

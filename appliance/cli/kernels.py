@@ -97,7 +97,7 @@ def _sentence(now: Compiling) -> str:
     # Nobody here compiles anything then: the lock is another process's.
     if not now.what:
         return f"another process is compiling the same kernels; waiting for it, {now.seconds:.0f} s"
-    return f"compiling, once: {now.done} of {now.of} done; {', '.join(now.what)}; {now.seconds:.0f} s"
+    return f"compiling, once: {now.done} of {now.total} done; {', '.join(now.what)}; {now.seconds:.0f} s"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

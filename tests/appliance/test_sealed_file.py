@@ -29,7 +29,7 @@ class Lamp:
     power_w: Annotated[float, Within(0.5, 900.0)]
     colour: Colour = Colour.RED
     spot_mm: tuple[float, float] = (0.0, 1.0)
-    hours: Annotated[int, Within(0, math.inf, whole=True)] | None = field(default=None, metadata=LEFT_OUT)
+    hours: Annotated[int, Within(0, math.inf, integers_only=True)] | None = field(default=None, metadata=LEFT_OUT)
     volts: Annotated[int, Among((12, 24))] = 12
     drift: Annotated[float, FINITE] = 0.0
     note: str | None = None

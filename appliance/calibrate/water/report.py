@@ -78,7 +78,7 @@ def as_json(
 def as_html(result: WaterResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
     """Return the page; drawings and pictures are in it, and nothing is loaded from elsewhere."""
     content = as_json(result, start, about, left_out)
-    page = Page(TITLE, about=content["about"])
+    page = Page(TITLE, facts=content["about"])
     for warning in result.warnings:
         page.problem(warning)
     for name, why in left_out.items():

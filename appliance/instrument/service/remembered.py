@@ -41,8 +41,8 @@ class _Chosen:
     salinity_psu: Annotated[float, Within(0.0, 45.0)]
     water_c: Annotated[float, Within(COLDEST_C, WARMEST_C)]
     language: Annotated[str, Among(LANGUAGES)]
-    object: Annotated[int, Within(1, MOST_OBJECTS, whole=True)] | None
-    objects: Annotated[int, Within(0, MOST_OBJECTS, whole=True)]
+    object: Annotated[int, Within(1, MOST_OBJECTS, integers_only=True)] | None
+    objects: Annotated[int, Within(0, MOST_OBJECTS, integers_only=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ class _StoredBeam:
     z0_mm: float
     line: tuple[_Real, _Real, _Real, _Real]
     covariance: tuple[tuple[_Real, ...], ...]
-    learned: Annotated[int, Within(0, 2**53, whole=True)]
+    learned: Annotated[int, Within(0, 2**53, integers_only=True)]
     last_z_mm: Annotated[float, Within(-999_999.0, 999_999.0)] | None
     """``None``: it has seen no dot yet; JSON has no word for infinity."""
 

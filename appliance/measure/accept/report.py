@@ -62,7 +62,7 @@ class Evaluation:
     def as_html(self) -> str:
         """Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
         content = self.as_json()
-        page = Page(TITLE, about=content["about"])
+        page = Page(TITLE, facts=content["about"])
         page.heading("Largest errors, mean noise")
         page.facts(content["summary"])
         page.note(

@@ -9,7 +9,7 @@ from typing import Annotated
 from appliance.base import FINITE, LEFT_OUT, SealedFile, Within
 from appliance.measure.light.response import Response
 
-_WholeUs = Annotated[int, Within(0, math.inf, whole=True)]
+_WholeUs = Annotated[int, Within(0, math.inf, integers_only=True)]
 
 
 @dataclass(frozen=True, slots=True)
