@@ -13,15 +13,14 @@ from pathlib import Path
 from bench.outside.noise import WAYS
 from bench.outside.page import write_page
 from bench.outside.parts import PARTS, measure_part
-from bench.outside.record import added, compact, read
+from bench.outside.record import added, read
 from bench.progress import Progress
 from bench.result import Measured
 from bench.runner import machine
 
 OUT = Path("bench/out/outside.json")
 USUAL_NOISE = "measured"
-BEFORE, PAGE, PICTURES = Path("docs/outside-before.json"), Path("docs/outside.md"), Path("docs/pictures")
-"""``BEFORE`` has the figures of the product as it was before it had met this world; without the rows of single scans."""
+PAGE, PICTURES = Path("docs/outside.md"), Path("docs/pictures")
 
 
 def measure() -> Iterator[Measured]:
@@ -62,16 +61,11 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--write-docs",
         action="store_true",
-        help=f"measure nothing; write what --json has into {PAGE}, {BEFORE} beside it; tables of other parts and seeds stay",
+        help=f"measure nothing; write figures of what --json has into {PAGE}; rows of other parts stay",
     )
-    parser.add_argument("--write-before", action="store_true", help=f"measure nothing; write {BEFORE} from --json")
     wanted = parser.parse_args(arguments)
     if wanted.write_docs:
-        write_page(wanted.json, BEFORE, PAGE, PICTURES)
-        return 0
-    if wanted.write_before:
-        content = compact(read(wanted.json))
-        BEFORE.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        write_page(wanted.json, PAGE, PICTURES)
         return 0
     names = wanted.parts.split(",")
     for name in names:

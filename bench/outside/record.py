@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.outside.figures import is_soft
-from bench.outside.kept import Row
 from bench.result import Measured
 
 Content = Mapping[str, Any]
@@ -32,22 +30,3 @@ def added(content: Content, name: str, seed: int, measured: Sequence[Measured], 
     mine = {**part, "measured": [one.as_dict() for one in measured]}
     seeds = {**content["parts"].get(name, {}), str(seed): mine}
     return {**content, "parts": {**content["parts"], name: seeds}}
-
-
-def compact(content: Content) -> dict[str, Any]:
-    """Return the content without most of what is known of single scans and rigs, small enough to be kept beside the page."""
-    parts: dict[str, Any] = {}
-    for name, seeds in content["parts"].items():
-        parts[name] = {}
-        for seed, part in seeds.items():
-            kept = {k: v for k, v in part["data"].items() if k == "families"}
-            if name == "scenes":
-                kept["scenes"] = shown(part["data"]["rows"]["all"])
-            parts[name][seed] = {**part, "data": kept}
-    return {**content, "parts": parts}
-
-
-def shown(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return what the picture of all scenes shows of them, without the soft ones."""
-    keys = ("attenuation_per_m", "complete_percent", "error_over_sigma", "accepted")
-    return [{key: row[key] for key in keys} for row in rows if not is_soft(row)]

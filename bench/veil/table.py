@@ -34,23 +34,11 @@ class Checked:
 
 def table(rows: Sequence[Checked]) -> list[str]:
     """Return lines of Markdown."""
-    periods = [f"{period:g} px, all" for period in PERIODS_PX]
-    head = [
-        "water",
-        "ray (of 400 × 300)",
-        "photons: all light over single scattering",
-        "all light, simulator over photons",
-    ]
-    head += ["contrast kept of 16 px, single: photons; simulator", *periods]
+    head = ["water", "ray (of 400 × 300)", "all light, simulator over photons"]
+    head += [f"contrast kept of {period:g} px: photons; simulator" for period in PERIODS_PX]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
-        cells = [
-            f"{row.per_m:g} /m, n {row.index:g}",
-            "{}, {}".format(*row.pixel),
-            f"{row.more:.2f}",
-            f"{row.over:.2f}",
-        ]
-        cells.append(f"{row.photons[0][0]:.2f}; {row.simulated[0][0]:.2f}")
+        cells = [f"{row.per_m:g} /m, n {row.index:g}", "{}, {}".format(*row.pixel), f"{row.over:.2f}"]
         cells += [f"{one:.2f}; {other:.2f}" for one, other in zip(row.photons[1], row.simulated[1], strict=True)]
         lines.append(f"| {' | '.join(cells)} |")
     return lines
