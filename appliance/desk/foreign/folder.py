@@ -134,7 +134,7 @@ def guessed_text(candidate: TriedSequence, beside: Path) -> str:
 
 
 def _confidence(tested: Sequence[ExaminedAssumption], about: str, usual: str) -> str:
-    said = [one for one in tested if one.about.rpartition(": ")[2] == about]
+    said = [one for one in tested if one.subject.rpartition(": ")[2] == about]
     if any(one.outcome is Outcome.WRONG for one in said):
         return "WRONG: " + next(one.text for one in said if one.outcome is Outcome.WRONG)
     if any(one.outcome is Outcome.FITS for one in said):

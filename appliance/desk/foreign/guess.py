@@ -36,7 +36,6 @@ from numpy.typing import NDArray
 
 from appliance.base import Progress
 from appliance.desk.foreign.appearance import Looks, agreement, look_at, share_of_range, words_by_looks
-from appliance.desk.foreign.arrangement import WHICH_IS_LEFT, examine
 from appliance.desk.foreign.assumptions import (
     MOST_MISFIT,
     ExaminedAssumption,
@@ -47,6 +46,7 @@ from appliance.desk.foreign.assumptions import (
 from appliance.desk.foreign.camera import DecodedCamera, decode_camera
 from appliance.desk.foreign.camera_files import camera_numbers, cameras_in
 from appliance.desk.foreign.cameras import read_rig
+from appliance.desk.foreign.cross_checks import WHICH_IS_LEFT, examine
 from appliance.desk.foreign.decode import by_periods, chance_misfit
 from appliance.desk.foreign.description import EACH, LEAST_STEPS, AxisConvention, Description, ImageFiles, equal_steps
 from appliance.desk.foreign.files import camera_files, in_halves, other_way_round, taken_in_turns
@@ -516,11 +516,11 @@ def _with_instead(candidate: TriedSequence) -> TriedSequence:
     for one in candidate.tested:
         if one.outcome is not Outcome.WRONG:
             continue
-        if one.about == WHICH_IS_LEFT:
+        if one.subject == WHICH_IS_LEFT:
             description = replace(description, files=other_way_round(description.files))
-        for key, value in one.instead.items():
+        for key, value in one.corrections.items():
             # Of one camera's images a direction's own words are named; what rays say names the direction, too.
-            name, _, word = (key if "." in key else f"{one.about.rpartition(': ')[2][0]}.{key}").partition(".")
+            name, _, word = (key if "." in key else f"{one.subject.rpartition(': ')[2][0]}.{key}").partition(".")
             axis = description.axis(name)
             if axis is not None:
                 description = description.with_axis(replace(axis, **{word: value}))

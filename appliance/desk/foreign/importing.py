@@ -20,9 +20,9 @@ from appliance.base import Progress
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
 from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
-from appliance.desk.foreign.arrangement import examine_images, examine_rays
 from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome
 from appliance.desk.foreign.camera import clean_camera, decode_camera
+from appliance.desk.foreign.cross_checks import examine_images, examine_rays
 from appliance.desk.foreign.decode import Reason
 from appliance.desk.foreign.description import load_description
 from appliance.desk.foreign.first_look import checked

@@ -1,4 +1,7 @@
-"""Owns the errors of importing: one line that names the thing, its value, what is allowed, and what to do."""
+"""Errors of the import of foreign images, and checked access to the tables of a description.
+
+Each error is one line that names the key, its value, the allowed values and the remedy.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,12 @@ from typing import Any
 
 
 class ForeignError(Exception):
-    """A description cannot be followed, or its images are not there or show something else; says which, why and what to
-    do."""
+    """A description cannot be followed, or its images are missing or contradict it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of a description, of which every key must be read: what nobody knows is an error."""
+    """A table of a description; an unknown key in it is an error."""
 
     name: str
     """Its name with a dot behind it (``projector.``); empty for the whole file."""
@@ -25,36 +27,35 @@ class Table:
         """Return the error for a key whose value is not allowed."""
         return ForeignError(f"{self.name}{key} is {self.content.get(key)!r:.80}; allowed: {allowed}; {remedy}")
 
-    def only(self, *known: str) -> None:
-        """Raises ForeignError for the first key that is none of those ``known``, with the nearest one."""
+    def only(self, *allowed: str) -> None:
+        """Raise ForeignError, with the nearest allowed key, if a key is not among ``allowed``."""
         for key in self.content:
-            if key not in known:
-                near = difflib.get_close_matches(key, known, 1)
-                hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
+            if key not in allowed:
+                near = difflib.get_close_matches(key, allowed, 1)
+                hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(allowed)}"
                 raise ForeignError(f"{self.name}{key:.60}: unknown key; {hint}")
 
-    def table(self, key: str, *known: str) -> Table | None:
-        """Return the table below ``key``, which has no keys but those ``known``, if any are; ``None`` where there is
-        none."""
+    def table(self, key: str, *allowed: str) -> Table | None:
+        """Return the table below ``key``, ``None`` if it is missing; ``allowed`` are its keys, none: any."""
         value = self.content.get(key)
         if value is None:
             return None
         if not isinstance(value, Mapping):
             raise self.wrong(key, "a table", f"write [{self.name}{key}]")
-        found = Table(f"{self.name}{key}.", value)
-        if known:
-            found.only(*known)
-        return found
+        subtable = Table(f"{self.name}{key}.", value)
+        if allowed:
+            subtable.only(*allowed)
+        return subtable
 
-    def needed(self, key: str, *known: str) -> Table:
-        """Return the table below ``key``. Raises ForeignError where there is none."""
-        found = self.table(key, *known)
-        if found is None:
+    def needed(self, key: str, *allowed: str) -> Table:
+        """Return the table below ``key``. Raises ForeignError if it is missing."""
+        table = self.table(key, *allowed)
+        if table is None:
             raise ForeignError(f"[{key}] is missing; add it (`kingfisher import FOLDER` writes a first description)")
-        return found
+        return table
 
     def text(self, key: str, default: str | None = None) -> str:
-        """Return a text. Raises ForeignError where it is missing without ``default``."""
+        """Return a text. Raises ForeignError if it is missing and has no ``default``."""
         value = self.content.get(key, default)
         if not isinstance(value, str):
             raise self.wrong(key, "a text", "put it between quotation marks")
@@ -68,28 +69,28 @@ class Table:
         return str(value)
 
     def flag(self, key: str) -> bool:
-        """Return true or false; false where nothing is said."""
+        """Return true or false; false if the key is missing."""
         value = self.content.get(key, False)
         if not isinstance(value, bool):
             raise self.wrong(key, "true or false", "write it without quotation marks")
         return value
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
-        """Return a number ``low`` to ``high``. Raises ForeignError where it is missing without ``default``."""
+        """Return a number ``low`` to ``high``. Raises ForeignError if it is missing and has no ``default``."""
         return _number(self, key, self.content.get(key, default), low, high)
 
     def optional(self, key: str, low: float, high: float) -> float | None:
-        """Return a number ``low`` to ``high``; ``None`` where nothing is said."""
+        """Return a number ``low`` to ``high``; ``None`` if the key is missing."""
         return self.number(key, low, high) if key in self.content else None
 
     def whole(self, key: str, low: int, high: int) -> int:
         """Return a whole number ``low`` to ``high``."""
         return self.wholes(key, low, high, 1)[0]
 
-    def wholes(self, key: str, low: int, high: int, most: int = 16) -> tuple[int, ...]:
+    def wholes(self, key: str, low: int, high: int, max_count: int = 16) -> tuple[int, ...]:
         """Return whole numbers ``low`` to ``high``; one number is a list of one."""
         values = self.numbers(key, low, high, "a whole number")
-        if len(values) > most or any(value != int(value) for value in values):
+        if len(values) > max_count or any(value != int(value) for value in values):
             raise self.wrong(key, f"a whole number {low}..{high}", "correct it")
         return tuple(int(value) for value in values)
 

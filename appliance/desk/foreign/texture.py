@@ -1,9 +1,9 @@
-"""Owns the witness of texture: whether patches of the left image lie in the right one where their points are projected.
+"""Test by texture: patches of the left image must lie in the right image where their points are projected.
 
-Along the disparity the fringes have put each point where it is, whatever is said of the cameras; across it nothing has,
-and cameras that stand otherwise than said move the patches. A turn about the axis across the disparity moves them along
-it alone: texture does not see it. A patch counts where one place is clearly the best by normalised correlation of what
-is neither noise nor shading.
+Along the disparity the fringes have placed each point, whatever the description says of the cameras; across it they
+have not, and cameras in another pose move the patches. Texture does not see a turn about the axis across the disparity,
+which moves patches along it alone. A patch counts where one place is clearly the best by normalised correlation of
+images without noise and shading.
 """
 
 from __future__ import annotations
@@ -23,40 +23,40 @@ USUAL_WIDTH_PX = 1280
 MOST_HALF_PX, LEAST_HALF_PX = 15, 7
 """Half a patch, less half a pixel, of images of the usual width, and of small ones."""
 FINE_PX, COARSE_PX = 1.5, 12.0
-"""Gaussians between which the texture lies that is compared."""
+"""Standard deviations of the two Gaussians whose difference is the compared texture."""
 REACH = 0.06
-"""Distance up to which a patch is looked for, over the image's length across the disparity."""
+"""Largest distance at which a patch is searched, over the length of the image across the disparity."""
 ALIKE, CLEARLY, SAME_PX = 0.85, 0.08, 4
-"""Least correlation of a place, and by how much it is better than any that lies farther away than so many px."""
+"""Least correlation of a place, and its least margin over any place farther away than the third number in px."""
 MOST_OFFSET_PX = 2.0
-"""Offset that right numbers leave, of images of the usual width."""
+"""Largest offset with right camera numbers, in images of the usual width."""
 LEAST_FOUND = 40
 
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """Places found again, and how far they lie beside where the cameras' numbers put them, across the disparity."""
+    """Statistics of the distances, across the disparity, between matched places and their projections."""
 
-    asked: int
-    found: int
+    searched: int
+    matched: int
     median_px: float
     spread_px: float
     """Robust standard deviation."""
     allowed_px: float
 
     @classmethod
-    def of(cls, offsets_px: NDArray[np.float64], asked: int, allowed_px: float) -> Offset:
+    def of(cls, offsets_px: NDArray[np.float64], searched: int, allowed_px: float) -> Offset:
         """Return the statistics of single offsets."""
         if not offsets_px.size:
-            return cls(asked, 0, 0.0, 0.0, allowed_px)
+            return cls(searched, 0, 0.0, 0.0, allowed_px)
         median = float(np.median(offsets_px))
         spread = MAD_TO_SIGMA * float(np.median(np.abs(offsets_px - median)))
-        return cls(asked, int(offsets_px.size), median, spread, allowed_px)
+        return cls(searched, int(offsets_px.size), median, spread, allowed_px)
 
     @property
     def tells(self) -> bool:
-        """True if enough was found to tell anything."""
-        return self.found >= LEAST_FOUND
+        """True if enough places were matched for a conclusion."""
+        return self.matched >= LEAST_FOUND
 
     @property
     def size_px(self) -> float:
@@ -65,12 +65,12 @@ class Offset:
 
     @property
     def fits(self) -> bool:
-        """True if it is as small as right numbers leave it."""
+        """True if it is as small as right camera numbers leave it."""
         return self.tells and self.size_px <= self.allowed_px
 
     def __str__(self) -> str:
-        aside = f", {self.median_px:+.1f} ± {self.spread_px:.1f} px aside" if self.tells else ": too few to tell"
-        return f"{self.found} of {self.asked} places are found again{aside}"
+        offset_text = f", {self.median_px:+.1f} ± {self.spread_px:.1f} px aside" if self.tells else ": too few to tell"
+        return f"{self.matched} of {self.searched} places are found again{offset_text}"
 
 
 Textures = tuple[Floats, Floats, int]
@@ -78,38 +78,40 @@ Textures = tuple[Floats, Floats, int]
 
 
 def textures_of(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Textures:
-    """Return what two pictures in even light have of it."""
+    """Return the textures of two images in even light, reduced to about the usual width."""
     reduced = -(-max(left.shape[1], right.shape[1]) // int(1.5 * USUAL_WIDTH_PX))
     return _texture(left, reduced), _texture(right, reduced), reduced
 
 
 def texture_offset(textures: Textures, left_px: NDArray[Any], right_px: NDArray[np.float64], down: bool) -> Offset:
-    """Return how far patches about ``left_px`` (n, 2) lie beside ``right_px``: ``down`` the image, or along it."""
+    """Return the offset of patches about ``left_px`` (n, 2) from ``right_px``: ``down`` the image, or along it."""
     reduced = textures[2]
-    few = np.isfinite(right_px).all(axis=1)
-    places = (np.stack([left_px[few], right_px[few]]) + 0.5) / reduced - 0.5
-    left, right = (one if down else one.T for one in textures[:2])
+    finite = np.isfinite(right_px).all(axis=1)
+    places = (np.stack([left_px[finite], right_px[finite]]) + 0.5) / reduced - 0.5
+    left, right = (part if down else part.T for part in textures[:2])
     places = places if down else places[..., ::-1]
     half = max(LEAST_HALF_PX, min(MOST_HALF_PX, left.shape[1] // 60))
     reach = round(REACH * right.shape[0])
-    asked, found, side = 0, [], 2 * half + 1
+    searched, offsets_px, side = 0, [], 2 * half + 1
     moved = np.rint(places) - places
-    for (x, y), (u, v), beside in zip(*np.rint(places).astype(int), (moved[1] - moved[0])[:, 1], strict=True):
+    for (x, y), (u, v), rounding_px in zip(*np.rint(places).astype(int), (moved[1] - moved[0])[:, 1], strict=True):
         patch = left[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1]
         strip = right[max(0, v - half - reach) : v + half + reach + 1, max(0, u - half) : u + half + 1]
         if min(x, y, u, v - reach) < half or patch.shape != (side, side) or strip.shape != (side + 2 * reach, side):
             continue
-        asked += 1
+        searched += 1
         alike = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)[:, 0]
         k = int(alike.argmax())
-        other = max(float(one.max(initial=-1.0)) for one in (alike[: max(0, k - SAME_PX)], alike[k + SAME_PX + 1 :]))
-        if 0 < k < 2 * reach and alike[k] > max(ALIKE, other + CLEARLY):
-            before, here, after = alike[k - 1 : k + 2]
-            found.append(k - reach + 0.5 * (before - after) / (before - 2.0 * here + after) + beside)
-    return Offset.of(reduced * np.array(found), asked, reduced * MOST_OFFSET_PX)
+        second_best = max(
+            float(part.max(initial=-1.0)) for part in (alike[: max(0, k - SAME_PX)], alike[k + SAME_PX + 1 :])
+        )
+        if 0 < k < 2 * reach and alike[k] > max(ALIKE, second_best + CLEARLY):
+            before, peak, after = alike[k - 1 : k + 2]
+            offsets_px.append(k - reach + 0.5 * (before - after) / (before - 2.0 * peak + after) + rounding_px)
+    return Offset.of(reduced * np.array(offsets_px), searched, reduced * MOST_OFFSET_PX)
 
 
 def _texture(image: NDArray[np.uint8], reduced: int) -> Floats:
     size = (image.shape[1] // reduced, image.shape[0] // reduced)
-    few = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(few, (0, 0), FINE_PX) - cv2.GaussianBlur(few, (0, 0), COARSE_PX))
+    smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(smaller, (0, 0), FINE_PX) - cv2.GaussianBlur(smaller, (0, 0), COARSE_PX))

@@ -47,7 +47,7 @@ def told(order: str, axis: AxisConvention, lines: Lines, noise: float = 0.5) -> 
 
 
 def words(said: list[ExaminedAssumption], outcome: Outcome) -> list[str]:
-    return [one.about.removeprefix("x.") for one in said if one.outcome is outcome]
+    return [one.subject.removeprefix("x.") for one in said if one.outcome is outcome]
 
 
 CODED = AxisConvention("x", SIZE_PX, (32.0,), (FOUR,), bits=5, stripe_px=32.0)
@@ -90,8 +90,8 @@ def test_a_wrong_word_is_named_with_what_fits(
     order: str, axis: AxisConvention, lines: Lines, about: str, instead: dict[str, Any]
 ) -> None:
     (wrong,) = (one for one in told(order, axis, lines) if one.outcome is Outcome.WRONG)
-    assert wrong.about == f"x.{about}"
-    assert {name: wrong.instead[name] for name in instead} == instead
+    assert wrong.subject == f"x.{about}"
+    assert {name: wrong.corrections[name] for name in instead} == instead
     if about == "steps":
         assert "x.steps_deg = [0, 180, 90, 270] leaves" in wrong.text
 
@@ -117,7 +117,7 @@ def test_an_image_of_the_code_among_the_steps_is_noticed(first: bool) -> None:
     right, other = sines(32, [30.0 * k for k in range(12)]), gray(6)
     lines = [other[0], *right, *other[1:]] if first else [*right, *other]
     said = told("sine-x*13 gray-x*5", replace(CODED, steps_deg=(steps,)), lines)
-    (wrong,) = (one for one in said if one.about == "images.order")
+    (wrong,) = (one for one in said if one.subject == "images.order")
     assert wrong.outcome is Outcome.WRONG
     assert f"without the {'first' if first else 'last'} of its images, steps = 12 leaves" in wrong.text
 
@@ -143,7 +143,7 @@ def two_periods(shown: tuple[float, float], said: tuple[float, float], gamma: fl
     three = (0.0, 120.0, 240.0)
     axis = AxisConvention("x", SIZE_PX, tuple(SIZE_PX / one for one in said), (three, three))
     lines = [*sines(shown[0], three, gamma=gamma), *sines(shown[1], three, gamma=gamma)]
-    (found,) = (one for one in told("sine-x*3 sine-x2*3", axis, lines, noise) if one.about == "x.period_px")
+    (found,) = (one for one in told("sine-x*3 sine-x2*3", axis, lines, noise) if one.subject == "x.period_px")
     return found.outcome
 
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.desk.foreign.arrangement import POSE, TURN, examine_cameras
 from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome
 from appliance.desk.foreign.camera import DecodedCamera
 from appliance.desk.foreign.cameras import ForeignRig, read_rig
+from appliance.desk.foreign.cross_checks import POSE, TURN, examine_cameras
 from appliance.desk.foreign.decode import PlacedAxis
 from appliance.desk.foreign.description import Description, parse_description
 from appliance.desk.foreign.images import ImageSet
@@ -81,8 +81,8 @@ def told(
         rig,
         {side: change(replace(one, placed={axis: one.placed[axis] for axis in axes})) for side, one in found.items()},
     )
-    assert len({one.about for one in said}) == len(said)
-    return {one.about: one for one in said}
+    assert len({one.subject for one in said}) == len(said)
+    return {one.subject: one for one in said}
 
 
 def outcomes(said: Mapping[str, ExaminedAssumption], outcome: Outcome) -> set[str]:
@@ -165,7 +165,7 @@ def test_what_is_wrong_is_named_alone(
     said = told(axes, bench, **wrong)
     assert outcomes(said, Outcome.WRONG) == {about}
     assert text in said[about].text
-    assert not instead or said[about].instead == instead
+    assert not instead or said[about].corrections == instead
 
 
 def test_half_of_the_turn_that_is_tried_is_no_contradiction() -> None:
