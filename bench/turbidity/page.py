@@ -1,4 +1,4 @@
-"""Owns the tables and pictures of ``docs/turbidity.md``: written from what was measured, never by hand."""
+"""Tables and picture of ``docs/turbidity.md``, written from what was measured, never by hand."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ BEGIN, END = "<!-- figures: ./dev bench turbidity --write-docs -->", "<!-- end o
 X_MARKS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 HALF, NEARLY = 50.0, 95.0
 """Percent of the object: where the scanner counts as having stopped, and where it still does all of its work."""
+SERIES = ("attenuation alone", "all three", "all three, exposure and gain", "milky, exposure and gain")
+"""Series of the first table; the picture has all."""
+ATTENUATIONS_PER_M = (0.5, 1.0, 2.0, 3.0, 4.0)
+"""Rows of the second table."""
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -24,7 +28,7 @@ def write_page(data: Path, page: Path, pictures: Path) -> None:
     text = page.read_text(encoding="utf-8")
     if BEGIN not in text or END not in text:
         raise ValueError(f"{page} has no marks {BEGIN} and {END}")
-    parts = [limits_table(planes), noise_table(planes), artefact_table(artefacts)]
+    parts = [limits_table(planes), noise_table(planes)]
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     page.write_text(before + BEGIN + "\n\n" + "\n\n".join(parts) + "\n\n" + END + after, encoding="utf-8")
     draw(pictures / "turbidity.png", panels(planes, artefacts))
@@ -56,7 +60,9 @@ def limits_table(rows: Rows) -> str:
         "| Water, cameras | complete to 95 % up to | half of it up to | noise at 1 /m, µm | at 2 /m | at 3 /m | wrong, ppm |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    for name, mine in _series(rows).items():
+    series = _series(rows)
+    for name in SERIES:
+        mine = series[name]
         noise = dict(by_attenuation(mine, "rms_um"))
         wrong = [row["wrong_ppm"] for row in mine if row["wrong_ppm"] is not None]
         cells = [_say(reaches(mine, NEARLY), "{:.1f} /m"), _say(reaches(mine, HALF), "{:.1f} /m")]
@@ -73,44 +79,17 @@ def noise_table(rows: Rows) -> str:
         ("completeness_percent", "{:.1f}"),
         ("rms_um", "{:.0f}"),
         ("sigma_um", "{:.0f}"),
-        ("sigma_ratio", "{:.2f}"),
-        ("modulation_dn", "{:.0f}"),
-        ("exposure_ms", "{:.1f}"),
-        ("gain_db", "{:.0f}"),
-        ("veil_percent", "{:.1f}"),
         ("said_per_m", "{:.2f}"),
         ("said_sigma_per_m", "{:.2f}"),
     )
     lines = [
-        "| All three, exposure and gain: attenuation, 1/m | complete, % | noise, µm | expected (median), µm | error/expected, rms | modulation, DN | exposure, ms | gain, dB | veil, % | said, 1/m | ± |",
+        "| All three, exposure and gain: c, 1/m | complete, % | noise, µm | sigma (median), µm | stated c, 1/m | ± |",
         "|---:|" + "---:|" * len(columns),
     ]
     found = {key: dict(by_attenuation(mine, key)) for key, _ in columns}
-    for attenuation in sorted({row["attenuation_per_m"] for row in mine}):
+    for attenuation in ATTENUATIONS_PER_M:
         cells = [_say(found[key][attenuation], form) for key, form in columns]
         lines.append(f"| {attenuation:g} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def artefact_table(rows: Rows) -> str:
-    """Lengths and flatness."""
-    lines = [
-        "| Artefacts: water | attenuation, 1/m | ball bars, worst E_L, % | plane E_F, % | E_F,sys, % | noise, µm | not found |",
-        "|---|---:|---:|---:|---:|---:|---|",
-    ]
-    for name, mine in _series(rows).items():
-        for attenuation in sorted({row["attenuation_per_m"] for row in mine}):
-            here = [row for row in mine if row["attenuation_per_m"] == attenuation]
-            noise = [row["noise_um"] for row in here if row["noise_um"] is not None]
-            missing = sorted({row["artefact"] for row in here if row["missing"] is not None})
-            cells = [
-                _say(_worst(here, "e_l_percent"), "{:.3f}"),
-                _say(_worst(here, "e_f_percent"), "{:.3f}"),
-                _say(_worst(here, "e_f_sys_percent"), "{:.3f}"),
-                _say(median(noise) if noise else None, "{:.0f}"),
-                ", ".join(missing) or "—",
-            ]
-            lines.append(f"| {name} | {attenuation:g} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
