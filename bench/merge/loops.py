@@ -149,9 +149,9 @@ def _power(seed: int, count: int, edges: list[Edge], middles: dict[int, Array]) 
 def _bent(edge: Edge, shared_mm: Array) -> Edge:
     """Return the pair as it would be with a shared error in both scans' points."""
     fit = edge.fit
-    delta = fit.bow.response @ shared_mm
+    delta = fit.depth_error.response @ shared_mm
     turn = rotation_matrix(delta[:3] / fit.lever_mm)
     at = fit.middle_mm
     pose = Rigid(turn @ fit.pose.rotation, turn @ (fit.pose.translation_mm - at) + at + delta[3:])
-    news = replace(fit.bow, gradient=fit.bow.gradient - fit.bow.information @ shared_mm)
-    return replace(edge, fit=replace(fit, pose=pose, bow=news))
+    news = replace(fit.depth_error, gradient=fit.depth_error.gradient - fit.depth_error.information @ shared_mm)
+    return replace(edge, fit=replace(fit, pose=pose, depth_error=news))

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from appliance.desk.objects import light_of
 from appliance.measure.light.rotation import rotation_matrix
-from appliance.measure.overlap.fine import lay
+from appliance.measure.overlap.fine import correspond
 from appliance.measure.overlap.pair import ReadyScan, ready, register
 from appliance.measure.overlap.rigid import Rigid
 from bench.merge.views import Array, PlacedView, Wanted, view_of
@@ -115,7 +115,7 @@ def judged_on(first: ReadyScan, second: ReadyScan, true: Rigid) -> tuple[Array, 
     Points of the overlap; where there truly is none, all: a pose that was accepted there is off by that much.
     """
     patches = second.fine.patches
-    on = lay(first.fine, second.fine, true, 1.0).source
+    on = correspond(first.fine, second.fine, true, 1.0).source
     centres = patches.centre_mm.reshape(-1, 3)[on] if len(on) else patches.centre_mm[patches.valid]
     return centres, len(on) / max(int(np.count_nonzero(patches.valid)), 1)
 

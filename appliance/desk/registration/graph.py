@@ -146,20 +146,20 @@ def _solve(members: Sequence[int], edges: Sequence[Edge], with_bow: bool, known_
         g[size:] += prior @ bow
         squared = np.zeros(len(edges))
         for k, (edge, W) in enumerate(zip(edges, weights, strict=True)):
-            delta = _discrepancy(poses, edge) + edge.fit.bow.response @ bow
+            delta = _discrepancy(poses, edge) + edge.fit.depth_error.response @ bow
             squared[k] = delta @ W @ delta
             blocks = [
                 (column[scan], sign * _jacobian(poses, edge))
                 for scan, sign in ((edge.first, -1.0), (edge.second, 1.0))
                 if scan in column
             ]
-            blocks.append((size, edge.fit.bow.response))
+            blocks.append((size, edge.fit.depth_error.response))
             for at, A in blocks:
                 g[at : at + A.shape[1]] += A.T @ W @ delta
                 for to, B in blocks:
                     H[at : at + A.shape[1], to : to + B.shape[1]] += A.T @ W @ B
-            H[size:, size:] += edge.fit.bow.information
-            g[size:] += edge.fit.bow.gradient + edge.fit.bow.information @ bow
+            H[size:, size:] += edge.fit.depth_error.information
+            g[size:] += edge.fit.depth_error.gradient + edge.fit.depth_error.information @ bow
         step = np.zeros(size + m)
         n = size + m if with_bow else size
         if n:
@@ -285,7 +285,7 @@ def _described(
         used=tuple(edges),
         discrepancy_mm={
             (edge.first, edge.second): float(
-                np.linalg.norm(_discrepancy(solution.poses, edge) + edge.fit.bow.response @ solution.bow)
+                np.linalg.norm(_discrepancy(solution.poses, edge) + edge.fit.depth_error.response @ solution.bow)
             )
             for edge in edges
         },

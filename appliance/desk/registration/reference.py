@@ -188,7 +188,7 @@ def lay_onto(measured: OrientedPoints, reference: ReferenceSurface, start: Rigid
 def _described(best: _Fit, fits: list[_Fit], used: OrientedPoints, ways: tuple[FreeWay, ...]) -> LaidOnto:
     resistance = best.system.resistance()
     value, vector = np.linalg.eigh(resistance.stiffness)
-    loose = resistance.held < HELD
+    loose = resistance.significance < HELD
     kept = vector[:, ~loose]
     inverse = kept @ np.diag(1.0 / value[~loose]) @ kept.T
     close = fits[0].close(best.system.scatter_mm)
@@ -256,7 +256,7 @@ def _slid_apart(fits: list[_Fit], few: OrientedPoints, slid: OrientedPoints, rou
     for fit in fits:
         if len(tried) < _LED and not any(_is_slid(fit.pose, one, kept, few) for one, kept in tried):
             resistance = fit.system.resistance()
-            tried.append((fit, resistance.directions[:, resistance.held >= HELD]))
+            tried.append((fit, resistance.directions[:, resistance.significance >= HELD]))
     return [_slid_along(fit, few, slid, rough) for fit, _ in tried]
 
 
@@ -373,7 +373,7 @@ class _Fit:
     def loose(self) -> list[Array]:
         """The directions (6,) of δ that nothing holds: shifts, and turns with the shift that belongs to them."""
         resistance = self.system.resistance()
-        vectors = resistance.directions[:, resistance.held < HELD]
+        vectors = resistance.directions[:, resistance.significance < HELD]
         if not vectors.shape[1]:
             return []
         # Within what is loose turned so that as many directions as can be do not turn at all.
@@ -425,7 +425,7 @@ def _led(measured: OrientedPoints, reference: _Sampled | ReferenceSurface, guess
         if system is None:
             return None
         resistance = system.resistance()
-        held = resistance.directions[:, resistance.held >= HELD]
+        held = resistance.directions[:, resistance.significance >= HELD]
         step = held @ (held.T @ system.step())
         pose = system.moved(pose, step)
         gate = max(LAST_GATE_MM, min(0.7 * gate, max(6.0 * system.scatter_mm, 0.35 * gate)))

@@ -183,7 +183,7 @@ def _compared(scans: Sequence[ReadyScan], first: int, second: int, near: Rigid |
     pair = register(scans[first], scans[second], near)
     if not pair.accepted or pair.fit is None:
         return Compared(first, second, pair)
-    return Compared(first, second, pair, scans[first].marks_in_common(scans[second], pair.fit.pose))
+    return Compared(first, second, pair, scans[first].common_keypoints(scans[second], pair.fit.pose))
 
 
 def middle_of(scan: ReadyScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -1,8 +1,8 @@
-"""Owns first guesses of how two scans lie to each other: from features in common, else from shape alone.
+"""Coarse poses of two scans relative to each other, from common keypoints or from shape.
 
-Features: matched descriptors, three at a time give a pose (M. Fischler, R. Bolles 1981). Shape: many starts over shifts
-and rolls, each led by planes of a few hundred patches, all at once; most end where little fits. Neither is believed:
-fine registration and its judge decide.
+Keypoints: three matched descriptors give a pose (M. Fischler, R. Bolles 1981). Shape: a coarse ICP from many starts
+over translations and rolls at once; most end where little fits. These are guesses: fine registration and its judge
+decide.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from appliance.measure.overlap.rigid import Rigid
 RATIO = 0.85
 """Largest distance to the best match, over that to the second best (Lowe 2004)."""
 NEAR_MM = 0.8
-"""Features fit a pose where their points meet this closely."""
+"""Largest distance between the points of matched features at a pose that they support."""
 TRIPLES = 1_500
-TRIED = 10
-"""Sets of features that are looked at for each guess that is wanted."""
+SETS_PER_GUESS = 10
+"""Largest number of inlier sets that are examined per guess."""
 MIN_SIDE_MM = 8.0
-"""Least side of a triangle of features: smaller ones tell no turn."""
+"""Least side of a triangle of features: smaller ones determine no rotation."""
 ENOUGH_INLIERS = 10
 """Fewest features that agree on a pose: three always do, and some more by chance."""
 DISTINCT_MM = 4.0
 """Poses that move the middle of the volume, or points 80 mm off it, by less are the same guess."""
 
 SOURCES = 260
-"""Patches that lead each start of the search by shape."""
+"""Number of patches in each start of the search by shape."""
 FEWEST_SOURCES = 50
 SHIFTS_MM = (-110.0, -55.0, 0.0, 55.0, 110.0)
-"""Starts of the search of scans of the standard housing."""
+"""Translations of the starts for scans of the standard housing."""
 ROLLS_DEG = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 120.0, -120.0, 150.0, -150.0, 180.0)
 ITERATIONS = 16
 WIDE_MM, NARROW_MM = 35.0, 1.5
@@ -57,8 +57,8 @@ class Guess:
     by_features: bool
 
 
-def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) -> list[Guess]:
-    """Return at most ``most`` distinct poses that enough features agree on, the best first."""
+def guess_by_features(a: Features, b: Features, count_limit: int = 3, seed: int = 0) -> list[Guess]:
+    """Return at most ``most`` distinct poses on which enough features agree, the best first."""
     pairs = matches(a.descriptors, b.descriptors)
     if len(pairs) < ENOUGH_INLIERS:
         return []
@@ -67,9 +67,9 @@ def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) ->
     triple = rng.integers(0, len(pairs), (TRIPLES, 3))
     sides_p = np.linalg.norm(p[triple] - p[triple[:, [1, 2, 0]]], axis=-1)
     sides_q = np.linalg.norm(q[triple] - q[triple[:, [1, 2, 0]]], axis=-1)
-    # A rigid pose keeps the triangle: most wrong triples end here.
-    kept = (np.abs(sides_p - sides_q) < 2.0 * NEAR_MM).all(1) & (sides_p.min(1) > MIN_SIDE_MM)
-    triple = triple[kept]
+    # A rigid transform preserves the triangle: this removes most wrong triples.
+    is_congruent = (np.abs(sides_p - sides_q) < 2.0 * NEAR_MM).all(1) & (sides_p.min(1) > MIN_SIDE_MM)
+    triple = triple[is_congruent]
     if not len(triple):
         return []
     rotation, shift = _kabsch(p[triple], q[triple])
@@ -78,11 +78,11 @@ def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) ->
     guesses: list[Guess] = []
     support = inliers.sum(1)
     left = np.argsort(-support, kind="stable")
-    for _ in range(TRIED * most):
-        if not len(left) or support[left[0]] < ENOUGH_INLIERS or len(guesses) == most:
+    for _ in range(SETS_PER_GUESS * count_limit):
+        if not len(left) or support[left[0]] < ENOUGH_INLIERS or len(guesses) == count_limit:
             break
         mine, pose = inliers[left[0]], Rigid(rotation[left[0]], shift[left[0]])
-        # Triples of the same features are the same guess, and hide those of other features behind them.
+        # Triples of mostly the same features give the same pose, and would delay those of others.
         left = left[np.count_nonzero(inliers[left] & mine, axis=1) < 0.5 * support[left]]
         for _ in range(3):
             if np.count_nonzero(mine) < 4:
@@ -90,16 +90,18 @@ def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) ->
             r, s = _kabsch(p[mine][None], q[mine][None])
             pose = Rigid(r[0], s[0])
             mine = ((pose.of(q) - p) ** 2).sum(-1) < NEAR_MM**2
-        # Several features at one place are one witness.
+        # Several features at one place count once.
         count = len(np.unique(np.round(p[mine] / 3.0), axis=0))
-        if count >= ENOUGH_INLIERS and all(not same(pose, one.pose) for one in guesses):
+        if count >= ENOUGH_INLIERS and all(not same(pose, guess.pose) for guess in guesses):
             guesses.append(Guess(pose, float(count), True))
-    return sorted(guesses, key=lambda one: -one.support)
+    return sorted(guesses, key=lambda guess: -guess.support)
 
 
 def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return (n, 2) numbers of descriptors (…, 128) that are each other's best match, and better than the second by
-    ``RATIO``."""
+    """Return index pairs (n, 2) of mutual best matches of descriptors (…, 128) that pass the ratio test.
+
+    The distance to the best match must be less than ``RATIO`` times that to the second best.
+    """
     if len(a) < 3 or len(b) < 3:
         return np.empty((0, 2), np.int64)
     alike = a @ b.T
@@ -115,25 +117,26 @@ def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]
 
 
 def in_common(a: Features, b: Features, pose: Rigid) -> Array:
-    """Return the points (n, 3) in A's frame of the features that two scans have in common, where ``pose`` lays them on
-    each other."""
+    """Return the points (n, 3), in A's frame, of the features that two scans share at ``pose``."""
     pairs = matches(a.descriptors, b.descriptors)
-    # Descriptors alone match by chance, and where paint repeats.
+    # Descriptors alone also match by chance and where texture repeats, so the points must agree with the pose.
     points = a.points_mm[pairs[:, 0]]
     off = pose.of(b.points_mm[pairs[:, 1]]) - points
     return np.asarray(points[(off**2).sum(axis=1) < NEAR_MM**2])
 
 
 def turn_error_mm(points_mm: Array, reach_mm: float) -> float:
-    """Return how far, by one standard deviation, what lies ``reach_mm`` off points (n, 3) may be turned about the line
-    along which they lie; a pose is held by points that lie beside it, too."""
+    """Return the displacement, ``reach_mm`` off points (n, 3), by the uncertain rotation about their line.
+
+    It is one standard deviation. Points that also extend across the line determine that rotation.
+    """
     centred = points_mm - points_mm.mean(axis=0)
-    beside_mm = float(np.linalg.svd(centred, compute_uv=False)[1])
-    return 0.5 * NEAR_MM * reach_mm / max(beside_mm, 1e-9)
+    extent_mm = float(np.linalg.svd(centred, compute_uv=False)[1])
+    return 0.5 * NEAR_MM * reach_mm / max(extent_mm, 1e-9)
 
 
 def _kabsch(p: Array, q: Array) -> tuple[Array, Array]:
-    """Return the rotations (k, 3, 3) and translations (k, 3) that bring points q (k, n, 3) to p (Kabsch 1976)."""
+    """Return rotations (k, 3, 3) and translations (k, 3) that map points q (k, n, 3) to p (Kabsch 1976)."""
     pm, qm = p.mean(axis=1), q.mean(axis=1)
     u, _, vt = np.linalg.svd(np.swapaxes(q - qm[:, None], 1, 2) @ (p - pm[:, None]))
     sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
@@ -143,17 +146,17 @@ def _kabsch(p: Array, q: Array) -> tuple[Array, Array]:
     return rotation, pm - np.einsum("kij,kj->ki", rotation, qm)
 
 
-def same(one: Rigid, other: Rigid, within_mm: float = DISTINCT_MM, depth_mm: float = 540.0) -> bool:
-    """Return whether two poses of B put points around the middle of the volume to the same place."""
+def same(first: Rigid, second: Rigid, within_mm: float = DISTINCT_MM, depth_mm: float = 540.0) -> bool:
+    """Return whether two poses of B put points around the middle of the volume at the same place."""
     around = np.array([[0.0, 0.0, depth_mm], [80.0, 0.0, depth_mm], [0.0, 80.0, depth_mm], [-80.0, -80.0, depth_mm]])
-    return bool(np.linalg.norm(one.of(around) - other.of(around), axis=1).max() < within_mm)
+    return bool(np.linalg.norm(first.of(around) - second.of(around), axis=1).max() < within_mm)
 
 
-def guess_by_shape(a: Prepared, b: Prepared, near: Rigid | None = None, most: int = 6) -> list[Guess]:
+def guess_by_shape(a: Prepared, b: Prepared, near: Rigid | None = None, count_limit: int = 6) -> list[Guess]:
     """Return at most ``most`` distinct poses of B on A that fit by shape, the best first.
 
-    ``a`` and ``b`` are coarse (patches of some 4 mm). ``near``: where B is thought to be, for instance where the scan
-    before was taken; ``None``: anywhere within ``SHIFTS_MM`` of the same view.
+    ``a`` and ``b`` have coarse patches of some 4 mm. ``near``: an approximate pose of B, such as that of the scan
+    before; ``None``: any pose within ``SHIFTS_MM`` of the same view.
     """
     pa, pb = a.patches, b.patches
     if min(np.count_nonzero(pa.valid), np.count_nonzero(pb.valid)) < FEWEST_SOURCES:
@@ -163,26 +166,26 @@ def guess_by_shape(a: Prepared, b: Prepared, near: Rigid | None = None, most: in
     middle_a = np.median(pa.centre_mm[pa.valid], axis=0)
     middle_b = np.median(c, axis=0)
     rotation, shift = _starts(middle_a, middle_b, near, pa.projection.volume)
-    gates = np.geomspace(WIDE_MM, NARROW_MM, ITERATIONS)
+    limits_mm = np.geomspace(WIDE_MM, NARROW_MM, ITERATIONS)
     share = np.zeros(len(rotation))
-    for step, gate in enumerate(gates):
+    for step, limit_mm in enumerate(limits_mm):
         if step in (5, 9):
-            # The better half goes on.
-            best = np.argsort(-share)[: max(len(share) // (3 if step == 5 else 2), 4 * most)]
+            # Only the better starts go on.
+            best = np.argsort(-share)[: max(len(share) // (3 if step == 5 else 2), 4 * count_limit)]
             rotation, shift, share = rotation[best], shift[best], share[best]
-        rotation, shift, share = _led(pa.centre_mm, pa.normal, pa.cells, c, n, rotation, shift, gate)
+        rotation, shift, share = _iterate(pa.centre_mm, pa.normal, pa.cells, c, n, rotation, shift, limit_mm)
     guesses: list[Guess] = []
     for k in np.argsort(-share, kind="stable"):
         pose = Rigid(rotation[k], shift[k])
-        if share[k] < LEAST_SHARE or len(guesses) == most:
+        if share[k] < LEAST_SHARE or len(guesses) == count_limit:
             break
-        if all(not same(pose, one.pose) for one in guesses):
+        if all(not same(pose, guess.pose) for guess in guesses):
             guesses.append(Guess(pose, float(share[k]), False))
     return guesses
 
 
 def _spread_over_normals(normal: Array, valid: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return ``SOURCES`` of the ``valid`` patches, of every direction of the surface about as many (Rusinkiewicz 2001)."""
+    """Return ``SOURCES`` of the ``valid`` patches, evenly over the normals (Rusinkiewicz 2001)."""
     bins = np.round(normal[valid][:, :2] / 0.2).astype(int)
     _, label, count = np.unique(bins, axis=0, return_inverse=True, return_counts=True)
     rng = np.random.default_rng(3)
@@ -201,15 +204,15 @@ def _starts(middle_a: Array, middle_b: Array, near: Rigid | None, volume: Workin
         shifts = tuple(volume.scaled(shift) for shift in SHIFTS_MM)
     rotations, translations = [], []
     for roll in rolls:
-        turn = rotation_matrix(np.array([0.0, 0.0, np.radians(roll)])) @ base
+        start_rotation = rotation_matrix(np.array([0.0, 0.0, np.radians(roll)])) @ base
         for x in shifts:
             for y in shifts:
-                rotations.append(turn)
-                translations.append(to + np.array([x, y, 0.0]) - turn @ middle_b)
+                rotations.append(start_rotation)
+                translations.append(to + np.array([x, y, 0.0]) - start_rotation @ middle_b)
     return np.array(rotations), np.array(translations)
 
 
-def _led(
+def _iterate(
     centre: Array,
     normal: Array,
     cells: Callable[[Array], Array],
@@ -217,9 +220,9 @@ def _led(
     n: Array,
     rotation: Array,
     shift: Array,
-    gate_mm: float,
+    max_distance_mm: float,
 ) -> tuple[Array, Array, Array]:
-    """Move every start (k) one step along the planes below its patches; return poses and the share of patches that fit."""
+    """Move every start (k) one ICP step; return the poses and the share of patches that fit."""
     x = np.einsum("kij,nj->kni", rotation, c) + shift[:, None]
     m = np.einsum("kij,nj->kni", rotation, n)
     with np.errstate(invalid="ignore"):
@@ -230,9 +233,9 @@ def _led(
     plane = normal[j, i]
     off = (plane * (x - centre[j, i])).sum(-1)
     with np.errstate(invalid="ignore"):
-        good = inside & (np.abs(off) < gate_mm) & ((plane * m).sum(-1) > 0.5)
-    w = np.where(good, 1.0 / (1.0 + (off / (0.3 * gate_mm)) ** 2), 0.0)
-    off, plane = np.where(good, off, 0.0), np.where(good[..., None], plane, 0.0)
+        fits = inside & (np.abs(off) < max_distance_mm) & ((plane * m).sum(-1) > 0.5)
+    w = np.where(fits, 1.0 / (1.0 + (off / (0.3 * max_distance_mm)) ** 2), 0.0)
+    off, plane = np.where(fits, off, 0.0), np.where(fits[..., None], plane, 0.0)
     total = np.maximum(w.sum(1), 1e-9)
     middle = (w[..., None] * x).sum(1) / total[:, None]
     lever = 70.0
@@ -243,10 +246,10 @@ def _led(
     size = np.linalg.norm(step, axis=1)
     step *= np.minimum(1.0, 25.0 / np.maximum(size, 1e-9))[:, None]
     angle = step[:, :3] / lever
-    turn = np.array([rotation_matrix(one) for one in angle])
+    increment = np.array([rotation_matrix(rotation_rad) for rotation_rad in angle])
     return (
-        turn @ rotation,
-        np.einsum("kij,kj->ki", turn, shift - middle) + middle + step[:, 3:],
-        # What fits, of all patches: those that leave the view count as not fitting.
+        increment @ rotation,
+        np.einsum("kij,kj->ki", increment, shift - middle) + middle + step[:, 3:],
+        # The share is of all patches: those that leave the view count as not fitting.
         w.sum(1) / len(c),
     )

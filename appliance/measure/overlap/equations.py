@@ -1,15 +1,19 @@
-"""Owns the equations of laying one surface upon another: what resists a displacement, the step that they ask for, and
-what is known after it.
+"""The equations of one step of fine registration, and the covariance of the pose that solves them.
 
-Each patch of B that lies on A gives two residuals: its distance from A's plane, and the difference of paint. What
-resists a displacement is their stiffness, a 6 × 6 matrix. Noise in normals and gradients would add stiffness of its own
-where there is none: a bare pipe would seem to be held along its axis, with a residual as good as everywhere. So each
-product of the matrix takes one factor from A and one from B, whose noise is independent: along a direction that nothing
-holds it is zero in the mean, and how far it scatters is known. An estimate with such products is that of instrumental
-variables (Durbin 1954).
+Each patch of B that lies on A gives two residuals: its distance from A's plane, and the difference of texture. Their
+stiffness, a 6 × 6 matrix, is the resistance to a displacement. Noise in normals and gradients would add stiffness
+where there is none: a bare pipe would seem to be fixed along its axis. So each product of the matrix takes one factor
+from A and one from B, whose noise is independent. Along a free direction the product is zero in the mean, with a known
+standard deviation. This is an estimate with instrumental variables (Durbin 1954).
+
+Correspondences   patches of B with their counterparts on A
+System            the equations of one round
+Resistance        stiffness, its significance and the covariance of the pose
+system_of         the equations of correspondences
+spread            a robust standard deviation
 
 Symbols: R, t  rotation and translation that map B's points into A's frame;  x  a patch of B in A's frame
-         δ = (ω, τ)  a small turn (as mm at the lever's end) about the overlap's middle, and a shift, mm
+         δ = (ω, τ)  a small rotation (as mm at the lever's end) about the overlap's middle, and a translation, mm
          J, Z  derivatives (n, 6) of the residuals by δ with A's normals and gradients, and with B's
          S  stiffness, 1/mm²;  r residuals;  w weights 1/variance, less for outliers
 """
@@ -26,64 +30,64 @@ from appliance.measure.overlap.patches import Array, Bools
 from appliance.measure.overlap.rigid import Rigid
 
 FEWEST = 120
-"""Fewest patches in common."""
+"""Fewest corresponding patches."""
 NEIGHBOURS_ALIKE = 2.0
 """Standard deviation of a stiffness of noise, over that for independent patches: target planes are means of four."""
 EXTRA_MM = 0.006
-"""Least standard deviation of a distance between two scans: what calibrations leave between places of the image."""
-EXTRA_PAINT = 0.01
-"""The same of paint: light is not regressed away to better than a hundredth."""
+"""Standard deviation added to each distance between two scans: calibration errors vary so much over the image."""
+EXTRA_TEXTURE = 0.01
+"""Standard deviation added to each difference of texture: shading is regressed away to a hundredth at best."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
-    """Patches of B laid upon A: n of them that meet a patch of A, in A's frame."""
+class Correspondences:
+    """Patches of B with their counterparts on A, in A's frame: n that correspond, of m that were tested."""
 
     x_mm: Array
     source: NDArray[np.int64]
-    """(n,): which of B's patches; of patches on a grid its flat index."""
+    """(n,): flat index of the patch in B."""
     tile: NDArray[np.int64]
-    """(n,): label of the tile that the patch lies in. Residuals of one tile are taken to err together."""
-    apart_mm: Array
+    """(n,): label of the tile in which the patch lies. Residuals of one tile are taken as correlated."""
+    distance_mm: Array
     """(n,): distance from A's surface along its normal."""
     normal_a: Array
     normal_b: Array
     sigma_mm: Array
-    """Standard deviation of ``apart_mm`` by both scans' noise."""
-    paint: Array
-    """(n,): A's paint less B's; NaN where either is unknown."""
+    """Standard deviation of ``distance_mm`` by both scans' noise."""
+    texture: Array
+    """(n,): A's texture less B's; NaN where either is unknown."""
     gradient_a: Array
     gradient_b: Array
-    paint_noise: Array
-    paint_a: Array
-    paint_b: Array
-    unmet: Bools
-    """(m,) of all patches of B that were tried: seen by A's camera, yet A has nothing there."""
+    texture_noise: Array
+    texture_a: Array
+    texture_b: Array
+    missing: Bools
+    """(m,): A's camera should see the patch, but A has no surface there."""
     front: Bools
-    """(m,): B's patch lies clearly before A's surface: A's camera would have seen it there."""
-    tried: int
+    """(m,): the patch lies clearly in front of A's surface, where A's camera would have seen it."""
+    tested: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Resistance:
-    """The resistance to a displacement of the pose found, and how certain that pose is."""
+    """The resistance of a solved pose to a displacement, and the covariance of that pose."""
 
     stiffness: Array
     """(6, 6): S, 1/mm²."""
     inverse: Array
-    """(6, 6): of S, with a floor for what nothing holds."""
+    """(6, 6): inverse of S, with a least eigenvalue for free directions."""
     meat: Array
     """(6, 6): covariance of the right-hand side, from the sums over tiles."""
-    held: Array
+    significance: Array
     """(6,): each eigenvalue of S over the standard deviation that noise alone would give it."""
     directions: Array
     """(6, 6): columns are the eigenvectors of S, softest first."""
-    paint_share: float
-    """Share of the softest direction's stiffness that is paint's."""
+    texture_share: float
+    """Share of the softest direction's stiffness that is due to texture."""
 
     @property
     def covariance(self) -> Array:
-        """(6, 6) of δ, mm², robust: residuals of a tile may err together (the sandwich estimate, H. White 1980)."""
+        """Covariance (6, 6) of δ, mm²: the sandwich estimate with correlated tiles (H. White 1980)."""
         return np.asarray(self.inverse @ self.meat @ self.inverse)
 
 
@@ -96,52 +100,51 @@ class System:
     r: Array
     w: Array
     cluster: NDArray[np.int64]
-    of_paint: Bools
+    of_texture: Bools
     middle: Array
     lever: float
     scatter_mm: float
-    """Standard deviation of most of the distances."""
+    """Robust standard deviation of the distances."""
 
     @classmethod
     def of_planes(
-        cls, x_mm: Array, apart_mm: Array, normals: tuple[Array, Array], sigma_mm: Array, tile: NDArray[np.int64]
+        cls, x_mm: Array, distance_mm: Array, normals: tuple[Array, Array], sigma_mm: Array, tile: NDArray[np.int64]
     ) -> System:
-        """Return the equations of n places by their distances along A's normal alone; ``normals`` (n, 3): A's and B's."""
+        """Return the equations of n places by their distances along A's normals; ``normals``: A's and B's."""
         middle = x_mm.mean(axis=0)
         lever = max(float(np.sqrt(((x_mm - middle) ** 2).sum(axis=1).mean())), 1.0)
         J, Z = (_rows(x_mm - middle, lever, normal) for normal in normals)
-        scatter = spread(apart_mm)
+        scatter = spread(distance_mm)
         variance = sigma_mm**2 + EXTRA_MM**2
-        # Where distances scatter more than noise explains, all of them are believed less.
+        # Scatter beyond the expected noise is added to the variance of all distances.
         excess = max(scatter**2 - float(np.median(variance)), 0.0)
-        w = _weights(apart_mm, variance + excess)
-        return cls(J, Z, apart_mm, w, tile, np.zeros(len(apart_mm), bool), middle, lever, scatter)
+        w = _weights(distance_mm, variance + excess)
+        return cls(J, Z, distance_mm, w, tile, np.zeros(len(distance_mm), bool), middle, lever, scatter)
 
     def step(self) -> Array:
-        """Return the displacement δ (6,) that makes the residuals least; none along what nothing holds."""
+        """Return the displacement δ (6,) that minimises the residuals; about zero along free directions."""
         plain = self.J.T @ (self.w[:, None] * self.J)
         mixed = self.Z.T @ (self.w[:, None] * self.J)
         rhs = 0.5 * (self.J + self.Z).T @ (self.w * self.r)
         value, vector = np.linalg.eigh(0.5 * (mixed + mixed.T))
-        # Along what nothing holds, no step is taken: a thousandth of the mean stiffness stands in.
+        # A least stiffness keeps the step along free directions small.
         value = np.maximum(value, 1e-4 * np.trace(plain) / 6.0)
         step = -vector @ ((vector.T @ rhs) / value)
         size = float(np.linalg.norm(step))
         return np.asarray(step * min(1.0, 8.0 / size) if size > 0 else step)
 
     def moved(self, pose: Rigid, step: Array) -> Rigid:
-        """Return ``pose`` displaced by δ (6,)."""
-        turn = rotation_matrix(step[:3] / self.lever)
-        return Rigid(turn @ pose.rotation, turn @ (pose.translation_mm - self.middle) + self.middle + step[3:])
+        """Return ``pose`` displaced by ``step``, δ (6,)."""
+        rotation = rotation_matrix(step[:3] / self.lever)
+        return Rigid(rotation @ pose.rotation, rotation @ (pose.translation_mm - self.middle) + self.middle + step[3:])
 
     def resistance(self) -> Resistance:
-        """Return what resists a displacement, of equations at the pose that solves them."""
+        """Return the resistance to a displacement; the equations must be those at their solution."""
         labels, number = np.unique(self.cluster, return_inverse=True)
         mixed = self.Z.T @ (self.w[:, None] * self.J)
         S = 0.5 * (mixed + mixed.T)
         value, vector = np.linalg.eigh(S)
-        # Under the hypothesis of no stiffness each product is noise times noise; how large that is, the difference of
-        # both factors tells.
+        # Without any stiffness each product is noise times noise; the difference of both factors shows how large.
         noise = 0.5 * ((self.Z - self.J) @ vector) ** 2
         deviation = NEIGHBOURS_ALIKE * np.sqrt(((self.w[:, None] * noise) ** 2).sum(axis=0))
         score = np.zeros((len(labels), 6))
@@ -150,32 +153,38 @@ class System:
         meat = score.T @ score * (count / max(count - 6.0, 1.0))
         floor = 1e-9 * max(value[-1], 1.0)
         inverse = vector @ np.diag(1.0 / np.maximum(value, floor)) @ vector.T
-        soft, paint = vector[:, 0], self.of_paint
-        by_paint = float(((self.Z[paint] @ soft) * (self.J[paint] @ soft) * self.w[paint]).sum())
+        soft, texture = vector[:, 0], self.of_texture
+        by_texture = float(((self.Z[texture] @ soft) * (self.J[texture] @ soft) * self.w[texture]).sum())
         with np.errstate(divide="ignore"):
-            held = value / deviation
-        return Resistance(S, inverse, meat, held, vector, by_paint / value[0] if value[0] > 0 else 0.0)
+            significance = value / deviation
+        return Resistance(S, inverse, meat, significance, vector, by_texture / value[0] if value[0] > 0 else 0.0)
 
 
-def system_of(laid: Laid, with_paint: bool) -> System:
-    """Return the equations of patches as they lie; ``with_paint``: paint's beside those of the planes."""
-    of_planes = System.of_planes(laid.x_mm, laid.apart_mm, (laid.normal_a, laid.normal_b), laid.sigma_mm, laid.tile)
-    known = np.isfinite(laid.paint)
-    if not with_paint or np.count_nonzero(known) < FEWEST:
+def system_of(correspondences: Correspondences, with_texture: bool) -> System:
+    """Return the equations of ``correspondences``; ``with_texture`` adds texture residuals."""
+    of_planes = System.of_planes(
+        correspondences.x_mm,
+        correspondences.distance_mm,
+        (correspondences.normal_a, correspondences.normal_b),
+        correspondences.sigma_mm,
+        correspondences.tile,
+    )
+    has_texture = np.isfinite(correspondences.texture)
+    if not with_texture or np.count_nonzero(has_texture) < FEWEST:
         return of_planes
-    p = laid.paint[known]
+    p = correspondences.texture[has_texture]
     p = p - np.median(p)
-    noise2 = laid.paint_noise[known] ** 2 + EXTRA_PAINT**2
-    more = max(spread(p) ** 2 - float(np.median(noise2)), 0.0)
-    arm, lever = laid.x_mm - of_planes.middle, of_planes.lever
+    noise2 = correspondences.texture_noise[has_texture] ** 2 + EXTRA_TEXTURE**2
+    excess = max(spread(p) ** 2 - float(np.median(noise2)), 0.0)
+    arm, lever = correspondences.x_mm - of_planes.middle, of_planes.lever
     return replace(
         of_planes,
-        J=np.concatenate([of_planes.J, _rows(arm, lever, laid.gradient_a)[known]]),
-        Z=np.concatenate([of_planes.Z, _rows(arm, lever, laid.gradient_b)[known]]),
+        J=np.concatenate([of_planes.J, _rows(arm, lever, correspondences.gradient_a)[has_texture]]),
+        Z=np.concatenate([of_planes.Z, _rows(arm, lever, correspondences.gradient_b)[has_texture]]),
         r=np.concatenate([of_planes.r, p]),
-        w=np.concatenate([of_planes.w, _weights(p, noise2 + more)]),
-        cluster=np.concatenate([laid.tile, laid.tile[known]]),
-        of_paint=np.concatenate([of_planes.of_paint, np.ones(len(p), bool)]),
+        w=np.concatenate([of_planes.w, _weights(p, noise2 + excess)]),
+        cluster=np.concatenate([correspondences.tile, correspondences.tile[has_texture]]),
+        of_texture=np.concatenate([of_planes.of_texture, np.ones(len(p), bool)]),
     )
 
 
@@ -184,11 +193,10 @@ def _rows(arm: Array, lever: float, direction: Array) -> Array:
 
 
 def spread(values: Array) -> float:
-    """Return the standard deviation of most of the values (1.4826 times the median distance from their median); 0 for
-    none."""
+    """Return a robust standard deviation: 1.4826 times the median distance from the median; 0 if empty."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
 def _weights(r: Array, variance: Array) -> Array:
-    """Return 1/variance, falling for outliers (Cauchy at three standard deviations)."""
+    """Return 1/variance, less for outliers (Cauchy weights at three standard deviations)."""
     return np.asarray(1.0 / variance / (1.0 + r * r / (9.0 * variance)))

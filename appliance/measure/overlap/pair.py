@@ -1,10 +1,13 @@
-"""Owns whether two scans lie to each other as found: accepted with a covariance, or refused in words.
+"""Registration of two scans: the pose with its covariance, or a refusal in words.
 
-The residual does not tell: a pair that slides fits as well as one that holds. What is asked instead: does something
-hold every direction (``Fit.held``), do surfaces contradict each other, is the paint alike, and does no other pose fit
-as well.
+A small residual is no proof, since a pair that slides fits as well as one that is fixed. The judge asks four other
+questions: is every direction determined (``Fit.significance``), do the surfaces contradict each other, does the texture
+correlate, and does no other pose fit as well?
 
-It also owns whether paint repeats itself: a printed grid fits as well one square farther, and no residual tells.
+register, ready, ready_with   the pose of one scan in the frame of another, and the preparation of a scan for it
+refusal_of                    the judgement of one fit
+repeats_of                    the shifts by which a texture repeats: a printed grid also fits one square farther
+freedom                       undetermined directions in words
 """
 
 from __future__ import annotations
@@ -18,57 +21,56 @@ from numpy.typing import NDArray
 from appliance.base import one_line
 from appliance.measure.light.model import HousedCamera
 from appliance.measure.light.volume import STANDARD, WorkingVolume
-from appliance.measure.overlap.albedo import Paint, paint_of, patch_pitch_mm
+from appliance.measure.overlap.albedo import Texture, patch_pitch_mm, texture_of
 from appliance.measure.overlap.coarse import Guess, guess_by_features, guess_by_shape, in_common, same
 from appliance.measure.overlap.equations import Resistance
 from appliance.measure.overlap.features import Features, features_of
-from appliance.measure.overlap.fine import Fit, Prepared, own_resistance, refine
+from appliance.measure.overlap.fine import Fit, Prepared, refine, self_resistance
 from appliance.measure.overlap.patches import Array, Patches, Projection, coarser, patches_of, projection_of
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud
 
 ALIKE = 0.55
-"""Correlation of the paint with itself, moved, from which on it repeats."""
+"""Least autocorrelation of a texture that repeats."""
 NEAR_MM = 4.0
-"""Paint always resembles itself this close by."""
+"""Largest shift at which every texture correlates with itself."""
 MOST = 6
-"""Number of shifts that are returned."""
+"""Largest number of shifts."""
 LEAST_COMMON = 0.3
-"""Least share of the patches that are compared at a shift."""
+"""Least share of the patches that overlap at a shift."""
 
 
-def repeats_of(patches: Patches, paint: Paint) -> list[Array]:
-    """Return shifts (3,), mm in the scan's frame, by which the paint looks like itself; the most alike first.
+def repeats_of(patches: Patches, texture: Texture) -> list[Array]:
+    """Return the shifts (3,), mm, by which the texture repeats; the highest correlation first.
 
-    From the masked autocorrelation over the grid of patches (D. Padfield 2012), which on the usual distances of a dive
-    is nearly metric.
+    They are in the scan's frame. They come from the masked autocorrelation over the grid of patches (D. Padfield 2012),
+    which is nearly metric at the usual distances of a dive.
     """
-    value = paint.value
-    known = np.isfinite(value)
-    if np.count_nonzero(known) < 200:
+    value = texture.value
+    finite = np.isfinite(value)
+    if np.count_nonzero(finite) < 200:
         return []
-    correlation, common = _autocorrelation(np.where(known, value, 0.0), known)
+    correlation, common = _autocorrelation(np.where(finite, value, 0.0), finite)
     h, w = value.shape
     pitch = patch_pitch_mm(patches)
     dv, du = np.mgrid[-h + 1 : h, -w + 1 : w]
     far = np.hypot(dv, du) * pitch > NEAR_MM
-    # Each shift and its opposite are the same news.
+    # A shift and its opposite have the same correlation.
     half = (dv > 0) | ((dv == 0) & (du > 0))
-    candidate = far & half & (common > LEAST_COMMON * np.count_nonzero(known)) & (correlation > ALIKE)
+    candidate = far & half & (common > LEAST_COMMON * np.count_nonzero(finite)) & (correlation > ALIKE)
     candidate &= _is_peak(correlation)
-    at = np.argwhere(candidate)
+    peaks = np.argwhere(candidate)
     order = np.argsort(-correlation[candidate])[:MOST]
     shifts = []
-    for v, u in at[order]:
+    for v, u in peaks[order]:
         shift = _shift_mm(patches.centre_mm, int(dv[v, u]), int(du[v, u]))
         if shift is not None:
             shifts += [shift, -shift]
     return shifts
 
 
-def _autocorrelation(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return Pearson's correlation of the known values with themselves at each shift, zero shift in the middle, and how
-    many are in common."""
+def _autocorrelation(value: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return Pearson's autocorrelation and the number of values in it at each shift; zero shift is central."""
     h, w = value.shape
     size = (2 * h - 1, 2 * w - 1)
 
@@ -77,12 +79,12 @@ def _autocorrelation(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Arr
         full = np.fft.irfft2(spectrum, size)
         return np.roll(full, (h - 1, w - 1), axis=(0, 1))
 
-    one = known.astype(np.float64)
-    n = np.maximum(np.round(correlate(one, one)), 1.0)
-    first, second = correlate(value, one), correlate(one, value)
+    mask = valid.astype(np.float64)
+    n = np.maximum(np.round(correlate(mask, mask)), 1.0)
+    first, second = correlate(value, mask), correlate(mask, value)
     square = value * value
     product = correlate(value, value) - first * second / n
-    spread = (correlate(square, one) - first**2 / n) * (correlate(one, square) - second**2 / n)
+    spread = (correlate(square, mask) - first**2 / n) * (correlate(mask, square) - second**2 / n)
     return np.asarray(product / np.sqrt(np.maximum(spread, 1e-12))), n
 
 
@@ -101,42 +103,38 @@ def _is_peak(correlation: Array) -> NDArray[np.bool_]:
 def _shift_mm(centre: Array, dv: int, du: int) -> Array | None:
     """Return the median displacement (3,) between patches ``dv`` rows and ``du`` columns apart."""
     h, w = centre.shape[:2]
-    to = centre[max(dv, 0) : h + min(dv, 0), max(du, 0) : w + min(du, 0)]
-    here = centre[max(-dv, 0) : h + min(-dv, 0), max(-du, 0) : w + min(-du, 0)]
-    step = (to - here).reshape(-1, 3)
+    ends = centre[max(dv, 0) : h + min(dv, 0), max(du, 0) : w + min(du, 0)]
+    starts = centre[max(-dv, 0) : h + min(-dv, 0), max(-du, 0) : w + min(-du, 0)]
+    step = (ends - starts).reshape(-1, 3)
     step = step[np.isfinite(step[:, 0])]
     return np.median(step, axis=0) if len(step) else None
 
 
 HELD = 5.0
-"""Least stiffness of the softest direction, in standard deviations of what noise alone would make of it."""
+"""Least stiffness of the softest direction, in standard deviations of its stiffness by noise alone."""
 MAX_SIGMA_MM = 0.4
 """Largest stated RMS displacement of a pose that is used."""
 LEAST_OVERLAP = 0.08
 MAX_OUTLIERS, MAX_FRONT = 0.05, 0.02
-"""Largest shares of patches that miss the other surface, and that hover before it."""
+"""Largest shares of outliers, and of patches in front of the other surface."""
 LEAST_ALIKE = 0.6
-"""Least correlation of paint where paint holds the pose; half of it where shape does."""
+"""Least correlation of texture where texture determines the pose; half of it where shape does."""
 LEAST_ALIKE_REPEATING = 0.82
-"""The same where paint that repeats holds the pose: some squares farther it is still alike by up to 0.78 (a board of
-markers)."""
+"""The same for texture that repeats: a board of markers still correlates by up to 0.78 some squares farther."""
 AS_GOOD, AS_ALIKE = 0.04, 0.06
-"""A pose whose share of contradictions is larger, and whose paint is less alike, by less than these is as good as the
-best one."""
+"""Largest differences of contradictions and of texture correlation between the best pose and one that is as good."""
 SLIDES_ROUGHLY = 3.0
-"""Poses that the search by shape found and that planes hold less than this slide: others like them stand for one
-family, and for few."""
+"""Least significance, by planes alone, of a pose of the search by shape that does not slide."""
 MOST_SLIDING = 4
-"""Sliding poses that are tried: a bar may lie either way round, and each way slides about its axis."""
+"""Number of sliding poses that are refined: a bar has two orientations, and each slides about its axis."""
 TURNS = 0.4
-"""Share of a loose direction, of length 1, that must be turn for it to be called one: a pipe of 0.2 m radius about its
-axis has that."""
+"""Least share of rotation in a free direction, of length 1, that is called a turn: a pipe of 0.2 m radius has that."""
 INSIDE = 0.15
-"""An axis that lies so deep behind the surface, in levers, is the thing's own."""
+"""Least depth behind the surface, in levers, of an axis that is called the object's own."""
 LEVEL_DEG = 22.5
 UNEVEN = "have something uneven in both views (a flange, a weld, an edge), or stick on marks"
 COARSE = 3
-"""Patches a side that the search by shape joins."""
+"""Patches per side that are joined for the search by shape."""
 
 
 class PairRefusal(Enum):
@@ -152,42 +150,45 @@ class PairRefusal(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadyScan:
-    """A scan as registration wants it; made once per scan."""
+    """A scan that is prepared for registration."""
 
     fine: Prepared
     coarse: Prepared
     features: Features
     repeats: tuple[Array, ...]
-    own: Resistance
-    """Resistance of the scan's own shape, all of it, to a displacement."""
+    resistance: Resistance
+    """Resistance of the scan's whole shape to a displacement."""
 
     @property
     def holds(self) -> bool:
-        """Its shape alone holds every direction; where it does not, no pair with it can be told by shape."""
-        return bool(self.own.held.min() >= HELD)
+        """Whether the shape alone determines every direction.
 
-    def marks_in_common(self, other: ReadyScan, pose: Rigid) -> int:
-        """Return the number of features that both show, where ``pose`` lays those of ``other`` on its own."""
-        return len(in_common(self.features, other.features, pose))
+        Otherwise no pair with this scan is registered by shape.
+        """
+        return bool(self.resistance.significance.min() >= HELD)
+
+    def common_keypoints(self, second: ReadyScan, pose: Rigid) -> int:
+        """Return the number of keypoints that this scan shares with ``other`` at ``pose``."""
+        return len(in_common(self.features, second.features, pose))
 
     __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegisteredPair:
-    """Two scans that were compared, and what came of it."""
+    """The result of registering two scans."""
 
     fit: Fit | None
-    """The best pose; of a refused pair nothing of it is known, its overlap neither. ``None``: there is none."""
+    """The best pose; ``None``: there is none. Of a refused pair neither pose nor overlap can be relied on."""
     refusal: PairRefusal | None
     text: str
-    """Finding in words: how closely they are placed, or why not and what would help."""
+    """The result in words: how certain the pose is, or the refusal and its remedy."""
 
     __repr__ = one_line
 
     @property
     def accepted(self) -> bool:
-        """The pose may be used."""
+        """Whether the pose may be used."""
         return self.refusal is None
 
 
@@ -200,7 +201,7 @@ def ready(
 ) -> ReadyScan:
     """Prepare a scan for registration.
 
-    ``light_mm``: where the projector's light comes from, in the left camera's frame.
+    ``light_mm``: position of the projector's light in the left camera's frame.
     """
     return ready_with(cloud, projection_of(camera, water_index, volume), light_mm)
 
@@ -208,65 +209,63 @@ def ready(
 def ready_with(cloud: OrganisedCloud, projection: Projection, light_mm: Array) -> ReadyScan:
     """Prepare a scan with a projection that was fitted before."""
     patches = patches_of(cloud, projection)
-    fine = Prepared(patches, paint_of(patches, light_mm))
+    fine = Prepared(patches, texture_of(patches, light_mm))
     joined = coarser(patches, COARSE)
-    nothing = np.full(joined.sigma_mm.shape, np.nan)
-    coarse = Prepared(joined, Paint(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
-    return ReadyScan(fine, coarse, features_of(cloud), tuple(repeats_of(patches, fine.paint)), own_resistance(fine))
+    unknown = np.full(joined.sigma_mm.shape, np.nan)
+    coarse = Prepared(joined, Texture(unknown, np.full((*unknown.shape, 3), np.nan), unknown))
+    return ReadyScan(fine, coarse, features_of(cloud), tuple(repeats_of(patches, fine.texture)), self_resistance(fine))
 
 
 def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> RegisteredPair:
-    """Find the pose of B in A's frame. ``near``: where it is thought to be, for instance by a graph of other pairs."""
+    """Find the pose of B in A's frame; ``near``: an approximate pose, such as that of other pairs."""
     fits = [] if near is None else _fits(a, b, [Guess(near, 0.0, False)])
     if not any(_plausible(fit) for fit in fits):
         fits += _fits(a, b, guess_by_features(a.features, b.features))
-    # Paint that repeats has features that repeat: they may have led to one place of several, all of which the shape
-    # knows.
+    # Repeating texture has repeating features, which may give one pose of several; the search by shape finds all.
     repeats = bool(a.repeats or b.repeats)
     by_shape = []
-    # What slides by its own shape the search would lay anywhere along the slide, each place as good as any other.
+    # For a shape that slides, the search would return arbitrary poses along the slide.
     if repeats if any(_plausible(fit) for fit in fits) else a.holds and b.holds:
         by_shape = _fits_by_shape(a, b)
     fits += by_shape
     if not fits:
         sliding = PairRefusal.AMBIGUOUS if repeats else PairRefusal.SLIDES
-        why = PairRefusal.NOTHING_IN_COMMON if a.holds and b.holds else sliding
-        return RegisteredPair(None, why, _words(why, None, a, b))
-    # Of those that may be believed the one that least contradicts; where there is none, the reason of the best of the
-    # others.
+        reason = PairRefusal.NOTHING_IN_COMMON if a.holds and b.holds else sliding
+        return RegisteredPair(None, reason, _words(reason, None, a, b))
+    # The plausible fit with the fewest contradictions; if none is plausible, the best fit gives the refusal.
     fits = sorted(fits, key=lambda fit: (not _plausible(fit), _contradiction(fit)))
     best = fits[0]
     refusal = refusal_of(best)
     if refusal is None:
-        others = fits[1:] + _repeated(a, b, best)
-        # A thing too small to be searched by shape (a ball bar) is the same turned half about, and so is a grid on it.
-        unlike = (best.alike or 0.0) < LEAST_ALIKE_REPEATING
-        doubtful = repeats and best.paint_share > 0.5 and (unlike or not by_shape)
-        if doubtful or any(_as_good(other, best, repeats=repeats and best.paint_share > 0.5) for other in others):
+        rivals = fits[1:] + _repeated(a, b, best)
+        # An object too small for the search by shape (a ball bar) looks the same after half a turn; so does its grid.
+        unlike = (best.texture_correlation or 0.0) < LEAST_ALIKE_REPEATING
+        doubtful = repeats and best.texture_share > 0.5 and (unlike or not by_shape)
+        if doubtful or any(_as_good(rival, best, repeats=repeats and best.texture_share > 0.5) for rival in rivals):
             refusal = PairRefusal.AMBIGUOUS
     return RegisteredPair(best, refusal, _words(refusal, best, a, b))
 
 
 def _fits(a: ReadyScan, b: ReadyScan, guesses: list[Guess]) -> list[Fit]:
-    """Refine guesses; distinct ones remain."""
+    """Refine guesses and return the distinct fits."""
     fits: list[Fit] = []
     for guess in guesses:
-        fit = refine(a.fine, b.fine, guess.pose, gate_mm=2.0)
-        if fit is not None and all(not same(fit.pose, one.pose, 1.0) for one in fits):
+        fit = refine(a.fine, b.fine, guess.pose, max_distance_mm=2.0)
+        if fit is not None and all(not same(fit.pose, known_fit.pose, 1.0) for known_fit in fits):
             fits.append(fit)
     return fits
 
 
 def _fits_by_shape(a: ReadyScan, b: ReadyScan) -> list[Fit]:
-    """Search by shape and refine what was found."""
+    """Search by shape and refine the guesses."""
     chosen: list[Guess] = []
     sliding = 0
     for guess in guess_by_shape(a.coarse, b.coarse):
-        # From four millimetres down to one: planes alone first, since paint leads only from near by.
-        rough = refine(a.coarse, b.coarse, guess.pose, gate_mm=4.0, with_paint=False)
+        # Planes alone first, at 4 mm, since texture converges only from nearby.
+        rough = refine(a.coarse, b.coarse, guess.pose, max_distance_mm=4.0, with_texture=False)
         if rough is None or rough.outliers > 0.3:
             continue
-        if rough.held.min() < SLIDES_ROUGHLY:
+        if rough.significance.min() < SLIDES_ROUGHLY:
             if sliding == MOST_SLIDING:
                 continue
             sliding += 1
@@ -275,30 +274,32 @@ def _fits_by_shape(a: ReadyScan, b: ReadyScan) -> list[Fit]:
 
 
 def _contradiction(fit: Fit) -> float:
-    """Return what speaks against a fit: shares of patches that miss, hover or find nothing, and paint that differs."""
-    unlike = 0.0 if fit.alike is None else 0.3 * (1.0 - fit.alike)
-    return fit.outliers + 2.0 * fit.front + fit.unmet + unlike - 0.1 * min(fit.overlap, 1.0)
+    """Return the evidence against a fit: outliers, patches in front or missing, and difference of texture."""
+    unlike = 0.0 if fit.texture_correlation is None else 0.3 * (1.0 - fit.texture_correlation)
+    return fit.outliers + 2.0 * fit.front + fit.missing + unlike - 0.1 * min(fit.overlap, 1.0)
 
 
-def _as_good(other: Fit, best: Fit, *, repeats: bool) -> bool:
-    # Where there is no paint to decide, or paint that repeats, a place that slides explains what is seen as well as one
-    # that is held.
-    slides = (best.alike is None or repeats) and refusal_of(other) is PairRefusal.SLIDES
-    if not (_plausible(other) or slides) or other.overlap < 0.5 * best.overlap:
+def _as_good(rival: Fit, best: Fit, *, repeats: bool) -> bool:
+    # Without texture, or with repeating texture, a sliding pose explains the scans as well as a determined one.
+    slides = (best.texture_correlation is None or repeats) and refusal_of(rival) is PairRefusal.SLIDES
+    if not (_plausible(rival) or slides) or rival.overlap < 0.5 * best.overlap:
         return False
-    if same(other.pose, best.pose, 1.0 + 5.0 * best.sigma_mm):
+    if same(rival.pose, best.pose, 1.0 + 5.0 * best.sigma_mm):
         return False
-    less_alike = best.alike is not None and other.alike is not None and other.alike < best.alike - AS_ALIKE
-    # Paint that repeats is very alike in wrong places, too: against a place that slides it does not decide.
+    less_alike = (
+        best.texture_correlation is not None
+        and rival.texture_correlation is not None
+        and rival.texture_correlation < best.texture_correlation - AS_ALIKE
+    )
+    # Repeating texture also correlates at wrong poses, so it does not decide against a sliding pose.
     if less_alike and not slides:
         return False
-    return other.outliers + other.front + other.unmet < best.outliers + best.front + best.unmet + AS_GOOD
+    return rival.outliers + rival.front + rival.missing < best.outliers + best.front + best.missing + AS_GOOD
 
 
 def _repeated(a: ReadyScan, b: ReadyScan, best: Fit) -> list[Fit]:
-    """Return fits one repeat of the paint away from the best one; none where shape holds it, which would contradict
-    them."""
-    if best.paint_share < 0.5:
+    """Return the fits one texture repeat away from ``best``; none if shape determines it."""
+    if best.texture_share < 0.5:
         return []
     guesses = [Guess(Rigid(best.pose.rotation, best.pose.translation_mm + shift), 0.0, False) for shift in a.repeats]
     return [fit for fit in _fits(a, b, guesses) if not same(fit.pose, best.pose, 1.0)]
@@ -309,21 +310,21 @@ def _plausible(fit: Fit) -> bool:
 
 
 def refusal_of(fit: Fit) -> PairRefusal | None:
-    """Return what speaks against a fit, whatever other poses there are; ``None``: nothing."""
+    """Return the reason to refuse a fit, regardless of other poses; ``None``: no reason."""
     if fit.overlap < LEAST_OVERLAP:
         return PairRefusal.TOO_LITTLE
     if fit.outliers > MAX_OUTLIERS:
         return PairRefusal.CONTRADICTS
-    by_paint = fit.paint_share > 0.5
-    # Before all that another place along the slide could mend.
-    if fit.held.min() < HELD:
+    by_texture = fit.texture_share > 0.5
+    # First, since another pose along the slide could remove all further contradictions.
+    if fit.significance.min() < HELD:
         return PairRefusal.SLIDES
     if fit.front > MAX_FRONT:
         return PairRefusal.CONTRADICTS
-    if fit.alike is None:
-        if by_paint:
+    if fit.texture_correlation is None:
+        if by_texture:
             return PairRefusal.SLIDES
-    elif fit.alike < (LEAST_ALIKE if by_paint else 0.5 * LEAST_ALIKE):
+    elif fit.texture_correlation < (LEAST_ALIKE if by_texture else 0.5 * LEAST_ALIKE):
         return PairRefusal.CONTRADICTS
     return PairRefusal.UNCERTAIN if fit.sigma_mm > MAX_SIGMA_MM else None
 
@@ -337,12 +338,12 @@ def _words(refusal: PairRefusal | None, fit: Fit | None, a: ReadyScan, b: ReadyS
         )
     if fit is None:
         slides = b if a.holds else a
-        loose = freedom(slides.own.directions, slides.own.held)
+        loose = freedom(slides.resistance.directions, slides.resistance.significance)
         return f"no marks in common, and by shape alone the {'second' if a.holds else 'first'} can {loose}: scan in between, {UNEVEN}"
     if refusal is None:
         return f"{100.0 * fit.overlap:.0f} % in common; placed within {1000.0 * fit.sigma_mm:.0f} µm"
     if refusal is PairRefusal.SLIDES or refusal is PairRefusal.UNCERTAIN:
-        if fit.alike is not None and fit.alike >= LEAST_ALIKE:
+        if fit.texture_correlation is not None and fit.texture_correlation >= LEAST_ALIKE:
             remedy = (
                 "both show the same marks, but too few to hold it: scan again with more in common, or stick on marks"
             )
@@ -350,42 +351,44 @@ def _words(refusal: PairRefusal | None, fit: Fit | None, a: ReadyScan, b: ReadyS
             remedy = "what holds each of them is not in both views: scan in between"
         else:
             remedy = UNEVEN
-        return f"the second can {freedom(fit.directions, fit.held)} on the first: {remedy}"
+        return f"the second can {freedom(fit.directions, fit.significance)} on the first: {remedy}"
     if refusal is PairRefusal.TOO_LITTLE:
         return "too little in common: scan again with half of the view in common"
     return "surfaces contradict each other: one of the scans may have moved, or they show different places"
 
 
-def freedom(directions: Array, held: Array) -> str:
-    """Return in words how a scan can move, as seen by the camera whose frame ``directions`` (6, 6) are in: along those
-    that ``held`` (6,) says are not held; along the least held where all are."""
-    loose = held < HELD if (held < HELD).any() else held == held.min()
+def freedom(directions: Array, significance: Array) -> str:
+    """Return in words how a scan can move, as seen by the camera whose frame ``directions`` (6, 6) are in.
+
+    It can move along the directions whose ``significance`` (6,) is too small; along the least significant if none is.
+    """
+    loose = significance < HELD if (significance < HELD).any() else significance == significance.min()
     soft = directions[:, loose]
-    # Of what is loose any mixture is: mixed so that those that turn least come last.
+    # Any combination of free directions is free: combine them so that those with the least rotation come last.
     _, turning, mixing = np.linalg.svd(soft[:3])
     motions = mixing @ soft.T
-    turns = np.count_nonzero(turning > TURNS)
-    said = [f"turn about {_axis(motion)}" for motion in motions[:turns]]
-    slides = [f"slide {_way(motion[3:], 'to and from the instrument')}" for motion in motions[turns:]]
-    if len(said) == 3:
-        said = ["turn any way"]
+    turn_count = np.count_nonzero(turning > TURNS)
+    turns = [f"turn about {_axis(motion)}" for motion in motions[:turn_count]]
+    slides = [f"slide {_way(motion[3:], 'to and from the instrument')}" for motion in motions[turn_count:]]
+    if len(turns) == 3:
+        turns = ["turn any way"]
     if len(slides) > 1:
         slides = ["slide any way along the surface" if len(slides) == 2 else "slide any way"]
-    return " and ".join([*slides, *said])
+    return " and ".join([*slides, *turns])
 
 
 def _axis(motion: Array) -> str:
-    turn, shift = motion[:3], motion[3:]
-    # Where nothing moves, from the overlap's middle: an axis within the thing is its own, whatever its radius.
-    behind = float(np.cross(turn, shift)[2] / (turn @ turn))
-    way = _way(turn, "")
-    if not way:
+    rotation, shift = motion[:3], motion[3:]
+    # Depth of the axis behind the overlap's middle: an axis within the object is its own, regardless of its radius.
+    behind = float(np.cross(rotation, shift)[2] / (rotation @ rotation))
+    direction_words = _way(rotation, "")
+    if not direction_words:
         return "the line of sight"
-    return f"{'its own' if behind > INSIDE else 'an'} axis {way}"
+    return f"{'its own' if behind > INSIDE else 'an'} axis {direction_words}"
 
 
 def _way(direction: Array, away: str) -> str:
-    """Return a direction as one sees it in the picture, ``away`` for one that leads out of it."""
+    """Return a direction in the image in words, ``away`` for one that leads out of it."""
     x, y, z = direction / np.linalg.norm(direction)
     if abs(z) > max(abs(x), abs(y)):
         return away

@@ -1,11 +1,10 @@
-"""Owns a scan as registration reads it: small plane patches on a grid over the image, and where the camera would see a
-point.
+"""A scan as registration reads it: small plane patches on an image grid, and the camera's projection.
 
 A patch is a square block of pixels, about a millimetre on the object. Its plane is the least-squares plane of its
-points; averaging makes its distance some times more certain than a point's, and thousands of patches are enough to
-place a scan.
+points. Its distance is several times more certain than that of a point, and thousands of patches are enough to
+register a scan.
 
-Symbols: c, n, s  centre, unit normal towards the camera, and standard deviation of the centre along the normal of a patch
+Symbols: c, n, s  centre, unit normal towards the camera, standard deviation of the centre along the normal of a patch
          (gh, gw) rows and columns of patches; N  points in a block
 """
 
@@ -30,37 +29,37 @@ PATCH_MM = 1.0
 FILLED = 0.75
 """Least share of a block's pixels with a point."""
 MAX_ROUGH_MM = 0.12
-"""Largest RMS distance of a block's points from their plane, beyond their noise: more is an edge, which has no one
-normal."""
+"""Largest RMS distance of a block's points from their plane, beyond their noise: more is an edge, without a normal."""
 MAX_BEND_MM = 0.8
-"""Largest second difference of neighbouring centres that is curvature."""
+"""Largest second difference of neighbouring centres that counts as curvature, not as an edge."""
 ROUGH_COUNTS = 1.0
 """Variance of a rough patch's plane, over that of its points from it."""
 MIN_COSINE = 0.25
 """Least cosine between a patch's normal and its ray: flatter ones are smeared."""
 CORRELATED_PIXELS = 4.0
-"""Neighbouring points share pixels' noise: so many count as one."""
+"""Number of points that count as one independent point, since neighbours share the noise of pixels."""
 FLOOR_MM = 0.004
-"""Least standard deviation of a patch: curvature within it and interpolation between patches leave as much."""
+"""Standard deviation added to every patch, for curvature within it and interpolation between patches."""
 BRIDGE_CELLS = 2.5
 """Standard deviation of the neighbourhood that bridges a hole, patches."""
 HOLE_CELLS = 11
 """Holes up to so many patches across are bridged."""
 MIN_AROUND = 0.15
-"""Least weight of patches with points in it."""
+"""Least weight of patches with points in that neighbourhood."""
 MAX_AROUND_MM = 0.6
 """Largest standard deviation, over the neighbourhood's planes, of the depth that they give a hole."""
 BRIDGED_SIGMA_MM = 0.5
-"""Standard deviation of a bridged patch: so much that only its grey value counts."""
+"""Standard deviation of a bridged patch: so large that only its grey value counts."""
 DEPTHS_MM = (330.0, 420.0, 520.0, 640.0, 780.0)
 """Depths of the standard housing between which the projection is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """The pixel in which a point is seen, as a polynomial of its direction and inverse depth; refraction is in it.
+    """The projection of a point to its pixel, as a polynomial of direction and inverse depth.
 
-    Good to 0.1 px inside of the volume: enough to find the patch below a point, whose plane then tells the distance.
+    It includes refraction. The error is at most 0.1 px within the working volume: enough to find the patch below a
+    point, whose plane then gives the distance.
     """
 
     terms: Array
@@ -73,8 +72,7 @@ class Projection:
     """Range of the housing that it was fitted for."""
 
     def pixels(self, points_mm: Array) -> Array:
-        """Return (…, 2) column and row, px, of points (…, 3) in the camera's frame; NaN for points that are not before
-        it."""
+        """Return column and row (…, 2), px, of points (…, 3) in the camera's frame; NaN behind the camera."""
         z = points_mm[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = np.where(z > 1.0, 1.0 / z, np.nan)
@@ -85,7 +83,7 @@ class Projection:
 
 
 def _cubic(a: Array, b: Array, t: Array) -> Array:
-    """Return the 20 products of up to third order."""
+    """Return the 20 products up to third order."""
     aa, bb, tt, ab = a * a, b * b, t * t, a * b
     return np.stack(
         [np.ones_like(a), a, b, t, aa, ab, bb, a * t, b * t, tt,
@@ -95,8 +93,7 @@ def _cubic(a: Array, b: Array, t: Array) -> Array:
 
 
 def projection_of(camera: HousedCamera, water_index: float, volume: WorkingVolume = STANDARD) -> Projection:
-    """Fit the projection of a camera in water of ``water_index`` to its own refracted rays, over the depths of its
-    housing."""
+    """Fit the projection of a camera in water to its refracted rays, over the depths of its housing."""
     depths_mm = [volume.scaled(depth) for depth in DEPTHS_MM]
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 24), np.linspace(0, camera.height_px - 1, 18))
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -104,17 +101,17 @@ def projection_of(camera: HousedCamera, water_index: float, volume: WorkingVolum
     points = np.concatenate(
         [origin + direction * ((depth - origin[:, 2]) / direction[:, 2])[:, None] for depth in depths_mm]
     )
-    seen = np.tile(uv, (len(depths_mm), 1))
+    pixels_px = np.tile(uv, (len(depths_mm), 1))
     value = np.stack([points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], 1.0 / points[:, 2]], axis=1)
     centre, spread = np.asarray(value.mean(axis=0)), np.asarray(value.std(axis=0))
     a, b, t = ((value - centre) / spread).T
-    terms = np.asarray(np.linalg.lstsq(_cubic(a, b, t), seen, rcond=None)[0], np.float64)
+    terms = np.asarray(np.linalg.lstsq(_cubic(a, b, t), pixels_px, rcond=None)[0], np.float64)
     return Projection(terms, centre, spread, (camera.height_px, camera.width_px), volume)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """A scan as patches; arrays are (gh, gw, …), NaN where there is none."""
+    """A scan as patches; arrays are (gh, gw, …), NaN where there is no patch."""
 
     centre_mm: Array
     normal: Array
@@ -129,20 +126,20 @@ class Patches:
 
     @property
     def valid(self) -> Bools:
-        """(gh, gw) bool."""
+        """Whether there is a patch, (gh, gw) bool."""
         return np.isfinite(self.sigma_mm)
 
     def cells(self, points_mm: Array) -> Array:
-        """Return (…, 2) column and row of the patch grid, fractional, that see points (…, 3) in this scan's frame."""
+        """Return (…, 2) column and row, fractional, on the patch grid for points (…, 3) in this scan's frame."""
         return (self.projection.pixels(points_mm) - 0.5 * (self.block_px - 1)) / self.block_px
 
 
 def block_size_px(cloud: OrganisedCloud) -> int:
-    """Return the side of a block of about ``PATCH_MM``, px, from the distances of neighbouring points; at least 2."""
+    """Return the side of a block of about ``PATCH_MM``, px, from the distances of neighbouring points."""
     points = cloud.points_mm
     step = np.linalg.norm(points[::7, 1::7][:, :200] - points[::7, :-1:7][:, :200], axis=-1)
-    known = step[np.isfinite(step)]
-    return 4 if not known.size else max(2, min(16, round(PATCH_MM / max(float(np.median(known)), 0.05))))
+    finite = step[np.isfinite(step)]
+    return 4 if not finite.size else max(2, min(16, round(PATCH_MM / max(float(np.median(finite)), 0.05))))
 
 
 def patches_of(cloud: OrganisedCloud, projection: Projection, block_px: int | None = None) -> Patches:
@@ -160,46 +157,45 @@ def patches_of(cloud: OrganisedCloud, projection: Projection, block_px: int | No
     enough = count >= FILLED * size * size
     weight = mask / np.maximum(count, 1)[..., None]
     xyz = [np.where(mask, blocks(cloud.points_mm[..., k]), 0.0) for k in range(3)]
-    centre = np.stack([(weight * one).sum(axis=-1) for one in xyz], axis=-1)
-    dx, dy, dz = (np.where(mask, one - centre[..., k, None], 0.0) for k, one in enumerate(xyz))
-    # Least squares of depth on x and y, which the camera sees almost without error: noise is along the ray.
+    centre = np.stack([(weight * axis).sum(axis=-1) for axis in xyz], axis=-1)
+    dx, dy, dz = (np.where(mask, axis - centre[..., k, None], 0.0) for k, axis in enumerate(xyz))
+    # Least squares of depth on x and y: noise is along the ray, so x and y are almost free of it.
     sxx, sxy, syy = (dx * dx).sum(-1), (dx * dy).sum(-1), (dy * dy).sum(-1)
     sxz, syz = (dx * dz).sum(-1), (dy * dz).sum(-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         det = sxx * syy - sxy * sxy
         slope_x, slope_y = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
-        left = np.where(mask, dz - slope_x[..., None] * dx - slope_y[..., None] * dy, 0.0)
-        rough2 = (left * left).sum(-1) / np.maximum(count - 3, 1)
+        residual = np.where(mask, dz - slope_x[..., None] * dx - slope_y[..., None] * dy, 0.0)
+        rough2 = (residual * residual).sum(-1) / np.maximum(count - 3, 1)
         normal = np.stack([slope_x, slope_y, -np.ones_like(slope_x)], axis=-1)
         length = np.linalg.norm(normal, axis=-1)
         normal /= length[..., None]
         away = -(normal * centre).sum(-1) / np.linalg.norm(centre, axis=-1)
         sigma2 = (weight * np.where(mask, blocks(cloud.sigma_mm), 0.0) ** 2).sum(-1)
         flat = np.sqrt(np.maximum(rough2 - sigma2, 0.0)) < MAX_ROUGH_MM
-        # The noise along the ray, seen along the normal.
+        # The noise along the ray, projected onto the normal.
         sigma = np.sqrt(sigma2 * CORRELATED_PIXELS / np.maximum(count, 1)) / length
-        # What is rougher than noise explains is shape, a weld or an edge: its plane depends on where the block happens
-        # to lie.
+        # Roughness beyond noise is shape, such as a weld or an edge: there the plane depends on how the blocks lie.
         shape2 = np.maximum(rough2 - sigma2 * (1.0 + 2.0 * np.sqrt(2.0 / np.maximum(count, 1))), 0.0)
         sigma = np.sqrt(sigma**2 + ROUGH_COUNTS * shape2)
-    good = enough & flat & (away > MIN_COSINE)
+    is_plane = enough & flat & (away > MIN_COSINE)
     grey = blocks(cloud.grey)
-    lit = (grey.max(-1) < 255) & (grey.mean(-1) > 6.0)
+    well_exposed = (grey.max(-1) < 255) & (grey.mean(-1) > 6.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         log_grey = np.log(grey.mean(-1))
-        # Shot noise of an 8-bit camera near full well: about half a grey value at 30, 1.6 at 250.
+        # Photon noise of an 8-bit camera near full well: about half a grey value at 30, 1.6 at 250.
         noise = np.sqrt(0.25 + 0.01 * grey.mean(-1)) / grey.mean(-1) / size
-    centre = np.where(good[..., None], centre, np.nan)
-    normal = np.where(good[..., None], normal, np.nan)
-    sigma = np.where(good, np.hypot(sigma, FLOOR_MM), np.nan)
+    centre = np.where(is_plane[..., None], centre, np.nan)
+    normal = np.where(is_plane[..., None], normal, np.nan)
+    sigma = np.where(is_plane, np.hypot(sigma, FLOOR_MM), np.nan)
     centre = _on_the_surface(centre, normal)
-    nothing = _bridged(centre, normal, sigma, lit)
+    unbridged = _bridged(centre, normal, sigma, well_exposed)
     return Patches(
         centre_mm=centre,
         normal=normal,
         sigma_mm=sigma,
-        log_grey=np.where(nothing | ~lit, np.nan, log_grey),
-        grey_noise=np.where(nothing | ~lit, np.nan, noise),
+        log_grey=np.where(unbridged | ~well_exposed, np.nan, log_grey),
+        grey_noise=np.where(unbridged | ~well_exposed, np.nan, noise),
         block_px=size,
         projection=projection,
     )
@@ -209,25 +205,25 @@ def _on_the_surface(centre: Array, normal: Array) -> Array:
     """Return the centres, moved from the mean of their points onto the surface.
 
     The mean over a side h of a surface of curvature κ lies κ h² / 24 inside of it; the second difference of the centres
-    is κ h². On a weld of 4 mm radius that is 18 µm, more on the side that is seen obliquely, and would pull every pair
-    the same way.
+    is κ h². On a weld of 4 mm radius that is 18 µm, more on the side that is seen obliquely. Uncorrected, it would
+    shift every pair in the same direction.
     """
     inside = np.zeros(centre.shape[:2])
     for axis in (0, 1):
         c = np.moveaxis(centre, axis, 0)
         second = np.full(c.shape[:2], np.nan)
         second[1:-1] = ((c[2:] - 2.0 * c[1:-1] + c[:-2]) * np.moveaxis(normal, axis, 0)[1:-1]).sum(-1)
-        # Over an edge it is no curvature.
+        # Across an edge the second difference is not curvature.
         inside += np.moveaxis(np.nan_to_num(np.where(np.abs(second) < MAX_BEND_MM, second, 0.0)), 0, axis)
     return np.asarray(centre - normal * (inside / 24.0)[..., None])
 
 
-def _bridged(centre: Array, normal: Array, sigma: Array, lit: Bools) -> Bools:
-    """Give small holes the plane of what surrounds them, in place, and return where there is still nothing.
+def _bridged(centre: Array, normal: Array, sigma: Array, well_exposed: Bools) -> Bools:
+    """Give small holes the plane of their neighbourhood, in place; return where there is still no patch.
 
-    Dark print has no points, yet its border is what holds a flat board: the place is known from around it, and its grey
-    values are seen. A bridged patch's distance counts next to nothing. A plane n · p = n · c is h · p = 1 with h = n /
-    (n · c), and along a direction d the inverse depth is h · d: planes are averaged by their h.
+    Dark print has no points, yet its border is what fixes a flat board: its position follows from its neighbourhood,
+    and its grey values are visible. The distance of a bridged patch has almost no weight. A plane n · p = n · c is h ·
+    p = 1 with h = n / (n · c), and along a direction d the inverse depth is h · d: planes are averaged by their h.
     """
     good = np.isfinite(sigma)
     if np.count_nonzero(good) < 50:
@@ -236,19 +232,19 @@ def _bridged(centre: Array, normal: Array, sigma: Array, lit: Bools) -> Bools:
         h = np.where(good[..., None], normal / (normal * centre).sum(-1)[..., None], 0.0)
     share = cv2.GaussianBlur(good.astype(np.float64), (0, 0), BRIDGE_CELLS)
     mean = cv2.GaussianBlur(h, (0, 0), BRIDGE_CELLS) / np.maximum(share, 1e-9)[..., None]
-    # Directions of all cells, from those that have points.
+    # Directions of all cells, fitted to those of cells with points.
     gh, gw = good.shape
     v, u = np.mgrid[0:gh, 0:gw]
     terms = _cubic((u - gw / 2) / gw, (v - gh / 2) / gw, np.zeros(good.shape))
-    seen = centre[good]
-    fit = np.linalg.lstsq(terms[good], seen[:, :2] / seen[:, 2:], rcond=None)[0]
+    centres_mm = centre[good]
+    fit = np.linalg.lstsq(terms[good], centres_mm[:, :2] / centres_mm[:, 2:], rcond=None)[0]
     d = np.concatenate([terms @ fit, np.ones((gh, gw, 1))], axis=-1)
     inverse = (mean * d).sum(-1)
-    # Enclosed on all sides: beyond the object's border there is no surface, but background with a grey value.
+    # Only holes enclosed on all sides: beyond the object's border is background, which has grey values, too.
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (HOLE_CELLS, HOLE_CELLS))
     padded = cv2.copyMakeBorder(good.astype(np.uint8), *(HOLE_CELLS,) * 4, cv2.BORDER_REPLICATE)
     enclosed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)[HOLE_CELLS:-HOLE_CELLS, HOLE_CELLS:-HOLE_CELLS] > 0
-    # What the planes around say of this direction must agree: at a step in depth they do not.
+    # The depths that the surrounding planes give along this direction must agree; at a depth discontinuity they do not.
     second = np.zeros(good.shape)
     for i in range(3):
         for k in range(3):
@@ -256,10 +252,10 @@ def _bridged(centre: Array, normal: Array, sigma: Array, lit: Bools) -> Bools:
             second += blurred * d[..., i] * d[..., k]
     with np.errstate(divide="ignore", invalid="ignore"):
         spread_mm = np.sqrt(np.maximum(second - inverse**2, 0.0)) / inverse**2
-        hole = ~good & lit & enclosed & (share > MIN_AROUND) & (spread_mm < MAX_AROUND_MM) & (inverse > 1e-3)
+        hole = ~good & well_exposed & enclosed & (share > MIN_AROUND) & (spread_mm < MAX_AROUND_MM) & (inverse > 1e-3)
         centre[hole] = (d / inverse[..., None])[hole]
         normal[hole] = (mean / np.linalg.norm(mean, axis=-1)[..., None])[hole]
-    # h points away from the camera where n · c is negative: n / (n · c) has turned it.
+    # Where n · c is negative, the division has turned h away from the camera.
     away = (normal * centre).sum(-1) > 0.0
     normal[away] *= -1.0
     sigma[hole] = BRIDGED_SIGMA_MM
@@ -267,22 +263,22 @@ def _bridged(centre: Array, normal: Array, sigma: Array, lit: Bools) -> Bools:
 
 
 def coarser(patches: Patches, factor: int) -> Patches:
-    """Join ``factor`` × ``factor`` patches to one, for searching from afar."""
+    """Join ``factor`` × ``factor`` patches to one, for the search by shape."""
     gh, gw = (n // factor for n in patches.sigma_mm.shape)
 
     def joined(values: NDArray[Any]) -> NDArray[Any]:
         cut = values[: gh * factor, : gw * factor]
-        more = cut.shape[2:]
-        return cut.reshape(gh, factor, gw, factor, *more).swapaxes(1, 2).reshape(gh, gw, factor * factor, *more)
+        trailing = cut.shape[2:]
+        return cut.reshape(gh, factor, gw, factor, *trailing).swapaxes(1, 2).reshape(gh, gw, factor * factor, *trailing)
 
     valid = joined(patches.valid)
     few = valid.sum(-1) < 0.5 * factor * factor
 
     def mean(values: Array) -> Array:
         with np.errstate(invalid="ignore"):
-            known = np.isfinite(values)
-            total = np.where(known, values, 0.0).sum(axis=2)
-            return np.asarray(total / np.maximum(known.sum(axis=2), 1))
+            finite = np.isfinite(values)
+            total = np.where(finite, values, 0.0).sum(axis=2)
+            return np.asarray(total / np.maximum(finite.sum(axis=2), 1))
 
     normal = mean(joined(patches.normal))
     with np.errstate(divide="ignore", invalid="ignore"):

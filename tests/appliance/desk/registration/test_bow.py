@@ -31,7 +31,7 @@ def bent(one: SeenView) -> SeenView:
 
 
 def fitted(first: SeenView, second: SeenView) -> Fit:
-    fit = refine(first.ready().fine, second.ready().fine, between(first, second), gate_mm=1.0)
+    fit = refine(first.ready().fine, second.ready().fine, between(first, second), max_distance_mm=1.0)
     assert fit is not None
     return fit
 
@@ -41,7 +41,7 @@ def test_a_pair_states_by_how_much_a_shared_error_turns_it(seen: tuple[SeenView,
     off = straight.pose.inverse.then(wrong.pose)
     middle = straight.middle_mm
     change = np.concatenate([straight.lever_mm * rotation_vector(off.rotation), off.of(middle) - middle])
-    expected = straight.bow.response @ SHARED_MM
+    expected = straight.depth_error.response @ SHARED_MM
     assert np.linalg.norm(expected) > 0.01, "else it would be no test"
     assert np.linalg.norm(change - expected) < 0.15 * np.linalg.norm(expected)
 

@@ -11,13 +11,13 @@ from appliance.desk.registration.graph import Edge, place
 from appliance.desk.registration.solve import Compared, _left_out, _thinned, edges_of
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.light.rotation import rotation_matrix
-from appliance.measure.overlap.fine import BowNews, Fit
+from appliance.measure.overlap.fine import DepthErrorEquations, Fit
 from appliance.measure.overlap.pair import PairRefusal, RegisteredPair
 from appliance.measure.overlap.rigid import Rigid
 
 STEP_MM = 60.0
 MIDDLE_MM = np.array([30.0, 0.0, 500.0])
-NO_NEWS = BowNews(
+NO_NEWS = DepthErrorEquations(
     np.zeros((6, DEPTH_ERROR_TERMS)), np.zeros((DEPTH_ERROR_TERMS, DEPTH_ERROR_TERMS)), np.zeros(DEPTH_ERROR_TERMS)
 )
 
@@ -44,8 +44,10 @@ def edge(
     pose = Rigid(pose.rotation, pose.translation_mm + np.array(off_mm))
     fit = Fit(
         pose=pose, middle_mm=MIDDLE_MM, lever_mm=60.0, stiffness=np.eye(6),
-        covariance=np.eye(6) * sigma_mm**2 / 6.0, held=np.full(6, 100.0), directions=np.eye(6), patches=5000, overlap=0.6,
-        rms_mm=0.02, outliers=0.0, unmet=0.0, front=0.0, alike=0.9, paint_share=0.2, bow=NO_NEWS,
+        covariance=np.eye(6) * sigma_mm**2 / 6.0, significance=np.full(6, 100.0),
+        directions=np.eye(6), patches=5000, overlap=0.6,
+        rms_mm=0.02, outliers=0.0, missing=0.0, front=0.0, texture_correlation=0.9, texture_share=0.2,
+        depth_error=NO_NEWS,
     )  # fmt: skip
     return Edge(i, j, fit)
 

@@ -12,7 +12,7 @@ from appliance.desk.registration.graph import FLOOR_MM, Placed, place
 from appliance.desk.registration.joint import joint_errors
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_matrix, rotation_vector
-from appliance.measure.overlap.fine import BowNews
+from appliance.measure.overlap.fine import DepthErrorEquations
 from appliance.measure.overlap.rigid import Rigid
 from tests.appliance.desk.registration.test_graph import edge
 
@@ -65,8 +65,10 @@ def drawn(rng: np.random.Generator, shared_mm: Array) -> Placed:
     for i, j in PAIRS:
         noise = rng.normal(size=6) * np.hypot(SIGMA_MM, FLOOR_MM) / np.sqrt(6.0)
         pose = off_by(i, j, RESPONSES[i, j] @ shared_mm + noise)
-        bow = BowNews(RESPONSES[i, j], np.zeros((DEPTH_ERROR_TERMS, DEPTH_ERROR_TERMS)), np.zeros(DEPTH_ERROR_TERMS))
-        edges.append(replace(edge(i, j, SIGMA_MM), fit=replace(edge(i, j, SIGMA_MM).fit, pose=pose, bow=bow)))
+        bow = DepthErrorEquations(
+            RESPONSES[i, j], np.zeros((DEPTH_ERROR_TERMS, DEPTH_ERROR_TERMS)), np.zeros(DEPTH_ERROR_TERMS)
+        )
+        edges.append(replace(edge(i, j, SIGMA_MM), fit=replace(edge(i, j, SIGMA_MM).fit, pose=pose, depth_error=bow)))
     return place(SCANS, edges, MIDDLES, with_bow=False, known_mm2=np.diag(SHARED_MM**2 + 1e-12))
 
 

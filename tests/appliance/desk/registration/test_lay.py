@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.measure.overlap.albedo import Paint
-from appliance.measure.overlap.fine import Prepared, lay
+from appliance.measure.overlap.albedo import Texture
+from appliance.measure.overlap.fine import Prepared, correspond
 from appliance.measure.overlap.patches import Patches, Projection
 from appliance.measure.overlap.rigid import Rigid
 
@@ -41,7 +41,7 @@ def plane(sigma_mm: float, noise: float, moved_mm: NDArray[np.float64]) -> Prepa
         centre, normal, np.full(shape, sigma_mm), np.zeros(shape), np.full(shape, noise), BLOCK_PX, pinhole()
     )
     value = (centre + moved_mm) @ GRADIENT
-    return Prepared(patches, Paint(value, np.broadcast_to(GRADIENT, (*shape, 3)).copy(), np.full(shape, noise)))
+    return Prepared(patches, Texture(value, np.broadcast_to(GRADIENT, (*shape, 3)).copy(), np.full(shape, noise)))
 
 
 A, B = plane(0.02, 0.01, np.zeros(3)), plane(0.03, 0.024, SHIFT_MM)
@@ -59,24 +59,24 @@ def changed(of: Prepared, row: int, column: int, **fields: object) -> Prepared:
 
 
 def test_distance_paint_and_noise_of_every_patch_are_those_of_the_planes() -> None:
-    laid = lay(A, B, POSE, 1.0)
+    laid = correspond(A, B, POSE, 1.0)
     # Of A's cells those between the first and the last but one: B's columns 0 … 17, and rows 2 … 14.
     wanted = np.add.outer(COLUMNS * np.arange(2, 15), np.arange(18)).ravel()
     np.testing.assert_array_equal(laid.source, wanted)
-    assert laid.tried == len(wanted)
+    assert laid.tested == len(wanted)
     np.testing.assert_allclose(laid.x_mm, B.patches.centre_mm.reshape(-1, 3)[wanted] + SHIFT_MM)
-    np.testing.assert_allclose(laid.apart_mm, -0.3, atol=1e-12, err_msg="behind A's plane, against its normal")
+    np.testing.assert_allclose(laid.distance_mm, -0.3, atol=1e-12, err_msg="behind A's plane, against its normal")
     np.testing.assert_allclose(laid.normal_a, np.broadcast_to([0.0, 0.0, -1.0], laid.normal_a.shape))
     np.testing.assert_allclose(laid.normal_b, laid.normal_a)
     np.testing.assert_allclose(laid.sigma_mm, np.hypot(0.02, 0.03))
     # The same paint at the same place, and from cell to cell exactly by its gradient.
-    np.testing.assert_allclose(laid.paint_a, laid.x_mm @ GRADIENT, atol=1e-12)
-    np.testing.assert_allclose(laid.paint_b, laid.x_mm @ GRADIENT, atol=1e-12)
-    np.testing.assert_allclose(laid.paint, 0.0, atol=1e-12)
-    np.testing.assert_allclose(laid.paint_noise, np.hypot(0.01, 0.024))
+    np.testing.assert_allclose(laid.texture_a, laid.x_mm @ GRADIENT, atol=1e-12)
+    np.testing.assert_allclose(laid.texture_b, laid.x_mm @ GRADIENT, atol=1e-12)
+    np.testing.assert_allclose(laid.texture, 0.0, atol=1e-12)
+    np.testing.assert_allclose(laid.texture_noise, np.hypot(0.01, 0.024))
     np.testing.assert_allclose(laid.gradient_a, np.broadcast_to(GRADIENT, laid.gradient_a.shape))
     np.testing.assert_allclose(laid.gradient_b, laid.gradient_a)
-    assert not laid.unmet.any()
+    assert not laid.missing.any()
     assert not laid.front.any()
     # Tiles of 15 mm: two patches of 10 mm are nearer to it than one.
     row, column = np.divmod(wanted, COLUMNS)
@@ -87,12 +87,14 @@ def test_a_turn_takes_normals_and_gradients_along() -> None:
     angle = 0.02
     turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
     middle = np.array([0.0, 0.0, DEPTH_MM])
-    laid = lay(A, B, Rigid(turn, middle - turn @ middle), 5.0)
+    laid = correspond(A, B, Rigid(turn, middle - turn @ middle), 5.0)
     np.testing.assert_allclose(laid.normal_b, np.broadcast_to(turn @ [0.0, 0.0, -1.0], laid.normal_b.shape))
     np.testing.assert_allclose(laid.gradient_b, np.broadcast_to(turn @ GRADIENT, laid.gradient_b.shape))
     # Along the mean of both normals, from where the ray to the patch meets A: the mean of the four cells around.
     met = laid.x_mm * (DEPTH_MM / laid.x_mm[:, 2:])
-    assert laid.apart_mm == pytest.approx(0.5 * ((laid.normal_a + laid.normal_b) * (laid.x_mm - met)).sum(1), abs=1e-9)
+    assert laid.distance_mm == pytest.approx(
+        0.5 * ((laid.normal_a + laid.normal_b) * (laid.x_mm - met)).sum(1), abs=1e-9
+    )
 
 
 def place(index: int) -> int:
@@ -106,24 +108,24 @@ def test_what_lies_before_the_surface_behind_it_or_over_nothing_meets_nothing_an
     index = row * COLUMNS + column
     beside = B.patches.centre_mm[row, column]
     for depth_mm, front in ((DEPTH_MM - 5.0, True), (DEPTH_MM - 1.5, True), (DEPTH_MM + 5.0, False)):
-        laid = lay(A, changed(B, row, column, centre_mm=beside * (depth_mm / DEPTH_MM)), POSE, 1.0)
+        laid = correspond(A, changed(B, row, column, centre_mm=beside * (depth_mm / DEPTH_MM)), POSE, 1.0)
         assert index not in laid.source
         assert np.flatnonzero(laid.front).tolist() == ([place(index)] if front else [])
-        assert not laid.unmet.any()
+        assert not laid.missing.any()
     # Within the gate it is met, whatever side it lies on; of the front only what is beyond the gate.
-    laid = lay(A, changed(B, row, column, centre_mm=beside * ((DEPTH_MM - 5.0) / DEPTH_MM)), POSE, 9.0)
-    assert laid.apart_mm[np.flatnonzero(laid.source == index)] == pytest.approx([4.7], abs=1e-6)
+    laid = correspond(A, changed(B, row, column, centre_mm=beside * ((DEPTH_MM - 5.0) / DEPTH_MM)), POSE, 9.0)
+    assert laid.distance_mm[np.flatnonzero(laid.source == index)] == pytest.approx([4.7], abs=1e-6)
     assert not laid.front.any()
     # A hole of A's, of four cells: the patch that lies over all of them meets nothing; its neighbours do.
     nothing = A.patches.centre_mm.copy()
     column_a, row_a = column + 1, row - 1
     nothing[row_a : row_a + 2, column_a : column_a + 2] = np.nan
     hole = replace(A, patches=replace(A.patches, centre_mm=nothing))
-    laid = lay(hole, B, POSE, 1.0)
-    assert np.flatnonzero(laid.unmet).tolist() == [place(index)]
+    laid = correspond(hole, B, POSE, 1.0)
+    assert np.flatnonzero(laid.missing).tolist() == [place(index)]
     assert not laid.front.any()
     assert index not in laid.source
-    assert laid.apart_mm == pytest.approx(-0.3), "what is left of the four cells says it alone"
+    assert laid.distance_mm == pytest.approx(-0.3), "what is left of the four cells says it alone"
     assert laid.sigma_mm == pytest.approx(np.hypot(0.02, 0.03))
 
 
@@ -137,35 +139,35 @@ def test_patches_that_stand_otherwise_or_are_seen_from_behind_are_left_out() -> 
         (1.35, False, False),
         (3.0, False, False),
     ):
-        laid = lay(A, changed(B, row, column, normal=[np.sin(lean), 0.0, -np.cos(lean)]), POSE, 1.0)
-        assert (laid.tried == 18 * 13) is tried, lean
+        laid = correspond(A, changed(B, row, column, normal=[np.sin(lean), 0.0, -np.cos(lean)]), POSE, 1.0)
+        assert (laid.tested == 18 * 13) is tried, lean
         assert (index in laid.source) is met, lean
 
 
 def test_paint_that_either_does_not_know_is_unknown_and_the_distance_stays() -> None:
     row, column = 7, 9
     index = row * COLUMNS + column
-    unknown = B.paint.value.copy()
+    unknown = B.texture.value.copy()
     unknown[row, column] = np.nan
-    laid = lay(A, replace(B, paint=replace(B.paint, value=unknown)), POSE, 1.0)
+    laid = correspond(A, replace(B, texture=replace(B.texture, value=unknown)), POSE, 1.0)
     mine = laid.source == index
-    np.testing.assert_array_equal(np.isnan(laid.paint), mine)
-    np.testing.assert_array_equal(np.isnan(laid.paint_noise), mine)
+    np.testing.assert_array_equal(np.isnan(laid.texture), mine)
+    np.testing.assert_array_equal(np.isnan(laid.texture_noise), mine)
     np.testing.assert_array_equal(laid.gradient_a[mine], np.zeros((1, 3)))
     np.testing.assert_array_equal(laid.gradient_b[mine], np.zeros((1, 3)))
-    assert laid.apart_mm == pytest.approx(-0.3)
-    brighter = lay(A, replace(B, paint=replace(B.paint, value=B.paint.value + 0.25)), POSE, 1.0)
-    np.testing.assert_allclose(brighter.paint, -0.25, atol=1e-12)
+    assert laid.distance_mm == pytest.approx(-0.3)
+    brighter = correspond(A, replace(B, texture=replace(B.texture, value=B.texture.value + 0.25)), POSE, 1.0)
+    np.testing.assert_allclose(brighter.texture, -0.25, atol=1e-12)
     # B's rows lie 0.7 above A's: without one of A's rows, 0.3 of the weight is left to the next one, 0.7 to its own.
-    value = A.paint.value.copy()
+    value = A.texture.value.copy()
     value[row, :] = np.nan
-    laid = lay(replace(A, paint=replace(A.paint, value=value)), B, POSE, 1.0)
-    np.testing.assert_array_equal(np.isnan(laid.paint), laid.source // COLUMNS == row + 1)
-    assert laid.paint_a[laid.source // COLUMNS == row] == pytest.approx(
+    laid = correspond(replace(A, texture=replace(A.texture, value=value)), B, POSE, 1.0)
+    np.testing.assert_array_equal(np.isnan(laid.texture), laid.source // COLUMNS == row + 1)
+    assert laid.texture_a[laid.source // COLUMNS == row] == pytest.approx(
         laid.x_mm[laid.source // COLUMNS == row] @ GRADIENT
     )
-    assert laid.apart_mm == pytest.approx(-0.3)
-    assert laid.paint_noise[~np.isnan(laid.paint)] == pytest.approx(np.hypot(0.01, 0.024))
+    assert laid.distance_mm == pytest.approx(-0.3)
+    assert laid.texture_noise[~np.isnan(laid.texture)] == pytest.approx(np.hypot(0.01, 0.024))
 
 
 def test_a_patch_is_met_where_nearly_half_of_the_weight_around_it_is_there() -> None:
@@ -181,6 +183,6 @@ def test_a_patch_is_met_where_nearly_half_of_the_weight_around_it_is_there() -> 
         centre = A.patches.centre_mm.copy()
         for cell in lost:
             centre[cell] = np.nan
-        laid = lay(replace(A, patches=replace(A.patches, centre_mm=centre)), B, POSE, 1.0)
+        laid = correspond(replace(A, patches=replace(A.patches, centre_mm=centre)), B, POSE, 1.0)
         assert (index in laid.source) is met, lost
-        assert not laid.unmet.any()
+        assert not laid.missing.any()

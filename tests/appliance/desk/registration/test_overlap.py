@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.guidance import Overlap
-from appliance.measure.overlap.features import Features, PictureMarks
+from appliance.measure.overlap.features import Features, Keypoints
 from appliance.measure.overlap.overlap import CoarseView, _again, _single, coarse_view, compare, share_on
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.table import Cloud
@@ -76,8 +76,10 @@ def plane_with_marks(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) 
     made = coarse("plane", "none", (0.0, 0.0, 525.0, 0.0, 0.0, 0.0), 1)
     look = np.random.default_rng(3).normal(size=(len(points), 128)).astype(np.float32)
     look /= np.linalg.norm(look, axis=1, keepdims=True)
-    nothing = PictureMarks(np.empty((0, 2)), np.empty((0, 128), np.float32), np.empty(0))
-    return replace(made, _marks=(nothing, nothing), _features=Features(points, look, np.ones(len(points))), _told=None)
+    nothing = Keypoints(np.empty((0, 2)), np.empty((0, 128), np.float32), np.empty(0))
+    return replace(
+        made, _marks=(nothing, nothing), _features=Features(points, look, np.ones(len(points))), _coverage=None
+    )
 
 
 @pytest.mark.parametrize(("elsewhere", "told"), [(10, True), (14, False)])
@@ -131,7 +133,7 @@ def test_five_marks_tell_of_twelve_millimetres_around(marks: int, told: bool) ->
     plane = plane_with_marks(at)
     seen_mm = plane.points_mm[np.isfinite(plane.points_mm[..., 2])][:, :2]
     around = float((np.abs(seen_mm) < 12.0).all(axis=1).mean())
-    assert plane.told() == (pytest.approx(around, rel=0.25) if told else 0.0)
+    assert plane.keypoint_coverage() == (pytest.approx(around, rel=0.25) if told else 0.0)
 
 
 @pytest.mark.parametrize(("away_mm", "share"), [(2.9, 1.0), (-2.9, 1.0), (3.1, None)])

@@ -53,11 +53,11 @@ def test_what_slides_is_refused_though_its_planes_fit_as_well_as_any() -> None:
     assert pair.refusal is PairRefusal.SLIDES
     assert pair.fit is None, "nothing is searched that the scan's own shape says cannot be found"
     assert "by shape alone the first can turn about its own axis left-right" in pair.text
-    fit = refine(first.fine, second.fine, between(*seen("main", "none", SMOOTH_MAIN)), gate_mm=1.0)
+    fit = refine(first.fine, second.fine, between(*seen("main", "none", SMOOTH_MAIN)), max_distance_mm=1.0)
     assert fit is not None
     assert fit.rms_mm < 0.030, "the residual tells nothing"
-    assert fit.held.min() < HELD
-    loose = first.own.directions[:3, int(np.argmin(first.own.held))]
+    assert fit.significance.min() < HELD
+    loose = first.resistance.directions[:3, int(np.argmin(first.resistance.significance))]
     axis = np.array([np.cos(np.radians(10.0)), np.sin(np.radians(10.0)), 0.0])
     assert abs(loose @ axis) > 0.95 * np.linalg.norm(loose) > 0.4
 
@@ -109,16 +109,16 @@ GOOD = edge(0, 1).fit
         (replace(GOOD, overlap=0.079), PairRefusal.TOO_LITTLE),
         (replace(GOOD, outliers=0.049), None),
         (replace(GOOD, outliers=0.051), PairRefusal.CONTRADICTS),
-        (replace(GOOD, held=np.array([5.1, 9, 9, 9, 9, 9])), None),
-        (replace(GOOD, held=np.array([4.9, 9, 9, 9, 9, 9]), front=0.1), PairRefusal.SLIDES),
+        (replace(GOOD, significance=np.array([5.1, 9, 9, 9, 9, 9])), None),
+        (replace(GOOD, significance=np.array([4.9, 9, 9, 9, 9, 9]), front=0.1), PairRefusal.SLIDES),
         (replace(GOOD, front=0.019), None),
         (replace(GOOD, front=0.021), PairRefusal.CONTRADICTS),
-        (replace(GOOD, alike=None, paint_share=0.49), None),
-        (replace(GOOD, alike=None, paint_share=0.51), PairRefusal.SLIDES),
-        (replace(GOOD, alike=0.31), None),
-        (replace(GOOD, alike=0.29), PairRefusal.CONTRADICTS),
-        (replace(GOOD, alike=0.61, paint_share=0.51), None),
-        (replace(GOOD, alike=0.59, paint_share=0.51), PairRefusal.CONTRADICTS),
+        (replace(GOOD, texture_correlation=None, texture_share=0.49), None),
+        (replace(GOOD, texture_correlation=None, texture_share=0.51), PairRefusal.SLIDES),
+        (replace(GOOD, texture_correlation=0.31), None),
+        (replace(GOOD, texture_correlation=0.29), PairRefusal.CONTRADICTS),
+        (replace(GOOD, texture_correlation=0.61, texture_share=0.51), None),
+        (replace(GOOD, texture_correlation=0.59, texture_share=0.51), PairRefusal.CONTRADICTS),
         (replace(GOOD, covariance=np.eye(6) * 0.39**2 / 6.0), None),
         (replace(GOOD, covariance=np.eye(6) * 0.41**2 / 6.0), PairRefusal.UNCERTAIN),
     ],
@@ -131,7 +131,7 @@ def aside(fit: Fit, by_mm: float) -> Fit:
     return replace(fit, pose=Rigid(fit.pose.rotation, fit.pose.translation_mm + np.array([by_mm, 0.0, 0.0])))
 
 
-SLIDING = aside(replace(GOOD, held=np.zeros(6)), 9.0)
+SLIDING = aside(replace(GOOD, significance=np.zeros(6)), 9.0)
 
 
 @pytest.mark.parametrize(
@@ -143,16 +143,16 @@ SLIDING = aside(replace(GOOD, held=np.zeros(6)), 9.0)
         (aside(GOOD, 1.15), GOOD, False, True),
         (replace(aside(GOOD, 9.0), overlap=0.31), GOOD, False, True),
         (replace(aside(GOOD, 9.0), overlap=0.29), GOOD, False, False),
-        (replace(aside(GOOD, 9.0), alike=0.85), GOOD, False, True),
-        (replace(aside(GOOD, 9.0), alike=0.83), GOOD, False, False),
-        (replace(aside(GOOD, 9.0), outliers=0.015, front=0.015, unmet=0.009), GOOD, False, True),
-        (replace(aside(GOOD, 9.0), outliers=0.015, front=0.015, unmet=0.011), GOOD, False, False),
-        (replace(aside(GOOD, 9.0), outliers=0.03, front=0.015, unmet=0.05), replace(GOOD, unmet=0.06), False, True),
+        (replace(aside(GOOD, 9.0), texture_correlation=0.85), GOOD, False, True),
+        (replace(aside(GOOD, 9.0), texture_correlation=0.83), GOOD, False, False),
+        (replace(aside(GOOD, 9.0), outliers=0.015, front=0.015, missing=0.009), GOOD, False, True),
+        (replace(aside(GOOD, 9.0), outliers=0.015, front=0.015, missing=0.011), GOOD, False, False),
+        (replace(aside(GOOD, 9.0), outliers=0.03, front=0.015, missing=0.05), replace(GOOD, missing=0.06), False, True),
         (replace(aside(GOOD, 9.0), overlap=0.01), GOOD, False, False),
         (SLIDING, GOOD, False, False),
         (SLIDING, GOOD, True, True),
-        (replace(SLIDING, alike=0.1), GOOD, True, True),
-        (SLIDING, replace(GOOD, alike=None), False, True),
+        (replace(SLIDING, texture_correlation=0.1), GOOD, True, True),
+        (SLIDING, replace(GOOD, texture_correlation=None), False, True),
     ],
 )
 def test_another_pose_is_as_good_as_the_best_by_limits(other: Fit, best: Fit, repeats: bool, as_good: bool) -> None:
@@ -163,7 +163,7 @@ def test_a_ball_bar_with_printed_squares_is_not_taken_for_itself_turned_half_abo
     pair = registered("ballbar", "checker", HALF_ABOUT)
     assert pair.refusal is PairRefusal.AMBIGUOUS
     assert pair.fit is not None
-    assert (pair.fit.alike or 0.0) > 0.9, "the paint tells nothing"
+    assert (pair.fit.texture_correlation or 0.0) > 0.9, "the paint tells nothing"
 
 
 def test_different_things_have_nothing_in_common() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from appliance.desk.registration.solve import by_place, overlap
-from appliance.measure.overlap.albedo import Paint, patch_pitch_mm
-from appliance.measure.overlap.equations import EXTRA_PAINT, Laid, system_of
+from appliance.measure.overlap.albedo import Texture, patch_pitch_mm
+from appliance.measure.overlap.equations import EXTRA_TEXTURE, Correspondences, system_of
 from appliance.measure.overlap.fine import Prepared
 from appliance.measure.overlap.pair import ReadyScan, repeats_of
 from appliance.measure.overlap.patches import Patches, block_size_px, patches_of
@@ -134,8 +134,8 @@ def test_a_small_dark_print_is_bridged_and_counts_for_its_grey(patches_wide: int
 def ready(cloud: OrganisedCloud) -> ReadyScan:
     patches = patches_of(cloud, SMALL, 3)
     nothing = np.full(patches.valid.shape, np.nan)
-    prepared = Prepared(patches, Paint(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
-    system = system_of(laid(np.zeros(6)), with_paint=False)
+    prepared = Prepared(patches, Texture(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
+    system = system_of(laid(np.zeros(6)), with_texture=False)
     return ReadyScan(prepared, prepared, of_look(np.zeros((0, 128), np.float32)), (), system.resistance())
 
 
@@ -174,14 +174,14 @@ def test_two_placed_scans_overlap_by_the_share_of_patches_within_three_millimetr
 # -------------------------------------------------------------------------------------------------- repeats
 
 
-def print_of(period_mm: float, noise: float, shape: tuple[int, int] = (40, 50)) -> tuple[Patches, Paint]:
+def print_of(period_mm: float, noise: float, shape: tuple[int, int] = (40, 50)) -> tuple[Patches, Texture]:
     v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
     stripes = np.sin(2.0 * np.pi * u / period_mm) + np.sin(2.0 * np.pi * v / 13.0)
     value = stripes + noise * np.random.default_rng(4).normal(size=shape)
     at, facing_z, sigma = np.stack([u, v, np.full(shape, 520.0)], -1), np.zeros((*shape, 3)), np.full(shape, SIGMA_MM)
     facing_z[..., 2] = -1.0
     patches = Patches(at, facing_z, sigma, value, 0.01 * np.ones(shape), 4, PROJECTION)
-    return patches, Paint(value, np.full((*shape, 3), np.nan), np.zeros(shape))
+    return patches, Texture(value, np.full((*shape, 3), np.nan), np.zeros(shape))
 
 
 def test_a_print_repeats_by_its_period_and_by_no_less_than_four_millimetres() -> None:
@@ -209,7 +209,7 @@ def test_paint_of_two_hundred_patches_repeats_where_it_correlates_with_itself_by
 # ------------------------------------------------------------------------------------------------ equations
 
 
-def laid(delta: Array, plane: bool = False) -> Laid:
+def laid(delta: Array, plane: bool = False) -> Correspondences:
     """400 patches all about a middle that lie off A by what the displacement δ makes."""
     rng, count = np.random.default_rng(5), 400
     x = rng.uniform(-50.0, 50.0, (count, 3)) + np.array([0.0, 0.0, 520.0])
@@ -219,10 +219,16 @@ def laid(delta: Array, plane: bool = False) -> Laid:
     n = np.tile([0.0, 0.0, -1.0], (count, 1)) if plane else rng.normal(size=(count, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     rows = np.concatenate([np.cross(arm, n) / lever, n], axis=1)
-    unknown, flat_, at_once, index = np.full(count, np.nan), np.zeros((count, 3)), np.ones(0, bool), np.arange(count)
-    return Laid(
-        x_mm=x, source=index, tile=index, apart_mm=rows @ delta, normal_a=n, normal_b=n, sigma_mm=np.full(count, SIGMA_MM), paint=unknown,
-        gradient_a=flat_, gradient_b=flat_, paint_noise=unknown, paint_a=unknown, paint_b=unknown, unmet=at_once, front=at_once, tried=count,
+    unknown, zeros, none_missing, index = (
+        np.full(count, np.nan),
+        np.zeros((count, 3)),
+        np.ones(0, bool),
+        np.arange(count),
+    )
+    return Correspondences(
+        x_mm=x, source=index, tile=index, distance_mm=rows @ delta, normal_a=n, normal_b=n,
+        sigma_mm=np.full(count, SIGMA_MM), texture=unknown, gradient_a=zeros, gradient_b=zeros,
+        texture_noise=unknown, texture_a=unknown, texture_b=unknown, missing=none_missing, front=none_missing, tested=count,
     )  # fmt: skip
 
 
@@ -230,13 +236,13 @@ DELTA = np.array([0.1, -0.2, 0.15, 0.3, -0.1, 0.05])
 
 
 def test_a_step_undoes_the_displacement_and_is_eight_millimetres_at_most() -> None:
-    system = system_of(laid(DELTA), with_paint=False)
+    system = system_of(laid(DELTA), with_texture=False)
     np.testing.assert_allclose(system.step(), -DELTA, atol=1e-9)
     x = laid(DELTA).x_mm
     off = system.moved(shifted(0.0, 0.0, 0.0), DELTA).of(x) - x
     np.testing.assert_allclose(off, np.cross(DELTA[:3] / system.lever, x - system.middle) + DELTA[3:], atol=1e-3)
     for factor, size in ((10.0, 10.0 * float(np.linalg.norm(DELTA))), (40.0, 8.0)):
-        assert np.linalg.norm(system_of(laid(factor * DELTA), with_paint=False).step()) == pytest.approx(size)
+        assert np.linalg.norm(system_of(laid(factor * DELTA), with_texture=False).step()) == pytest.approx(size)
 
 
 @pytest.mark.parametrize(("known", "used"), [(119, False), (120, True)])
@@ -244,10 +250,12 @@ def test_paint_counts_from_a_hundred_and_twenty_patches_on(known: int, used: boo
     paint = np.where(np.arange(400) < known, 0.7, np.nan)
     noise = np.where(np.isfinite(paint), 0.02, np.nan)
     along = np.tile([0.05, 0.0, 0.0], (400, 1))
-    both = replace(laid(np.zeros(6), plane=True), paint=paint, paint_noise=noise, gradient_a=along, gradient_b=along)
-    system = system_of(both, with_paint=True)
+    both = replace(
+        laid(np.zeros(6), plane=True), texture=paint, texture_noise=noise, gradient_a=along, gradient_b=along
+    )
+    system = system_of(both, with_texture=True)
     assert len(system.r) == 400 + (known if used else 0)
-    assert len(system_of(both, with_paint=False).r) == 400
+    assert len(system_of(both, with_texture=False).r) == 400
     if used:
         np.testing.assert_allclose(system.r[400:], 0.0, err_msg="a brighter picture is no displacement")
-        np.testing.assert_allclose(system.w[400:], 1.0 / (0.02**2 + EXTRA_PAINT**2))
+        np.testing.assert_allclose(system.w[400:], 1.0 / (0.02**2 + EXTRA_TEXTURE**2))
