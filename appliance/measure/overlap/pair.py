@@ -161,7 +161,7 @@ class ReadyScan:
 
     @property
     def holds(self) -> bool:
-        """Whether the shape alone determines every direction.
+        """True if the shape alone determines every direction.
 
         Otherwise no pair with this scan is registered by shape.
         """
@@ -188,7 +188,7 @@ class RegisteredPair:
 
     @property
     def accepted(self) -> bool:
-        """Whether the pose may be used."""
+        """True if the pose may be used."""
         return self.refusal is None
 
 

@@ -126,7 +126,7 @@ class Patches:
 
     @property
     def valid(self) -> Bools:
-        """Whether there is a patch, (gh, gw) bool."""
+        """Mask (gh, gw) of the cells that have a patch."""
         return np.isfinite(self.sigma_mm)
 
     def cells(self, points_mm: Array) -> Array:

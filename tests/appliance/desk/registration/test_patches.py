@@ -228,7 +228,8 @@ def laid(delta: Array, plane: bool = False) -> Correspondences:
     return Correspondences(
         x_mm=x, source=index, tile=index, distance_mm=rows @ delta, normal_a=n, normal_b=n,
         sigma_mm=np.full(count, SIGMA_MM), texture=unknown, gradient_a=zeros, gradient_b=zeros,
-        texture_noise=unknown, texture_a=unknown, texture_b=unknown, missing=none_missing, front=none_missing, tested=count,
+        texture_noise=unknown, texture_a=unknown, texture_b=unknown, missing=none_missing,
+        front=none_missing, tested=count,
     )  # fmt: skip
 
 
