@@ -169,7 +169,7 @@ def test_a_press_of_scan_becomes_a_cloud_and_a_scan_on_the_disk(instrument: Inst
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(  # faults.md 37, 38
+@pytest.mark.parametrize(
     ("signal", "said"), [("KILL", []), ("STOP", ["Watchdog timeout", "most recent call first"])]
 )
 def test_a_service_that_is_killed_or_hangs_is_back_with_its_scans(
@@ -191,7 +191,7 @@ def test_a_service_that_is_killed_or_hangs_is_back_with_its_scans(
 
 
 @pytest.mark.long
-def test_a_disk_that_somebody_filled_costs_no_scan(instrument: Instrument) -> None:  # faults.md 31
+def test_a_disk_that_somebody_filled_costs_no_scan(instrument: Instrument) -> None:
     before = stored(instrument)
     instrument.machine.run("fallocate -l $(($(df --output=avail -B1 /var | tail -1) - 60000000)) /var/full", 120.0)
     scan_once(instrument)  # into the space that was allocated before
@@ -208,7 +208,7 @@ def test_a_disk_that_somebody_filled_costs_no_scan(instrument: Instrument) -> No
 
 
 @pytest.mark.long
-def test_a_reset_in_the_middle_of_saving_costs_no_scan(instrument: Instrument) -> None:  # faults.md 30
+def test_a_reset_in_the_middle_of_saving_costs_no_scan(instrument: Instrument) -> None:
     before, scans = stored(instrument), instrument.status()["scans"]
     scan_once(instrument)
     press_scan(instrument, "REVIEW")
@@ -229,7 +229,7 @@ def test_a_reset_in_the_middle_of_saving_costs_no_scan(instrument: Instrument) -
 
 
 @pytest.mark.long
-def test_a_crash_loop_ends_on_the_safe_screen(instrument: Instrument) -> None:  # faults.md 40
+def test_a_crash_loop_ends_on_the_safe_screen(instrument: Instrument) -> None:
     before = stored(instrument)
     killed: set[str] = set()
     end_s = time.monotonic() + RESTART_S
@@ -257,7 +257,7 @@ def test_a_crash_loop_ends_on_the_safe_screen(instrument: Instrument) -> None:  
 
 
 @pytest.mark.long
-def test_a_graphics_card_that_goes_and_comes_back_is_used_again(instrument: Instrument) -> None:  # faults.md 12
+def test_a_graphics_card_that_goes_and_comes_back_is_used_again(instrument: Instrument) -> None:
     ready(instrument, RESTART_S)
     before, machine = stored(instrument), instrument.machine
     driver = "/sys/bus/virtio/drivers/virtio_gpu"

@@ -25,7 +25,7 @@ ASHORE: Mapping[FaultCode, str] = MappingProxyType(
         FaultCode.KEYS_LOST: _CABLE,
         FaultCode.VSYNC_LOST: "check the video cable to the projector and the board's tap of it",
         FaultCode.PROJECTOR_DARK: "check the lamp and the video cable of the projector",
-        FaultCode.PROJECTOR_TIMING: "look for `PROJECTOR_TIMING` in the journal: the latency is `projector.latency_frames` of the rig file",
+        FaultCode.PROJECTOR_TIMING: "look for `PROJECTOR_TIMING` in the journal: the latency is `projector.latency_blanks` of the rig file",
         FaultCode.CAMERA_SILENT: _TRIGGER,
         FaultCode.SYNC_LOST: _TRIGGER,
         FaultCode.CAMERA_TOO_SLOW: _SETTINGS,
