@@ -169,9 +169,7 @@ def test_a_press_of_scan_becomes_a_cloud_and_a_scan_on_the_disk(instrument: Inst
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("signal", "said"), [("KILL", []), ("STOP", ["Watchdog timeout", "most recent call first"])]
-)
+@pytest.mark.parametrize(("signal", "said"), [("KILL", []), ("STOP", ["Watchdog timeout", "most recent call first"])])
 def test_a_service_that_is_killed_or_hangs_is_back_with_its_scans(
     instrument: Instrument, signal: str, said: list[str]
 ) -> None:
