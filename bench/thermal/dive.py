@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Device, Machine, Part, PartTested, State, boot
+from appliance.instrument.machine.states import Device, Machine, Part, PartResult, State, boot
 from appliance.instrument.machine.step import step
 from appliance.measure.cloud import CloudSummary
 from drivers.api import Key, KeyPress, LaserState, Telemetry
@@ -59,7 +59,7 @@ class Dive:
         self.machine = boot(0)
         for device in Device:
             self.say(on.DeviceUp(device))
-        self.say(on.BootFinished(), *(PartTested(part, True) for part in Part), on.StorageCounted(0, None, 500))
+        self.say(on.BootFinished(), *(PartResult(part, True) for part in Part), on.StorageCounted(0, None, 500))
 
     @property
     def over(self) -> bool:

@@ -1,1 +1,1 @@
-"""The decision about what the instrument does next: a pure state machine, its events, its effects and its alerts."""
+"""The instrument's decisions: a pure state machine, its events, effects and alerts."""

@@ -1,11 +1,11 @@
-"""Owns the diver's words for every fault, in each language: one row each in ``RULES``.
+"""The diver's text for every fault, in each language: one row each in ``RULES``.
 
-    Rule        a row: severity, what the fault spoils, headline and action
+    Rule        a row: severity, effects of the fault, headline and action
     Alert       one message as it is shown, made of a row and a fault's numbers
-    lasting     what is wrong until it ends by itself or is mended
+    lasting     the faults that last until they end or are repaired
 
-A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether
-they fit their room is measured. Which message leads is decided in ``leading.py``.
+A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Tests
+measure whether they fit. ``leading.py`` decides which alert leads.
 """
 
 from __future__ import annotations
@@ -44,12 +44,11 @@ class Alert:
     german: tuple[str, str] | None = None
     """Headline and action in German; ``None``: only English is known."""
     lasts: bool = False
-    """True for what is shown as long as its cause lasts (a condition, a lost device, a stuck key), not until the next
-    key."""
+    """True if it is shown while its cause lasts (a condition, a lost device, a stuck key), not until the next key."""
     passing: bool = False
-    """True for an alert that passes, like the field of ``Rule``."""
-    seen: bool = False
-    """The diver has acknowledged it: a small mark is left of it."""
+    """Same as ``passing`` of ``Rule``."""
+    is_acknowledged: bool = False
+    """True if the diver has acknowledged it: only a small mark is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,20 +60,23 @@ class Rule:
     action: Words
     plain: Words | None = None
     exchanged: Words | None = None
-    """Words that take the place of ``action``, with the camera's name, where the fault names a camera."""
+    """Text that replaces ``action``, with the camera's name, if the fault names a camera."""
     blocks_scan: bool = False
     """True if SCAN is refused while it lasts."""
     stops_capture: bool = False
-    """True if a capture ends when it comes."""
+    """True if it ends a capture."""
     forbids_light: bool = False
     """True if neither projector nor lasers may shine while it lasts."""
     doubts_lengths: bool = False
-    """True if, while it lasts, shapes are right and lengths may not be: no scan is called good without saying so."""
+    """True if, while it lasts, shapes are right but lengths may be wrong; a good scan is shown with that warning."""
     passing: bool = False
-    """True if it comes and goes with the live picture: told in the title and as a mark that says what to do, never in
-    full. Nothing moves under the diver's eyes, and no key is needed."""
+    """True if it comes and goes with the live image.
+
+    It is shown in the title and as a mark with the remedy, never in full: nothing moves on the screen, and no key is
+    needed.
+    """
     worsens: Mapping[str, float] = field(default_factory=dict, hash=False)
-    """Change of each number, with its direction, after which an acknowledged alert is shown in full again."""
+    """Change of each number, with its sign, after which an acknowledged alert is shown in full again."""
 
 
 _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
@@ -431,19 +433,21 @@ _SIDES: Mapping[str, Mapping[str, Words]] = MappingProxyType(
         "window_side": {"camera.left": Words("LEFT ", "LINKES "), "camera.right": Words("RIGHT ", "RECHTES ")},
     }
 )
-"""Words for a side, by a headline's word, which goes with the gender of what follows, and the device."""
+"""Words for a side, by the placeholder of a headline and the device.
+
+German needs the gender of the noun that follows.
+"""
 
 
 def headline_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
-    """Return at most ``LONGEST`` letters, with the fault's numbers where all of them are known and there is room for
-    them."""
+    """Return a headline of at most ``LONGEST`` letters, with the fault's numbers where they fit."""
     rule = RULES[fault.code]
     plain = (rule.plain or rule.headline).in_language(language)
-    # A number that is missing, or a text that would be cut, gives the plain headline: half a number is worse than none.
+    # If a number is missing, or the text would be cut, the plain headline is used: half a number is worse than none.
     values: dict[str, float | str] = dict(fault.numbers)
-    for name, words in _SIDES.items():
-        if fault.device is not None and fault.device in words:
-            values[name] = words[fault.device].in_language(language)
+    for name, side_words in _SIDES.items():
+        if fault.device is not None and fault.device in side_words:
+            values[name] = side_words[fault.device].in_language(language)
     try:
         text = rule.headline.in_language(language).format(**values)
     except (KeyError, ValueError):
@@ -452,18 +456,17 @@ def headline_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
 
 
 def action_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
-    """Return what to do, or what the fault costs; where a camera was exchanged, which one."""
+    """Return the remedy, or the fault's consequence; it names the camera if one was exchanged."""
     rule = RULES[fault.code]
     camera = None if fault.device is None else _CAMERAS.get(fault.device)
     if rule.exchanged is None or camera is None:
-        # UNCALIBRATED comes without a device where there is no calibration at all, and with one where a camera
-        # was exchanged under it.
+        # UNCALIBRATED has no device if there is no calibration at all, and one if that camera was exchanged.
         return rule.action.in_language(language)
     return rule.exchanged.in_language(language).format(camera=camera.in_language(language))
 
 
 def alert_of(fault: Fault) -> Alert:
-    """Return the fault as a message of its own."""
+    """Return the alert of a fault."""
     rule = RULES[fault.code]
     return Alert(
         fault.code,
@@ -478,7 +481,7 @@ def alert_of(fault: Fault) -> Alert:
 
 
 def notice_of(machine: Machine) -> Alert | None:
-    """Return what happened, in the words of how it came about; ``None``: nothing did."""
+    """Return the notice as an alert, worded by its kind; ``None``: there is none."""
     if machine.notice is None:
         return None
     fault = machine.notice.fault
@@ -487,41 +490,42 @@ def notice_of(machine: Machine) -> Alert | None:
     english, german = (headline_of(fault, language) for language in (Language.ENGLISH, Language.GERMAN))
     match machine.notice.kind:
         case NoticeKind.REFUSAL:
-            # What still lasts is acknowledged with the refusal: one press of BACK, whose label says SEEN meanwhile.
-            lasts = any((one.code, one.device) == (fault.code, fault.device) for one in lasting(machine))
+            # A condition that lasts is acknowledged with the refusal, by one press of BACK (label SEEN).
+            lasts = any(
+                (condition.code, condition.device) == (fault.code, fault.device) for condition in lasting(machine)
+            )
             return replace(plain, action=_REFUSED.english, german=(german, _REFUSED.german), lasts=lasts)
         case NoticeKind.NOT_ADDED:
-            said, why = _NOT_ADDED, _FIRST_KEPT
+            headline, action = _NOT_ADDED, _FIRST_KEPT
         case NoticeKind.FAILURE if rule.stops_capture or rule.forbids_light:
-            # What ended the scan is listed as a condition while it lasts; this says what became of the scan.
-            said, why = _FAILED, _AGAIN
+            # The condition that ended the scan is shown separately; this notice says that the scan failed.
+            headline, action = _FAILED, _AGAIN
         case NoticeKind.FAILURE | NoticeKind.NEWS:
             return plain
         case unknown:
             assert_never(unknown)
     return replace(
         plain,
-        headline=said.english,
-        action=why.english.format(fault=english),
-        german=(said.german, why.german.format(fault=german)),
+        headline=headline.english,
+        action=action.english.format(fault=english),
+        german=(headline.german, action.german.format(fault=german)),
     )
 
 
 def lasting(machine: Machine) -> tuple[Fault, ...]:
-    """Return what is wrong until it ends by itself or is mended: lost devices, conditions, stuck keys."""
+    """Return the faults that last until they end or are repaired: lost devices, conditions, stuck keys."""
     stuck = (Fault(FaultCode.KEY_STUCK, f"{k.value} key", device=f"key.{k.value}") for k in Key if k in machine.stuck)
     return (*machine.lost.values(), *machine.conditions, *stuck)
 
 
-def seen(machine: Machine, fault: Fault) -> bool:
-    """Tell whether the diver has acknowledged the fault as it is now: for the same reason, and not noticeably worse."""
+def is_acknowledged(machine: Machine, fault: Fault) -> bool:
+    """Return True if the diver has acknowledged the fault for its reason, and at its severity."""
     worsens = RULES[fault.code].worsens
     return any(
-        # The same code can have another cause, which the diver has not seen yet; only the numbers in its sentence
-        # do not count.
-        (was.code, was.device, _reason(was)) == (fault.code, fault.device, _reason(fault))
-        and not any(_worse(was, fault, name, by) for name, by in worsens.items())
-        for was in machine.seen
+        # The same code can have another cause, which needs a new acknowledgement; numbers in the detail do not count.
+        (earlier.code, earlier.device, _reason(earlier)) == (fault.code, fault.device, _reason(fault))
+        and not any(_worse(earlier, fault, name, limit) for name, limit in worsens.items())
+        for earlier in machine.acknowledged
     )
 
 
@@ -530,14 +534,14 @@ def _reason(fault: Fault) -> str:
     return re.sub(r"[-+]?\d[\d.,]*", "#", fault.detail)
 
 
-def _worse(was: Fault, now: Fault, name: str, by: float) -> bool:
-    if name not in was.numbers or name not in now.numbers:
-        # A number that is known only now is news; one that vanished is not.
+def _worse(earlier: Fault, now: Fault, name: str, limit: float) -> bool:
+    if name not in earlier.numbers or name not in now.numbers:
+        # A number that was not known before counts as worse; one that vanished does not.
         return name in now.numbers
-    change = now.numbers[name] - was.numbers[name]
-    return change >= by if by > 0.0 else change <= by
+    change = now.numbers[name] - earlier.numbers[name]
+    return change >= limit if limit > 0.0 else change <= limit
 
 
 def lengths_doubtful(machine: Machine) -> bool:
-    """Tell whether something lasts that makes lengths not to be trusted."""
+    """Return True if a condition makes lengths unreliable."""
     return any(RULES[fault.code].doubts_lengths for fault in machine.conditions)

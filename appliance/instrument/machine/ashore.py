@@ -1,6 +1,6 @@
-"""Owns what to check ashore, inside of the housing, for each fault that a diver can only switch off and on against.
+"""Checks ashore, inside of the housing, for faults against which a diver can only switch off and on.
 
-The screen has no room for it, and a diver no use; it stands in the journal beside the fault, in ``scans show``, and in
+The screen has no room for them. They are written to the journal beside the fault, to ``scans show``, and to
 ``docs/faults.md``.
 """
 

@@ -1,12 +1,13 @@
-"""Owns two answers of the diver: to the question before every switching off, and to a lasting warning.
+"""The diver's answers to the question before switching off, and to a lasting warning.
 
     ask, pressed, unanswered               the question whether to switch off; STAY ON is selected first
-    pending_fault, with_acknowledged, …    BACK takes the warning that is shown in full for known, and does nothing else
+    pending_fault, with_acknowledged, …    BACK acknowledges the warning that is shown in full, and has no other effect
 
-Leak, heat and supply do not ask, nor does the operating system (``appliance.instrument.machine.safety``).
+A leak, heat, a low supply and the operating system switch off without a question
+(``appliance.instrument.machine.safety``).
 
-Of a warning that is known a small mark is left on every screen. It is shown in full again when it comes anew, for
-another reason, or noticeably worse. What is critical stays as it is for as long as it lasts.
+An acknowledged warning leaves a small mark on every screen. It is shown in full again when it returns, for another
+reason, or noticeably worse. Critical alerts stay in full for as long as they last.
 """
 
 from __future__ import annotations
@@ -23,12 +24,11 @@ from drivers.api import Key
 
 
 def pending_fault(machine: Machine) -> Fault | None:
-    """Return the warning that a press of BACK acknowledges now; ``None``: BACK means what it always means.
+    """Return the warning that a press of BACK acknowledges now; ``None``: BACK has its usual meaning.
 
-    While something is recorded BACK ends that and nothing else, and while a question is on the screen it answers it.
+    During a recording BACK only ends that, and while a question is on the screen it only answers it.
     """
-    # A second exposure goes through RECONSTRUCT as well, which is not in RECORDING: there, too, BACK gives it up
-    # and must not mean anything else.
+    # A second exposure also passes RECONSTRUCT, which is not in RECORDING: there, too, BACK only gives it up.
     adding = machine.scan is not None and machine.scan.adding is not None
     if machine.state in (*RECORDING, State.SHUTDOWN) or adding or machine.off_question is not None:
         return None
@@ -39,30 +39,32 @@ def pending_fault(machine: Machine) -> Fault | None:
 
 
 def with_acknowledged(machine: Machine, fault: Fault) -> Machine:
-    """Return the machine with ``fault`` known as it is now. Held on, the same press means nothing more."""
-    others = tuple(was for was in machine.seen if (was.code, was.device) != (fault.code, fault.device))
-    return replace(machine, seen=(*others, fault), back_spent=True)
+    """Return the machine with ``fault`` acknowledged. Holding the key on has no further effect."""
+    remaining = tuple(
+        earlier for earlier in machine.acknowledged if (earlier.code, earlier.device) != (fault.code, fault.device)
+    )
+    return replace(machine, acknowledged=(*remaining, fault), back_spent=True)
 
 
 def without_acknowledged(machine: Machine) -> Machine:
-    """Return the machine without what was acknowledged and has ended: when it comes again, it is news."""
-    if not machine.seen:
+    """Return the machine without acknowledgements of faults that have ended."""
+    if not machine.acknowledged:
         return machine
-    # By code and device alone: numbers that change are still the same fault. Whether it has become worse is asked
-    # by `alerts.seen`.
-    there = {(fault.code, fault.device) for fault in lasting(machine)}
-    seen = tuple(was for was in machine.seen if (was.code, was.device) in there)
-    return machine if len(seen) == len(machine.seen) else replace(machine, seen=seen)
+    # Compared by code and device: numbers change while it is the same fault. `alerts.is_acknowledged` checks whether
+    # it has become worse.
+    present = {(fault.code, fault.device) for fault in lasting(machine)}
+    remaining = tuple(earlier for earlier in machine.acknowledged if (earlier.code, earlier.device) in present)
+    return machine if len(remaining) == len(machine.acknowledged) else replace(machine, acknowledged=remaining)
 
 
 def ask(machine: Machine) -> Machine:
-    """Return the machine with the question on its screen, in whatever state it is; STAY ON is selected."""
+    """Return the machine with the question on its screen, in any state; STAY ON is selected."""
     until_ns = machine.now_ns + seconds_ns(machine.settings.ask_off_s)
     return replace(machine, off_question=OffQuestion(Answer.STAY_ON, until_ns))
 
 
 def unanswered(machine: Machine) -> Machine:
-    """Return the machine without the question, if nobody answered it in time: it stays on."""
+    """Return the machine without the question, if its time is over: the instrument stays on."""
     question = machine.off_question
     if question is None or machine.now_ns < question.until_ns:
         return machine
@@ -70,25 +72,28 @@ def unanswered(machine: Machine) -> Machine:
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """UP and DOWN select, SCAN (OK) takes what is selected, BACK stays on."""
+    """Handle a key: UP and DOWN select, SCAN (OK) confirms the selected answer, BACK stays on."""
     question = machine.off_question
     if question is None:
         return machine, ()
     if key is Key.BACK:
-        # Held on, this press must not ask again.
+        # Holding this press on must not ask again.
         return replace(machine, off_question=None, back_spent=True), ()
     if key is Key.SCAN:
         machine = replace(machine, off_question=None)
-        # The question goes first: where a save is under way `stop` stays in the state it is in, and it would stay
-        # on its screen.
+        # The question is removed first: during a save `stop` stays in its state, and the question would stay, too.
         return safety.stop(machine, Ending.POWER_OFF) if question.answer is Answer.SWITCH_OFF else (machine, ())
-    other = other_answer(machine, key)
-    return (machine, ()) if other is None else (replace(machine, off_question=replace(question, answer=other)), ())
+    selected = other_answer(machine, key)
+    return (
+        (machine, ()) if selected is None else (replace(machine, off_question=replace(question, answer=selected)), ())
+    )
 
 
 def other_answer(machine: Machine, key: Key) -> Answer | None:
-    """Return the answer that UP or DOWN would select; ``None``: nothing else. Where DOWN stands in for a stuck BACK, UP
-    leads to both answers."""
+    """Return the answer that UP or DOWN would select; ``None``: no change.
+
+    If DOWN replaces a stuck BACK, UP selects both answers in turn.
+    """
     if machine.off_question is None:
         return None
     match key:

@@ -1,6 +1,6 @@
-"""Owns what each state does when its time is over, what a key does in it, and which labels the keys have then.
+"""For each state: the effect of its deadline, the effect of each key, and the labels of the keys.
 
-Three closed matches over the states, side by side: a new state needs a row in each.
+Each is a closed match over the states: a new state needs a row in each.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _DECISIONS = {
     do.Wish.USE_SOLVED: Text.KEEP,
     do.Wish.RESTORE_KEPT: Text.RESTORE,
 }
-"""Label of SCAN at a step of the calibration that records nothing, by what it wants there."""
+"""Label of SCAN at a step of the calibration without a recording, by its effect there."""
 
 
 def late(machine: Machine) -> Result:
-    """Do what follows from a deadline that has passed."""
+    """Handle a deadline that has passed."""
     match machine.state:
         case State.BOOT | State.SELF_TEST:
             return start.late(machine)
@@ -49,7 +49,7 @@ def late(machine: Machine) -> Result:
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """Do what a key means in this state; ``key`` is what it stands for."""
+    """Handle a key in this state; for a stuck key's stand-in, ``key`` is the stuck one."""
     match machine.state:
         case State.SELF_TEST:
             return start.pressed(machine, key)
@@ -78,7 +78,7 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def labels(machine: Machine) -> dict[Key, Label]:
-    """Return what each key means in this state; a key without a label does nothing."""
+    """Return the label of each key in this state; a key without a label has no effect."""
     match machine.state:
         case State.AIM:
             failed = machine.notice is not None and machine.notice.kind is NoticeKind.FAILURE
@@ -95,13 +95,13 @@ def labels(machine: Machine) -> dict[Key, Label]:
         case State.ARMED | State.CAPTURE:
             return {Key.BACK: Text.STOP}
         case State.CHECK | State.RECONSTRUCT:
-            # Of a second exposure only that one is given up.
+            # While a second exposure is added, only that one is given up.
             adding = machine.scan is not None and machine.scan.adding is not None
             return {Key.BACK: Text.STOP if adding else Text.HOLD_REDO}
         case State.REVIEW:
-            kept: dict[Key, Label] = {Key.SCAN: Text.KEEP, Key.BACK: Text.HOLD_REDO, Key.UP: Text.TURN}
+            keys: dict[Key, Label] = {Key.SCAN: Text.KEEP, Key.BACK: Text.HOLD_REDO, Key.UP: Text.TURN}
             exposure = _add(machine) or _expose(machine)
-            return kept if exposure is None else {**kept, Key.DOWN: exposure}
+            return keys if exposure is None else {**keys, Key.DOWN: exposure}
         case State.CALIBRATE:
             return _calibrate(machine)
         case State.BOOT:
@@ -120,7 +120,7 @@ def labels(machine: Machine) -> dict[Key, Label]:
 def _aim_key(machine: Machine, key: Key) -> Result:
     match key:
         case Key.SCAN:
-            return scanning.wanted(machine)
+            return scanning.request(machine)
         case Key.UP:
             return menu.open_menu(machine)
         case Key.DOWN:
@@ -132,56 +132,55 @@ def _aim_key(machine: Machine, key: Key) -> Result:
 
 
 def _calibrate_key(machine: Machine, key: Key) -> Result:
-    at = machine.calibrating
-    if key is not Key.SCAN or at is None or at.task is not None or not calibrate.records(machine):
+    position = machine.calibrating
+    if key is not Key.SCAN or position is None or position.task is not None or not calibrate.records(machine):
         return calibrate.pressed(machine, key)
-    return scanning.wanted(replace(machine, calibrating=replace(at, latest=None, failed=None)))
+    return scanning.request(replace(machine, calibrating=replace(position, latest=None, failed=None)))
 
 
 def _add(machine: Machine) -> Label | None:
-    """Return the label for a second exposure of the scene that is being reviewed; ``None``: there is nothing to be
-    gained."""
-    wanted = second_exposure(machine)
-    return None if wanted is None else (Text.HOLD_ADD, wanted.label)
+    """Return the label for adding a second exposure to the reviewed scan; ``None``: there is no gain."""
+    exposure = second_exposure(machine)
+    return None if exposure is None else (Text.HOLD_ADD, exposure.label)
 
 
 def _expose(machine: Machine) -> Label | None:
-    """Gain is only proposed where the exposure stays as long as it can be."""
-    wanted = other_exposure(machine)
-    if wanted is None:
+    """Return the label for the proposed exposure; it names the gain if only that differs."""
+    exposure = other_exposure(machine)
+    if exposure is None:
         return None
-    if wanted.time_us == machine.exposure.time_us:
-        return (Text.GAIN, f"{wanted.gain_db:g} dB")
-    return (Text.EXPOSE, wanted.label)
+    if exposure.time_us == machine.exposure.time_us:
+        return (Text.GAIN, f"{exposure.gain_db:g} dB")
+    return (Text.EXPOSE, exposure.label)
 
 
 def _menu(machine: Machine) -> dict[Key, Label]:
     changing = machine.menu is not None and machine.menu.draft is not None
-    meant: dict[Key, Label] = {
+    labels_by_key: dict[Key, Label] = {
         key: word for key, word in ((Key.UP, Text.ARROW_UP), (Key.DOWN, Text.ARROW_DOWN)) if menu.may_move(machine, key)
     }
-    meant[Key.BACK] = Text.CANCEL if changing else Text.BACK
+    labels_by_key[Key.BACK] = Text.CANCEL if changing else Text.BACK
     if menu.may_choose(machine):
-        meant[Key.SCAN] = Text.OK if changing else menu.verb(machine)
-    return meant
+        labels_by_key[Key.SCAN] = Text.OK if changing else menu.verb(machine)
+    return labels_by_key
 
 
 def _calibrate(machine: Machine) -> dict[Key, Label]:
-    """UP and DOWN are labelled with the step they lead to."""
-    meant: dict[Key, Label] = {Key.BACK: Text.BACK}
-    at = machine.calibrating
-    if at is None or at.task is not None:
-        return meant
+    """Return the labels of a calibration step; UP and DOWN have the name of the step they lead to."""
+    labels_by_key: dict[Key, Label] = {Key.BACK: Text.BACK}
+    position = machine.calibrating
+    if position is None or position.task is not None:
+        return labels_by_key
     for key in (Key.UP, Key.DOWN):
         step = calibrate.neighbour(machine, key)
         if step is not None:
-            meant[key] = STEP_NAMES[step]
+            labels_by_key[key] = STEP_NAMES[step]
     if calibrate.may_begin_session(machine):
-        # RESULT is the last step: DOWN leads nowhere from it, so that its label is free for what holding it does.
-        meant[Key.DOWN] = Text.HOLD_NEW
+        # RESULT is the last step: DOWN has no step to lead to, so its label is free for holding it.
+        labels_by_key[Key.DOWN] = Text.HOLD_NEW
     if calibrate.records(machine):
-        meant[Key.SCAN] = Text.REDO if machine.session.done(at.step) else Text.SCAN
+        labels_by_key[Key.SCAN] = Text.REDO if machine.session.done(position.step) else Text.SCAN
     decision = calibrate.decision(machine)
     if decision is not None:
-        meant[Key.SCAN] = _DECISIONS[decision]
-    return meant
+        labels_by_key[Key.SCAN] = _DECISIONS[decision]
+    return labels_by_key

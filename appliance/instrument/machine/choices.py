@@ -1,5 +1,4 @@
-"""Owns what the diver may choose: exposure, fringe period, water and object, the steps of each, and what one key
-changes."""
+"""The diver's choices (exposure, fringe period, water, object), and how one key changes each."""
 
 from __future__ import annotations
 
@@ -11,30 +10,30 @@ from appliance.measure import NOMINAL, PERIODS_PX, Exposure
 T = TypeVar("T")
 
 COLDEST_C, WARMEST_C = -2.0, 40.0
-"""Limits of the water's temperature as the rig file has them: where the formula of the refractive index holds."""
+"""Limits of the water's temperature in the rig file: where the formula of the refractive index holds."""
 FRESH_PSU, SALT_PSU = 0.0, 35.0
 LANGUAGES = ("en", "de")
 FRESHEST_SALT_PSU = 2.0
-"""Water below is fresh to the diver."""
+"""Salinity below which the water counts as fresh."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """Choices for taking and measuring the next scan. Remembered over a restart."""
+    """Choices for capturing and measuring the next scan. Kept over a restart."""
 
     exposure: Exposure = NOMINAL
     period_px: int = 16
     salinity_psu: float = FRESH_PSU
     water_c: float = 20.0
-    """The water's temperature, stated by the diver: the instrument has no sensor for it."""
+    """Temperature of the water, stated by the diver: the instrument has no sensor for it."""
     language: str = "en"
     """Language of the screens; one of ``LANGUAGES``."""
     object: int | None = None
     """Number of the object that scans belong to from now on; ``None``: of none."""
     objects: int = 0
-    """Largest number that was ever given to an object here."""
+    """Largest object number that was ever given here."""
     transfer: bool = False
-    """Scans may be taken off by whoever has a key. Never remembered: a dive does not begin with an open door."""
+    """True if a desk may fetch scans. Not kept over a restart: a dive does not begin with an open door."""
 
     @property
     def salt(self) -> bool:
@@ -44,14 +43,14 @@ class Choices:
 
 @dataclass(frozen=True, slots=True)
 class Offers:
-    """Values that there are to choose from."""
+    """Values to choose from."""
 
     exposures: tuple[Exposure, ...] = (NOMINAL,)
     """Exposures from dark to bright."""
     periods_px: tuple[int, ...] = PERIODS_PX
     fresh_psu: float = FRESH_PSU
     salt_psu: float = SALT_PSU
-    """The salinity of the rig file's water stands for whichever of the two it is."""
+    """The salinity of the rig file's water replaces that of fresh or of salt water."""
 
 
 def offers_of(chosen: Choices, exposures: tuple[Exposure, ...], periods_px: tuple[int, ...] = PERIODS_PX) -> Offers:
@@ -61,17 +60,19 @@ def offers_of(chosen: Choices, exposures: tuple[Exposure, ...], periods_px: tupl
     return Offers(exposures, periods_px, fresh_psu=chosen.salinity_psu)
 
 
-def another_exposure(chosen: Choices, offers: Offers, by: int) -> Choices:
-    """Choose the exposure ``by`` steps brighter; from a value that is no step, the next one in that direction. Stays at
-    the ends."""
-    # A proposed exposure need not be one of the menu's steps; sorted in among them, it has neighbours to go to.
-    steps = sorted({*offers.exposures, chosen.exposure}, key=lambda step: step.light)
-    return replace(chosen, exposure=_moved(steps, chosen.exposure, by))
+def another_exposure(chosen: Choices, offers: Offers, steps: int) -> Choices:
+    """Choose the exposure ``exposures`` brighter; stays at the ends.
+
+    From a value that is no step, the first step is the next one in that direction.
+    """
+    # A proposed exposure need not be one of the menu's; sorted in among them, it has neighbours.
+    exposures = sorted({*offers.exposures, chosen.exposure}, key=lambda step: step.light)
+    return replace(chosen, exposure=_moved(exposures, chosen.exposure, steps))
 
 
-def another_period(chosen: Choices, offers: Offers, by: int) -> Choices:
-    """Choose the period ``by`` steps longer; stays at the ends."""
-    return replace(chosen, period_px=_moved(sorted({*offers.periods_px, chosen.period_px}), chosen.period_px, by))
+def another_period(chosen: Choices, offers: Offers, steps: int) -> Choices:
+    """Choose the period ``steps`` longer; stays at the ends."""
+    return replace(chosen, period_px=_moved(sorted({*offers.periods_px, chosen.period_px}), chosen.period_px, steps))
 
 
 def other_water(chosen: Choices, offers: Offers) -> Choices:
@@ -79,37 +80,37 @@ def other_water(chosen: Choices, offers: Offers) -> Choices:
     return replace(chosen, salinity_psu=offers.fresh_psu if chosen.salt else offers.salt_psu)
 
 
-def warmer(chosen: Choices, by: int) -> Choices:
-    """Choose water warmer ``by`` whole degrees, within what the index is known for."""
+def warmer(chosen: Choices, degrees: int) -> Choices:
+    """Choose water warmer by ``degrees``, within the range of the refractive index's formula."""
     # Rounded first: the rig file may state 18.4 °C, and a press leads to a whole degree.
-    return replace(chosen, water_c=min(max(float(round(chosen.water_c)) + by, COLDEST_C), WARMEST_C))
+    return replace(chosen, water_c=min(max(float(round(chosen.water_c)) + degrees, COLDEST_C), WARMEST_C))
 
 
-def another_language(chosen: Choices, by: int) -> Choices:
+def another_language(chosen: Choices, steps: int) -> Choices:
     """Choose the next language; stays at the ends."""
-    return replace(chosen, language=_moved(sorted({*LANGUAGES, chosen.language}), chosen.language, by))
+    return replace(chosen, language=_moved(sorted({*LANGUAGES, chosen.language}), chosen.language, steps))
 
 
-def another_object(draft: Choices, chosen: Choices, used: int | None, by: int) -> Choices:
-    """Choose, upwards, no object, the one that is ``chosen`` now, or a new one; stays at the ends.
+def another_object(draft: Choices, chosen: Choices, used: int | None, steps: int) -> Choices:
+    """Choose, upwards, no object, the current one, or a new one; stays at the ends.
 
-    ``used``: the largest number that the scans on the disk carry. While it is not known (``None``), no new one is
-    offered: a number that is given twice would join two things at the desk.
+    ``used``: the largest number on the disk. While it is not known (``None``), no new one is offered: the desk would
+    join two objects with the same number.
     """
-    steps: list[int | None] = [None]
+    numbers: list[int | None] = [None]
     if chosen.object is not None:
-        steps.append(chosen.object)
+        numbers.append(chosen.object)
     if used is not None:
-        steps.append(max(chosen.objects, used) + 1)
-    # The disk may have told of more numbers while a new one was being looked at.
-    wanted = _moved(steps, draft.object if draft.object in steps else steps[-1], by)
-    return replace(draft, object=wanted, objects=max(chosen.objects, wanted or 0))
+        numbers.append(max(chosen.objects, used) + 1)
+    # The disk may have been read while a new number was shown, which is then no longer among these.
+    selected = _moved(numbers, draft.object if draft.object in numbers else numbers[-1], steps)
+    return replace(draft, object=selected, objects=max(chosen.objects, selected or 0))
 
 
-def other_transfer(chosen: Choices, by: int) -> Choices:
-    """Choose that scans may be taken off, upwards, or that they may not; stays at the ends."""
-    return replace(chosen, transfer=by > 0)
+def other_transfer(chosen: Choices, steps: int) -> Choices:
+    """Choose, upwards, that a desk may fetch scans, or that it may not; stays at the ends."""
+    return replace(chosen, transfer=steps > 0)
 
 
-def _moved(steps: list[T], at: T, by: int) -> T:
-    return steps[min(max(steps.index(at) + by, 0), len(steps) - 1)]
+def _moved(values: list[T], current: T, steps: int) -> T:
+    return values[min(max(values.index(current) + steps, 0), len(values) - 1)]

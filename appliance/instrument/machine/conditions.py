@@ -1,9 +1,9 @@
-"""Owns the conditions: what is wrong for as long as it lasts, and what the instrument may do meanwhile.
+"""Conditions, and the actions that they allow.
 
     raised, cleared, device_up, …    telemetry and devices become conditions, with debouncing and hysteresis
-    may_shine, may_lase, refusal, …  what the instrument may do now: shine, scan, go on with a capture
+    may_shine, may_lase, refusal, …  whether the instrument may shine, scan, or go on with a capture now
 
-The second group only asks a ``Machine`` and changes nothing.
+The functions of the second group change nothing.
 """
 
 from __future__ import annotations
@@ -26,48 +26,48 @@ LOST_CODES = {
 
 
 def may_light(machine: Machine) -> bool:
-    """Tell whether anything may shine at all: not with a leak, not when too hot."""
+    """Return True if any light may be on: not with a leak, not when too hot."""
     return not any(RULES[fault.code].forbids_light for fault in machine.conditions)
 
 
 def too_hot_to_shine(machine: Machine) -> bool:
-    """Tell whether it must cool down before anything may shine."""
+    """Return True if the instrument must cool down before it may shine."""
     return any(fault.code in (FaultCode.HOT, FaultCode.TOO_HOT) for fault in machine.conditions)
 
 
 def may_shine(machine: Machine) -> bool:
-    """Tell whether the projector may shine."""
+    """Return True if the projector may shine."""
     return may_light(machine) and Device.PROJECTOR in machine.up
 
 
 def may_lase(machine: Machine) -> bool:
-    """Tell whether the lasers may be on. One that ignored its switch must stay off for good."""
+    """Return True if the lasers may be on. A laser that ignored its switch keeps both off for good."""
     misbehaved = any(fault.code is FaultCode.LASER_ON for fault in machine.conditions)
     return may_light(machine) and Device.BOARD in machine.up and not misbehaved
 
 
 def refusal(machine: Machine) -> Fault | None:
-    """Return why SCAN is refused now, the most severe reason; ``None`` when it is allowed."""
+    """Return the most severe reason to refuse SCAN now; ``None``: it is allowed."""
     reasons = [fault for fault in machine.conditions if RULES[fault.code].blocks_scan]
     reasons.sort(key=lambda fault: -RULES[fault.code].severity)
-    # Conditions before devices: a leak says more than the camera that it has drowned.
+    # Conditions come before lost devices, of which they may be the cause, such as a leak.
     return next(iter(reasons), None) or missing_device(machine) or _out_of_light(machine)
 
 
 def rationed(machine: Machine) -> Fault | None:
-    """Return why light is rationed: a temperature is not known."""
+    """Return the reason why light is rationed: an unknown temperature."""
     return next((fault for fault in machine.conditions if fault.code is FaultCode.TEMPERATURE_UNKNOWN), None)
 
 
 def _out_of_light(machine: Machine) -> Fault | None:
-    """Return why a scan must wait where light is rationed: none is left."""
-    # Asked for the whole sequence before it begins: the ration does not end one half-way.
+    """Return the reason why a scan must wait for its ration of light."""
+    # Checked for the complete sequence, so that the ration never interrupts one.
     left = machine.thermal.ration_s >= machine.settings.light_s(machine.choices.period_px)
     return None if left else rationed(machine)
 
 
 def interruption(machine: Machine) -> Fault | None:
-    """Return why a running capture must end now."""
+    """Return the reason why a running capture must end now."""
     for fault in machine.conditions:
         if RULES[fault.code].stops_capture or RULES[fault.code].forbids_light:
             return fault
@@ -75,29 +75,32 @@ def interruption(machine: Machine) -> Fault | None:
 
 
 def missing_device(machine: Machine) -> Fault | None:
-    """Return the first device that a scan needs and does not have."""
+    """Return the fault of the first missing device that a scan needs."""
     for device in NEEDED_FOR_A_SCAN:
         if device not in machine.up:
-            # Neither up nor lost: it was not tried yet, so that there is no reason to show.
+            # Neither up nor lost: it was not tried yet, so no reason is known.
             unheard = Fault(LOST_CODES[device], "not found yet", device=device.value)
             return machine.lost.get(device, unheard)
     return None
 
 
 def second_exposure(machine: Machine) -> Exposure | None:
-    """Return the exposure with which one key records a second sequence while a scan is reviewed; ``None``: nothing to
-    be gained, or not by points that are wrong."""
+    """Return the exposure of a second sequence that a key may add in REVIEW.
+
+    ``None``: there is no gain, or the first sequence has wrong points.
+    """
     scan = machine.scan
     if machine.state is not State.REVIEW or scan is None or scan.full is None or scan.added is not None:
         return None
-    # A second sequence is merged with the points of the first, which are wrong where something moved or
-    # flickered.
+    # A second sequence is merged with the points of the first, which are wrong after motion or flicker.
     return None if any(fault.code in SPOILS_POINTS for fault in scan.warnings) else scan.second
 
 
 def other_exposure(machine: Machine) -> Exposure | None:
-    """Return the exposure to which one key changes while a scan is reviewed: what was proposed, and back. ``None``:
-    nothing was proposed."""
+    """Return the exposure to which a key changes in REVIEW: the proposed one, and back.
+
+    ``None``: there is no proposal.
+    """
     scan = machine.scan
     if machine.state is not State.REVIEW or scan is None or scan.proposal is None:
         return None
@@ -107,18 +110,18 @@ def other_exposure(machine: Machine) -> Exposure | None:
 LEAK_HEARTBEATS = 2
 """Consecutive heartbeats with a leak before it is believed; from then on it is latched."""
 LASER_SETTLE_S = 1.0
-"""Two heartbeats: older ones may show the lasers as they were before they were switched off."""
+"""Two heartbeats: earlier ones may show the lasers as they were before they were switched off."""
 HYSTERESIS_V = 0.3
 
 
 def raised(machine: Machine, fault: Fault) -> Machine:
-    """Return the machine with that condition, which replaces an older one of the same code and device."""
-    others = tuple(c for c in machine.conditions if (c.code, c.device) != (fault.code, fault.device))
-    return replace(machine, conditions=(*others, fault))
+    """Return the machine with the condition, which replaces one of the same code and device."""
+    remaining = tuple(c for c in machine.conditions if (c.code, c.device) != (fault.code, fault.device))
+    return replace(machine, conditions=(*remaining, fault))
 
 
 def cleared(machine: Machine, code: FaultCode, device: str | None = None) -> Machine:
-    """Return the machine without that condition. A leak stays: water does not leave by itself."""
+    """Return the machine without the condition. A leak stays: water does not leave by itself."""
     if code is FaultCode.LEAK:
         return machine
     return replace(machine, conditions=tuple(c for c in machine.conditions if (c.code, c.device) != (code, device)))
@@ -138,15 +141,17 @@ def device_down(machine: Machine, device: Device, reason: str, code: FaultCode |
 
 
 def judge(machine: Machine, telemetry: Telemetry) -> Machine:
-    """Judge the conditions after one heartbeat, but for those of warmth (``thermal``). A value that is missing
-    changes nothing: missing is not zero."""
+    """Update the conditions by one heartbeat, except temperatures (``thermal``).
+
+    A missing value changes nothing: missing is not zero.
+    """
     machine = _leak(machine, telemetry.leak)
     machine = _supply(machine, telemetry.supply_v)
     return _lasers(machine, telemetry)
 
 
 def _leak(machine: Machine, leak: bool | None) -> Machine:
-    # A sensor that does not answer (None) is no vote; that a board fell silent is a fault of its own.
+    # A sensor that does not answer (None) is no vote; a silent board is a separate fault.
     votes = min(machine.leak_votes + 1, LEAK_HEARTBEATS) if leak else 0
     machine = replace(machine, leak_votes=votes)
     if votes < LEAK_HEARTBEATS or has(machine, FaultCode.LEAK):
@@ -159,8 +164,7 @@ def _supply(machine: Machine, supply_v: float | None) -> Machine:
     if supply_v is None or low_v is None:
         return machine
     if supply_v < low_v or (has(machine, FaultCode.SUPPLY_LOW) and supply_v < low_v + HYSTERESIS_V):
-        # Raised anew with each heartbeat, so that the number on the screen is the latest; it replaces the one
-        # before.
+        # Raised again with each heartbeat, so that the screen shows the latest voltage.
         return raised(
             machine, Fault(FaultCode.SUPPLY_LOW, f"{supply_v:g} V, limit {low_v:g} V", {"supply_v": supply_v})
         )
@@ -171,7 +175,7 @@ def _lasers(machine: Machine, telemetry: Telemetry) -> Machine:
     since_ns = machine.lasers_off_since_ns
     if since_ns is None or machine.now_ns - since_ns < seconds_ns(LASER_SETTLE_S):
         return machine
-    # The board reports the current that flows through the lasers, not what it was told: an order is no proof.
+    # The board reports the current through the lasers, not the order that it was given.
     lasers = telemetry.lasers
     if lasers.left_on or lasers.right_on:
         sides = " and ".join(n for n, on in (("left", lasers.left_on), ("right", lasers.right_on)) if on)
@@ -180,5 +184,5 @@ def _lasers(machine: Machine, telemetry: Telemetry) -> Machine:
 
 
 def has(machine: Machine, code: FaultCode, device: str | None = None) -> bool:
-    """Tell whether that condition lasts."""
+    """Return True if the condition is present."""
     return any((fault.code, fault.device) == (code, device) for fault in machine.conditions)

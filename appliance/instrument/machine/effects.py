@@ -1,4 +1,4 @@
-"""Owns what the machine asks for: every output of ``step`` as a frozen value. The service executes them in order."""
+"""Effects of the machine: every output of ``step`` as a frozen value, for the service to execute."""
 
 from __future__ import annotations
 
@@ -12,36 +12,40 @@ from appliance.measure import Exposure
 
 
 class Wish(Enum):
-    """Wishes that need nothing more to be said of them."""
+    """Effects without arguments."""
 
     DARK = "dark"
-    """End the live views; projector dark and lasers off now, in whatever state."""
+    """End the live views; projector dark and lasers off now, in any state."""
     ABORT_CAPTURE = "abort capture"
-    """Let go what was armed and end a sequence at the next vertical blank, dark. Its answer is no longer awaited."""
+    """Disarm, or end a sequence at the next vertical blank, dark. Its answer is no longer awaited."""
     RECONSTRUCT = "reconstruct"
-    """Reconstruct the sequence recorded last. Answer News, the last of which is a FullCloud, a PatternIdentity with a
-    fault, or a ReconstructionFailure; of a second sequence a Bracket or a ReconstructionFailure."""
+    """Reconstruct the sequence recorded last.
+
+    Answer: News, the last of which is a FullCloud, a PatternIdentity with a fault, or a ReconstructionFailure; for a
+    second sequence a Bracket or a ReconstructionFailure.
+    """
     CANCEL_RECONSTRUCTION = "cancel reconstruction"
-    """The result is no longer wanted; a worker that hangs may be replaced."""
+    """The result is no longer needed; a worker that hangs may be replaced."""
     SOLVE_CALIBRATION = "solve calibration"
     """Adjust to the session's recordings; answer CalibrationProgressed, then the Session or a Failure."""
     USE_SOLVED = "use solved"
-    """Put what was solved in use and keep the file of before; answer the Session or a Failure, as the next two."""
+    """Put the solved calibration in use and keep the former file; answer the Session or a Failure, as the next two."""
     RESTORE_KEPT = "restore kept"
     """Put the kept file in use again, byte for byte."""
     BEGIN_SESSION = "begin session"
     """Put the session away and begin a new one."""
     CANCEL_CALIBRATION = "cancel calibration"
-    """End what is being examined or solved; its answer is no longer awaited."""
+    """End the examination or the adjustment; its answer is no longer awaited."""
     LIST_GALLERY = "list gallery"
     """Answer ScansListed."""
 
 
 @dataclass(frozen=True, slots=True)
 class GoLive:
-    """Cameras free-running for the live views. ``light``: the projector may shine. ``lasers``: they may be on.
+    """Let the cameras run free for the live views.
 
-    What is False must be off. Sent again whenever a device came or went; idempotent.
+    ``light``: the projector may shine. ``lasers``: they may be on. A value of False means off. Idempotent; sent again
+    whenever a device came or went.
     """
 
     light: bool
@@ -51,7 +55,7 @@ class GoLive:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """Make ready for one sequence: lasers off and proven off, cameras flushed and waiting.
+    """Prepare one sequence: lasers off and proven off, cameras flushed and waiting.
 
     Answer Armed or CaptureFailed.
     """
@@ -60,29 +64,31 @@ class Arm:
     period_px: int
     exposure: Exposure
     second: bool = False
-    """True for the second sequence of the scan in hand, whose first one stays where it is."""
+    """True for the second sequence of the scan in hand, whose first one stays in memory."""
     object: int | None = None
     """Number of the object that the scan belongs to."""
 
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """Record what was armed; answer CaptureFinished or CaptureFailed of this number. Includes its own light."""
+    """Record the armed sequence, with its light; answer CaptureFinished or CaptureFailed of this number."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class StoreRaw:
-    """Make the raw frames durable in a hidden folder, those of a second sequence beside the first one's; answer
-    RawStored or SaveFailed."""
+    """Make the raw frames durable in a hidden folder; answer RawStored or SaveFailed.
+
+    Those of a second sequence go beside the first one's.
+    """
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """Publish the scan with whatever cloud there is (its raw frames first, if that failed before); idempotent.
+    """Publish the scan with its cloud, if any (its raw frames first, if that failed before); idempotent.
 
     Answer Saved or SaveFailed.
     """
@@ -92,7 +98,7 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Reject:
-    """Move the scan to the rejected ones; answer that what was NOT_SAVED is cleared, or SaveFailed."""
+    """Move the scan to the rejected ones; answer that NOT_SAVED is cleared, or SaveFailed."""
 
     number: int
     reason: str
@@ -100,7 +106,7 @@ class Reject:
 
 @dataclass(frozen=True, slots=True)
 class CheckRecording:
-    """Look for the step's artefact in a scan whose raw frames are stored; answer TrialExamined or a Failure."""
+    """Search the step's artefact in a scan whose raw frames are stored; answer TrialExamined or a Failure."""
 
     number: int
     step: Step
@@ -116,9 +122,11 @@ class AcceptRecording:
 
 @dataclass(frozen=True, slots=True)
 class UseChoices:
-    """Let what the diver chose take effect, and write it down for the next start: patterns of the period (a scan armed
-    meanwhile waits for them), the water of the next scan, and whether scans may be taken off; while they may, answer
-    Transfer."""
+    """Apply the diver's choices, and store them for the next start.
+
+    They are the patterns of the period (a scan armed meanwhile waits for them), the water of the next scan, and whether
+    a desk may fetch scans; while it may, answer Transfer.
+    """
 
     before: Choices
     now: Choices
@@ -126,21 +134,21 @@ class UseChoices:
 
 @dataclass(frozen=True, slots=True)
 class ShowGalleryScan:
-    """Load what the gallery shows of a scan; the latest wish counts."""
+    """Load a scan for the gallery; a later request replaces it."""
 
     scan_id: str
 
 
 @dataclass(frozen=True, slots=True)
 class ReopenDevice:
-    """Close and open one device: its images do not follow the patterns. ``None``: both cameras."""
+    """Close and open one device, since its images do not follow the patterns. ``None``: both cameras."""
 
     device: Device | None
 
 
 @dataclass(frozen=True, slots=True)
 class Quit:
-    """Finish what is being written, close the devices, end the process. ``power_off``: and switch off."""
+    """Finish pending writes, close the devices, end the process. ``power_off``: and switch off."""
 
     power_off: bool
 

@@ -1,11 +1,9 @@
-"""Owns what can happen to the instrument: every input of ``step`` as a frozen value.
+"""Events of the machine: every input of ``step`` as a frozen value.
 
-Where somebody below has a value for it, that is the event: what the diver does with the keys (``KeyPress`` …), what the
-board reports (``Telemetry``, ``BoardBooted``), what a scan's frames give (``News``, ``LiveGuidance``), the
-calibration's ``Session`` as it lies on the disk, also as the answer to what changed it, or the ``Failure`` of what was
-wanted of it, what the program that serves scans tells (``Transfer``), and a part's self-test (``PartTested``). Events
-about a scan carry the ``number`` of the Capture effect that began it, so that an answer that comes too late is
-recognised and ignored.
+Some events are values of other modules: the keys (``KeyPress`` …), the board's reports (``Telemetry``,
+``BoardBooted``), results of a scan (``News``, ``LiveGuidance``), the calibration's ``Session`` as it is on the disk, or
+the ``Failure`` of a task, the state of the scan ``Transfer``, and a part's self-test (``PartResult``). Events about a
+scan carry the ``number`` of the Capture effect that began it, so that late answers are recognised and ignored.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from appliance.calibrate import RecordingCheck, Session
-from appliance.instrument.machine.states import Device, Failure, Part, PartTested, Transfer
+from appliance.instrument.machine.states import Device, Failure, Part, PartResult, Transfer
 from appliance.instrument.ranging.reach import Range
 from appliance.measure import Fault, FaultCode, LiveGuidance, News
 from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck, Telemetry
@@ -21,7 +19,7 @@ from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck,
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Time passed. Sent at least ten times a second; deadlines are judged here only."""
+    """Time passed. Sent at least ten times a second; deadlines are judged only here."""
 
     now_ns: int
 
@@ -33,7 +31,10 @@ class DeviceUp:
 
 @dataclass(frozen=True, slots=True)
 class DeviceDown:
-    """A device was lost; ``code`` where the loss has a more precise name than LOST (a slow link, a refused setting)."""
+    """A device was lost.
+
+    ``code``: a more precise name than LOST, such as a slow link or a refused setting.
+    """
 
     device: Device
     reason: str
@@ -42,7 +43,7 @@ class DeviceDown:
 
 @dataclass(frozen=True, slots=True)
 class ConditionRaised:
-    """Something is wrong until cleared (uncalibrated, no vertical sync)."""
+    """A condition is present until it is cleared (uncalibrated, no vsync)."""
 
     fault: Fault
 
@@ -54,16 +55,15 @@ class ConditionCleared:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """Something that happened by itself before the machine began; read once, gone with the next key."""
+class FaultReported:
+    """A fault that was found before the machine began; shown until the next key."""
 
     fault: Fault
 
 
 @dataclass(frozen=True, slots=True)
 class StorageCounted:
-    """The library was counted: what it holds and how many scans still fit; ``scans_left`` is None where the disk does
-    not tell."""
+    """Number of scans in the library, and of those that still fit; ``None``: the disk does not report it."""
 
     scans: int
     last_scan: str | None
@@ -72,19 +72,19 @@ class StorageCounted:
 
 @dataclass(frozen=True, slots=True)
 class ObjectsCounted:
-    """The scans on the disk were looked at: the largest number of an object that one of them carries, 0 if none does."""
+    """Largest object number of the scans on the disk, 0 if none has one."""
 
     largest: int
 
 
 @dataclass(frozen=True, slots=True)
 class BootFinished:
-    """Everything that can be opened was tried once."""
+    """Every device was tried once."""
 
 
 @dataclass(frozen=True, slots=True)
 class PartBusy:
-    """A part without a result yet was seen to get on with what leads to one."""
+    """A part without a result reported progress."""
 
     part: Part
 
@@ -111,14 +111,14 @@ class CaptureFailed:
 
 @dataclass(frozen=True, slots=True)
 class RawStored:
-    """The raw frames survive the loss of power from now on."""
+    """The raw frames are durable."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """Published: the scan survives the loss of power a millisecond later."""
+    """The scan is published and durable."""
 
     number: int
     scan_id: str
@@ -126,7 +126,7 @@ class Saved:
 
 @dataclass(frozen=True, slots=True)
 class SaveFailed:
-    """Raw frames or publication were refused by the disk; everything is still in memory."""
+    """The disk refused raw frames or publication; all data are still in memory."""
 
     number: int
     fault: Fault
@@ -134,7 +134,7 @@ class SaveFailed:
 
 @dataclass(frozen=True, slots=True)
 class TrialExamined:
-    """A recording for a step of the calibration was judged."""
+    """A recording for a step of the calibration was examined."""
 
     number: int
     check: RecordingCheck
@@ -142,22 +142,21 @@ class TrialExamined:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationProgressed:
-    """The adjustment went on: its progress, 0..1."""
+    """Progress of the adjustment, 0..1."""
 
     progress: float
 
 
 @dataclass(frozen=True, slots=True)
-class Ranged:
-    """The laser dots in the live images were measured: where the object is now; ``None``: nothing can be said for
-    sure."""
+class RangeMeasured:
+    """Distance of the object by the laser dots in the live images; ``None``: unknown."""
 
     range: Range | None
 
 
 @dataclass(frozen=True, slots=True)
 class ScansListed:
-    """The numbers of all scans on the disk, the newest first."""
+    """Numbers of all scans on the disk, the newest first."""
 
     scans: tuple[str, ...]
 
@@ -179,12 +178,12 @@ Event = (
     | DeviceDown
     | ConditionRaised
     | ConditionCleared
-    | Told
+    | FaultReported
     | StorageCounted
     | ObjectsCounted
     | Transfer
     | BootFinished
-    | PartTested
+    | PartResult
     | PartBusy
     | Armed
     | CaptureFinished
@@ -198,7 +197,7 @@ Event = (
     | Session
     | CalibrationProgressed
     | Failure
-    | Ranged
+    | RangeMeasured
     | ScansListed
     | StopRequested
 )

@@ -1,6 +1,6 @@
-"""Owns what the four keys do in each state, and the labels beside them.
+"""Effects of the four keys in each state, and the labels beside them.
 
-A press has one meaning in each state. Holding a key is for what cannot be taken back, or needs a still hand: rejecting
+A press has one meaning in each state. A key is held for actions that cannot be undone, or need a still hand: rejecting
 a scan, a second exposure, putting a calibration away, and asking whether to switch off.
 """
 
@@ -17,13 +17,13 @@ from appliance.instrument.machine.words import Label, Text
 from drivers.api import Key
 
 HELD_TO_SWITCH_OFF = (State.BOOT, State.SELF_TEST, State.AIM, State.SAFE)
-"""States in which BACK held asks whether to switch off."""
+"""States in which holding BACK asks whether to switch off."""
 HELD_TO_REJECT = (State.CHECK, State.RECONSTRUCT, State.REVIEW)
-"""States in which BACK held rejects the scan in hand: a glove that brushes the key costs no scan."""
+"""States in which holding BACK rejects the scan in hand: a glove that brushes the key costs no scan."""
 
 
 def meaning(machine: Machine, key: Key) -> Key:
-    """Return the key a press stands for: while SCAN is stuck UP takes over, while BACK is stuck DOWN does."""
+    """Return the key that a press stands for: UP replaces a stuck SCAN, DOWN a stuck BACK."""
     if key is Key.UP and Key.SCAN in machine.stuck:
         return Key.SCAN
     if key is Key.DOWN and Key.BACK in machine.stuck:
@@ -32,21 +32,20 @@ def meaning(machine: Machine, key: Key) -> Key:
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """Do what a key that went down means; ``key`` is what it stands for."""
-    # Asked before the notice is taken away: the press is about what was on the screen when the finger came down.
-    known = asking.pending_fault(machine) if key is Key.BACK else None
+    """Handle a press; for a stuck key's stand-in, ``key`` is the stuck one."""
+    # Asked before the notice is removed: the press refers to the screen at that moment.
+    acknowledged = asking.pending_fault(machine) if key is Key.BACK else None
     machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
     if key is Key.BACK:
-        # That a key is held is known 0.8 s after the press. In between the state may change by itself (a capture
-        # ends, a cloud is there), and what was meant for the state before must neither reject a scan nor switch
-        # off.
+        # A key counts as held 0.8 s after the press. Meanwhile the state may change by itself (a capture ends, a
+        # cloud arrives), and a press from the state before must neither reject a scan nor switch off.
         machine = replace(machine, back_from=machine.state, back_spent=False)
     if key is Key.DOWN:
         machine = replace(machine, add_offered=second_exposure(machine) is not None)
-    if known is not None:
-        return asking.with_acknowledged(machine, known), ()
+    if acknowledged is not None:
+        return asking.with_acknowledged(machine, acknowledged), ()
     if key is not Key.SCAN:
-        # To insist is to press SCAN twice in a row: any other key takes the first press back.
+        # To insist is to press SCAN twice in a row: any other key cancels the first press.
         machine = replace(machine, insists_until_ns=None)
     if machine.off_question is not None:
         return asking.pressed(machine, key)
@@ -54,8 +53,11 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def held(machine: Machine, key: Key) -> Result:
-    """BACK held rejects the scan in hand, or asks whether to switch off; DOWN held adds a second exposure to the scan
-    in review, and at the calibration's result puts that away for a new one."""
+    """Handle a held key.
+
+    BACK rejects the scan in hand, or asks whether to switch off. DOWN adds a second exposure to the scan in review, or,
+    at the calibration's result, puts the session away for a new one.
+    """
     if machine.off_question is not None:
         return machine, ()
     if key is Key.DOWN and calibrate.may_begin_session(machine):
@@ -66,29 +68,29 @@ def held(machine: Machine, key: Key) -> Result:
         return machine, ()
     if machine.state in HELD_TO_REJECT and machine.back_from in HELD_TO_REJECT:
         return scanning.rejected(machine)
-    # Both sides are looked at: BOOT and SELF_TEST pass by themselves while a key is held, and still mean the
-    # same.
+    # Both states are checked: BOOT and SELF_TEST end by themselves while a key is held, and BACK means the same in
+    # each.
     if machine.state in HELD_TO_SWITCH_OFF and machine.back_from in (None, *HELD_TO_SWITCH_OFF):
         return asking.ask(machine), ()
     return machine, ()
 
 
 def labels(machine: Machine) -> Mapping[Key, Label]:
-    """Return the label per physical key; a key without one does nothing now.
+    """Return the label of each physical key; a key without one has no effect now.
 
-    A stuck key's label moves to its stand-in.
+    The label of a stuck key moves to its stand-in.
     """
-    meant = _meant(machine)
+    labels_by_key = _meant(machine)
     if asking.pending_fault(machine) is not None:
-        meant[Key.BACK] = Text.SEEN
+        labels_by_key[Key.BACK] = Text.SEEN
     for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
         if broken in machine.stuck:
-            label = meant.pop(broken, None)
-            # The stand-in's own meaning goes with it: a key has one meaning, and the stuck one's is needed more.
-            meant.pop(stand_in, None)
+            label = labels_by_key.pop(broken, None)
+            # The stand-in loses its own meaning: a key has one, and that of the stuck key is needed more.
+            labels_by_key.pop(stand_in, None)
             if label is not None:
-                meant[stand_in] = label
-    return meant
+                labels_by_key[stand_in] = label
+    return labels_by_key
 
 
 def _meant(machine: Machine) -> dict[Key, Label]:
@@ -98,9 +100,9 @@ def _meant(machine: Machine) -> dict[Key, Label]:
 
 
 def _question(machine: Machine) -> dict[Key, Label]:
-    meant: dict[Key, Label] = {Key.SCAN: Text.OK, Key.BACK: Text.BACK}
+    labels_by_key: dict[Key, Label] = {Key.SCAN: Text.OK, Key.BACK: Text.BACK}
     for key in (Key.UP, Key.DOWN):
-        other = asking.other_answer(machine, key)
-        if other is not None:
-            meant[key] = Text.ARROW_UP if other is Answer.STAY_ON else Text.ARROW_DOWN
-    return meant
+        answer = asking.other_answer(machine, key)
+        if answer is not None:
+            labels_by_key[key] = Text.ARROW_UP if answer is Answer.STAY_ON else Text.ARROW_DOWN
+    return labels_by_key

@@ -1,4 +1,4 @@
-"""Owns the menu: its pages, their rows in order, and what each key does on them."""
+"""The menu: its pages, their rows in order, and the effect of each key on them."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ VALUES = (
 """Rows whose value is changed with UP and DOWN after SCAN."""
 
 
-TOLD = (*ROWS[Page.ABOUT], Row.ADDRESS, Row.KEYS)
-"""Rows that only tell something: SCAN does nothing on them."""
+READ_ONLY = (*ROWS[Page.ABOUT], Row.ADDRESS, Row.KEYS)
+"""Rows that only show a value: SCAN has no effect on them."""
 
 
 def open_menu(machine: Machine) -> Result:
@@ -83,7 +83,7 @@ def open_menu(machine: Machine) -> Result:
 
 
 def row_of(menu: Menu) -> Row:
-    """Return the row that is selected."""
+    """Return the selected row."""
     return ROWS[menu.page][menu.row]
 
 
@@ -94,7 +94,7 @@ def shown(machine: Machine) -> Choices:
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """UP and DOWN select or change, SCAN opens or takes, BACK leaves or forgets."""
+    """Handle a key: UP and DOWN select or change, SCAN opens or applies, BACK leaves or discards."""
     menu = machine.menu
     if menu is None:  # cannot be reached; if it were, the way out is AIM
         return enter(machine, State.AIM), ()
@@ -102,13 +102,13 @@ def pressed(machine: Machine, key: Key) -> Result:
         case Key.BACK if menu.draft is not None:
             return _at(machine, replace(menu, draft=None)), ()
         case Key.BACK if menu.page is not Page.MAIN:
-            # To the row that led here, not to the first one: with gloves each row is a press.
+            # Back to the row that opened this page: with gloves each row is a press.
             back = next(row for row, page in PAGES.items() if page is menu.page)
             return _at(machine, Menu(row=ROWS[Page.MAIN].index(back))), ()
         case Key.BACK:
             return enter(machine, State.AIM), ()
         case Key.SCAN if menu.draft is not None:
-            # No effect here: `step._taken` compares the choices before and after each step, so that none can be
+            # No effect here: `step._settle` compares the choices before and after each step, so that none can be
             # forgotten.
             return _at(replace(machine, choices=menu.draft), replace(menu, draft=None)), ()
         case Key.SCAN:
@@ -120,7 +120,7 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def may_move(machine: Machine, key: Key) -> bool:
-    """Tell whether UP or DOWN would change anything."""
+    """Return True if UP or DOWN would change the selection or the value."""
     menu = machine.menu
     if menu is None:
         return False
@@ -130,13 +130,13 @@ def may_move(machine: Machine, key: Key) -> bool:
 
 
 def may_choose(machine: Machine) -> bool:
-    """Tell whether SCAN does anything on the selected row."""
+    """Return True if SCAN has an effect on the selected row."""
     menu = machine.menu
-    return menu is not None and (menu.draft is not None or row_of(menu) not in TOLD)
+    return menu is not None and (menu.draft is not None or row_of(menu) not in READ_ONLY)
 
 
 def verb(machine: Machine) -> Text:
-    """Return the word for what SCAN does on the selected row."""
+    """Return the label of SCAN on the selected row."""
     row = row_of(machine.menu) if machine.menu is not None else None
     return Text.CHANGE if row in VALUES else Text.OPEN
 
@@ -146,8 +146,10 @@ def _at(machine: Machine, menu: Menu) -> Machine:
 
 
 def _next(menu: Menu, key: Key) -> int:
-    """Return the next row, which stays at the ends: with cold hands the first and the last row are found without
-    looking."""
+    """Return the index of the next row.
+
+    It stops at the ends, so that cold hands find the first and the last row without looking.
+    """
     return min(max(menu.row + (1 if key is Key.DOWN else -1), 0), len(ROWS[menu.page]) - 1)
 
 
@@ -170,22 +172,22 @@ def _chosen(machine: Machine, menu: Menu) -> Result:
 
 def _changed(machine: Machine, menu: Menu, draft: Choices, key: Key) -> Choices:
     """Return the draft one step further; UP is more."""
-    by = 1 if key is Key.UP else -1
+    steps = 1 if key is Key.UP else -1
     offers = machine.settings.offers
     match row_of(menu):
         case Row.EXPOSURE:
-            return choices.another_exposure(draft, offers, by)
+            return choices.another_exposure(draft, offers, steps)
         case Row.PERIOD:
-            return choices.another_period(draft, offers, by)
+            return choices.another_period(draft, offers, steps)
         case Row.WATER_KIND:
             return choices.other_water(draft, offers)
         case Row.WATER_TEMPERATURE:
-            return choices.warmer(draft, by)
+            return choices.warmer(draft, steps)
         case Row.OBJECT:
-            return choices.another_object(draft, machine.choices, machine.objects_used, by)
+            return choices.another_object(draft, machine.choices, machine.objects_used, steps)
         case Row.TRANSFER_SWITCH:
-            return choices.other_transfer(draft, by)
+            return choices.other_transfer(draft, steps)
         case Row.LANGUAGE:
-            return choices.another_language(draft, by)
+            return choices.another_language(draft, steps)
         case _:
             return draft

@@ -1,4 +1,4 @@
-"""Owns how the machine goes from one state to another: its clock, its deadline, and what a state takes along."""
+"""Transitions between states: clock, deadline, and the values that each state keeps."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ WITH_A_SCAN = (State.CHECK, State.RECONSTRUCT, State.REVIEW, State.SAVING, State
 """States in which a recorded scan may be in hand."""
 RECORDING = (State.ARMED, State.CAPTURE)
 STARTING = (State.BOOT, State.SELF_TEST)
-"""States that pass by themselves on the way to AIM: a question that is being read stays on the screen."""
+"""States on the way to AIM that end by themselves: a question stays on the screen over them."""
 
 
 def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Machine:
     """Return the machine in ``state``, which ends after ``timeout_s`` at the latest."""
-    # One value serves all states, so that what a state does not own is dropped on the way into it: a scan that
-    # lingered in AIM would be shown, judged and saved from there.
+    # One value serves all states. Values that do not belong to the new state are dropped: a scan left in AIM would be
+    # shown, judged and saved from there.
     adds = machine.scan is not None and machine.scan.adding is not None
     deadline_ns = None if timeout_s is None else machine.now_ns + seconds_ns(timeout_s)
     still_asked = machine.state in STARTING and state in (State.SELF_TEST, State.AIM)
@@ -38,8 +38,7 @@ def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Mac
 
 
 def home(machine: Machine) -> Machine:
-    """Return to where a capture came from: AIM, the step of the calibration it was for, or the review of the scan it
-    would add to."""
+    """Return to the origin of a capture: AIM, the calibration's step, or the review of the scan in hand."""
     scan = machine.scan
     if scan is not None and scan.adding is not None:
         return replace(enter(machine, State.REVIEW), scan=replace(scan, adding=None))

@@ -1,6 +1,6 @@
-"""Owns what conditions force, whatever the diver wants: SAFE, COOLING, the end of a recording, power off in good order.
+"""Forced actions: SAFE, COOLING, the end of a recording, saving and switching off.
 
-``forced`` looks at the machine after every event, so that none of it can take more than the one step that brought it.
+``forced`` checks the machine after every event, so that each action comes with the event that caused it.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from appliance.measure import Fault, FaultCode
 from drivers.api import Key
 
 COOLS_DOWN = (FaultCode.HOT, FaultCode.TOO_HOT)
-"""Forbid light, but pass by themselves when nothing shines; other faults that forbid it lead to SAFE."""
+"""Faults that forbid light, but end by themselves in the dark; the others that forbid it lead to SAFE."""
 ENDS_THE_DIVE = (FaultCode.TOO_HOT, FaultCode.SUPPLY_LOW)
 
 
 def forced(machine: Machine) -> Result:
-    """Return the machine after what its conditions force, and what is to be done for it."""
+    """Return the machine after the actions that its conditions force, and their effects."""
     if machine.state is State.SHUTDOWN:
         return machine, ()
-    # The order is that of gravity: dark for good, the end of a recording, cooling, the order to switch off. Each
-    # looks at the machine that the one before has left.
+    # In the order of severity: dark for good, the end of a recording, cooling, switching off. Each sees the machine
+    # after the one before.
     cause = unsafe(machine)
     if cause is not None and machine.state is not State.SAFE:
         return _to_safe(machine, cause)
@@ -41,12 +41,12 @@ def forced(machine: Machine) -> Result:
 
 
 def unsafe(machine: Machine) -> Fault | None:
-    """Return why the instrument must stay dark until somebody has looked at it."""
+    """Return the fault for which the instrument must stay dark until it was inspected."""
     return next((c for c in machine.conditions if RULES[c.code].forbids_light and c.code not in COOLS_DOWN), None)
 
 
 def _to_safe(machine: Machine, cause: Fault) -> Result:
-    """Go dark, in one step. What was recorded and not yet decided on is saved: nobody will be asked."""
+    """Go dark, in one step. A recorded scan without a decision is saved: the diver is not asked."""
     effects: tuple[do.Effect, ...] = ()
     scan = machine.scan
     if machine.state in RECORDING:
@@ -64,7 +64,7 @@ def _to_safe(machine: Machine, cause: Fault) -> Result:
 
 
 def _out_of_safe(machine: Machine) -> Machine:
-    """Leave SAFE, whose cause has gone; a scan that the disk refused is still the diver's to decide on."""
+    """Leave SAFE, whose cause has gone; for a scan that was not saved, the diver decides again."""
     scan = machine.scan
     if scan is None:
         return enter(machine, State.AIM)
@@ -84,14 +84,14 @@ def _cooling(machine: Machine) -> Machine:
 
 
 def cooling_key(machine: Machine, key: Key) -> Result:
-    """BACK leads to a dark AIM, from where SCAN leads here again."""
+    """Handle a key in COOLING: BACK leads to a dark AIM, from where SCAN leads here again."""
     if key is Key.BACK:
         return replace(enter(machine, State.AIM), cooling_left=True), ()
     return machine, ()
 
 
 def safe_key(machine: Machine, key: Key) -> Result:
-    """SCAN (OK) tries a save again that the disk refused."""
+    """Handle a key in SAFE: SCAN (OK) repeats a save that the disk refused."""
     scan = machine.scan
     if key is Key.SCAN and scan is not None and scan.settled and not scan.publishing:
         return saving.keep(machine, scan)
@@ -102,7 +102,7 @@ def safe_key(machine: Machine, key: Key) -> Result:
 
 
 def _ordered_off(machine: Machine) -> Result:
-    """A low supply is borne for a while, too much heat not at all; then everything is saved and switched off."""
+    """Save and switch off: after a while with a low supply, at once with too much heat."""
     if machine.stopping is not None:
         return machine, ()
     cause = next((c for code in ENDS_THE_DIVE for c in machine.conditions if c.code is code), None)
@@ -110,7 +110,7 @@ def _ordered_off(machine: Machine) -> Result:
         return replace(machine, off_ns=None), ()
     wait_s = machine.settings.supply_off_s if cause.code is FaultCode.SUPPLY_LOW else 0.0
     off_ns = machine.now_ns + seconds_ns(wait_s)
-    # The earliest time that any cause gave holds, as long as one of them lasts.
+    # The earliest time of all causes holds, as long as one of them lasts.
     if machine.off_ns is not None:
         off_ns = min(off_ns, machine.off_ns)  # too much heat does not wait out a low supply's time
     machine = replace(machine, off_ns=off_ns)
@@ -120,12 +120,12 @@ def _ordered_off(machine: Machine) -> Result:
 
 
 def stop(machine: Machine, how: Ending) -> Result:
-    """End. What the diver kept is saved first; where nobody asked the diver, what was recorded is saved as well."""
+    """End. A scan that the diver kept is saved first; without a decision, a recorded scan is saved, too."""
     scan = machine.scan
-    # Nobody can be asked any more where a fault ends the dive: what was recorded is kept rather than lost.
-    if scan is not None and (scan.kept or machine.ended_by is not None):
+    # The diver cannot be asked when a fault ends the dive: a recorded scan is kept rather than lost.
+    if scan is not None and (scan.is_kept or machine.ended_by is not None):
         machine = replace(machine, stopping=how)
-        if scan.publishing or (scan.kept and not scan.settled):
+        if scan.publishing or (scan.is_kept and not scan.settled):
             return machine, ()
         return saving.keep(machine, scan)
     match machine.state:
@@ -144,8 +144,7 @@ def stop(machine: Machine, how: Ending) -> Result:
 
 
 def board_reset(machine: Machine, cause: str) -> Result:
-    """Begin anew with a board that forgot everything; live views and lasers are set again (``step``), a recording is
-    lost."""
+    """Handle a restart of the board: live views and lasers are set again (``step``), a recording is lost."""
     machine = replace(machine, board_resets=machine.board_resets + 1)
     fault = Fault(FaultCode.BOARD_RESET, f"cause {cause}", device=Device.BOARD.value)
     if machine.state in RECORDING:

@@ -1,4 +1,4 @@
-"""Owns the way of a scan to the disk as the machine sees it: kept, refused by the disk, tried again, published."""
+"""Decisions about saving a scan: keep, publish, and repeat when the disk refuses."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from appliance.instrument.machine.states import Ending, Machine, ScanInHand, Sta
 from appliance.measure import Fault, FaultCode
 
 RETRIES = 3
-"""Number of unasked tries after the disk refused; then the diver decides."""
+"""Number of automatic tries after the disk refused; then the diver decides."""
 RETRY_S = 5.0
 
 
 def keep(machine: Machine, scan: ScanInHand) -> Result:
-    """Publish a scan that is wanted, as soon as nothing more will come from the worker."""
-    scan = replace(scan, kept=True, adding=None, failures=0, retry_ns=None)
+    """Publish a scan that is kept, as soon as the worker has no more results for it."""
+    scan = replace(scan, is_kept=True, adding=None, failures=0, retry_ns=None)
     # Publishing early would store the scan without its cloud; the wait is bounded by the worker's deadline.
     if scan.settled:
         return publish(machine, scan)
@@ -27,13 +27,13 @@ def keep(machine: Machine, scan: ScanInHand) -> Result:
 
 
 def publish(machine: Machine, scan: ScanInHand) -> Result:
-    """Put the scan onto the disk with what there is."""
+    """Start publishing the scan with its results so far."""
     machine = enter(machine, _where(machine), machine.settings.saving_s)
     return replace(machine, scan=replace(scan, publishing=True, retry_ns=None)), (do.Publish(scan.number),)
 
 
 def raw_stored(machine: Machine, number: int) -> Machine:
-    """Take over that the raw frames are durable."""
+    """Record that the raw frames are durable."""
     machine = cleared(machine, FaultCode.NOT_SAVED)
     if machine.scan is None or machine.scan.number != number:
         return machine
@@ -42,7 +42,7 @@ def raw_stored(machine: Machine, number: int) -> Machine:
 
 def saved(machine: Machine, number: int, scan_id: str) -> Result:
     """Go on after the scan was published."""
-    # Before the number is compared: an answer that comes after its deadline still says that the disk works again.
+    # Cleared for any number: an answer after its deadline still shows that the disk works again.
     machine = replace(cleared(machine, FaultCode.NOT_SAVED), last_scan=scan_id)
     if machine.scan is None or machine.scan.number != number:
         return machine, ()
@@ -54,7 +54,7 @@ def saved(machine: Machine, number: int, scan_id: str) -> Result:
 
 
 def failed(machine: Machine, number: int, fault: Fault) -> Result:
-    """Take over that the disk refused something of the scan."""
+    """Handle a refusal of the disk to write frames or publish the scan."""
     scan = machine.scan
     if scan is not None and scan.number == number and scan.publishing:
         return unsaved(machine, fault)
@@ -65,8 +65,10 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
 
 
 def unsaved(machine: Machine, fault: Fault) -> Result:
-    """Go back to the decision, since the scan was not published: it is tried again unasked, OK tries at once, BACK
-    repeats the scan."""
+    """Go back to the decision, since the scan was not published.
+
+    It is tried again automatically; OK tries at once, BACK repeats the scan.
+    """
     machine = raised(machine, Fault(FaultCode.NOT_SAVED, fault.detail))
     scan = machine.scan
     if scan is None:
@@ -84,16 +86,15 @@ def retry(machine: Machine) -> Result:
     scan = machine.scan
     if scan is None or scan.retry_ns is None or machine.now_ns < scan.retry_ns:
         return machine, ()
-    if scan.kept and not scan.publishing and scan.settled:
+    if scan.is_kept and not scan.publishing and scan.settled:
         return publish(machine, scan)
-    # Not wanted yet: only the raw frames are tried again, so that they are safe while the diver still looks at
-    # the cloud.
-    again = replace(machine, scan=replace(scan, retry_ns=None))
-    return again, () if scan.raw_durable or scan.publishing else (do.StoreRaw(scan.number),)
+    # Before the diver decides, only the raw frames are tried again, so that they are durable meanwhile.
+    updated = replace(machine, scan=replace(scan, retry_ns=None))
+    return updated, () if scan.raw_durable or scan.publishing else (do.StoreRaw(scan.number),)
 
 
 def late(machine: Machine) -> Result:
-    """Take the save for refused, as the disk said nothing for too long."""
+    """Treat the save as refused, as the disk did not answer in time."""
     return unsaved(machine, Fault(FaultCode.NOT_SAVED, f"no answer of the disk for {machine.settings.saving_s:g} s"))
 
 
@@ -103,12 +104,12 @@ def _where(machine: Machine) -> State:
 
 
 def _again(machine: Machine, scan: ScanInHand) -> ScanInHand:
-    """Count one more failure; another try is planned as long as some are left."""
+    """Count one more failure, and plan another try while some are left."""
     retry_ns = machine.now_ns + seconds_ns(RETRY_S) if scan.failures < RETRIES else None
     return replace(scan, failures=scan.failures + 1, retry_ns=retry_ns)
 
 
 def end(machine: Machine) -> Result:
-    """Do what was wanted before the save was through."""
+    """End the service or switch off, after the save."""
     power_off = machine.stopping is Ending.POWER_OFF
     return enter(machine, State.SHUTDOWN), (do.Quit(power_off),)

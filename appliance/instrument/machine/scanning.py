@@ -1,4 +1,4 @@
-"""Owns the course of a scan as the machine sees it: refused or armed, recorded, checked, and decided on by the diver."""
+"""Decisions about a scan: refuse or arm, record, check, and the diver's decision."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from appliance.measure import (
 from drivers.api import Key
 
 SILENT_RETRIES = 1
-"""Repetitions of a capture the diver does not hear of, for a late flip only."""
+"""Number of repetitions of a capture without telling the diver, for a late flip only."""
 READABLE_S = 2.0
-"""A refusal is shown at least so long: a device that comes back right after the press must not take the answer away."""
+"""Least time for which a refusal is shown, even if a device comes back right after the press."""
 
 
 # ------------------------------------------------------------------------------------- asked for
 
 
-def wanted(machine: Machine) -> Result:
-    """Begin a scan, refuse it with a reason, or ask back outside the measuring volume."""
+def request(machine: Machine) -> Result:
+    """Begin a scan, refuse it with a reason, or ask back outside the working volume."""
     reason = refusal(machine)
     if reason is not None:
         # COOLING says how long it will take; a refusal would only say no.
@@ -49,7 +49,7 @@ def wanted(machine: Machine) -> Result:
         return _refused(machine, reason), ()
     outside = out_of_reach(machine)
     if outside is not None and machine.insists_until_ns is None:
-        # Asked back, not refused: the distance is that of what the dots fall on, which need not be the object.
+        # A second press records: the laser dots may fall on something other than the object.
         until_ns = machine.now_ns + seconds_ns(machine.settings.insist_s)
         return replace(machine, insists_until_ns=until_ns, notice=Notice(outside, NoticeKind.NEWS)), ()
     return arm(replace(machine, retries=0))
@@ -60,8 +60,10 @@ def _refused(machine: Machine, reason: Fault) -> Machine:
 
 
 def out_of_reach(machine: Machine) -> Fault | None:
-    """Return why a scan would not be of the object: it is known to be outside the measuring volume. Steps of the
-    calibration say themselves where their artefact belongs."""
+    """Return a fault if the object is known to be outside the working volume.
+
+    Only in AIM: steps of the calibration state where their artefact belongs.
+    """
     measured = machine.range
     if machine.state is not State.AIM or measured is None:
         return None
@@ -78,8 +80,8 @@ def out_of_reach(machine: Machine) -> Fault | None:
 
 
 def arm(machine: Machine) -> Result:
-    """Make ready for the next sequence, or for the second one of the scan in hand."""
-    # A number is never used twice: answers to a sequence that was given up carry the old one and are ignored.
+    """Prepare the next sequence, or the second one of the scan in hand."""
+    # Each number is used once: late answers to an abandoned sequence carry the old number and are ignored.
     number, scan = machine.captures + 1, machine.scan
     second = scan.second if scan is not None and scan.adding is not None else None
     if scan is not None and second is not None:
@@ -87,13 +89,15 @@ def arm(machine: Machine) -> Result:
     if second is None:
         machine = replace(machine, overlap_of=None, overlap=None)
     machine = enter(replace(machine, captures=number), State.ARMED, machine.settings.arm_s)
-    # A ball bar that the calibration wants is no part of the wreck.
-    of = machine.choices.object if machine.calibrating is None else None
-    return machine, (do.Arm(number, machine.choices.period_px, second or machine.exposure, second is not None, of),)
+    # Scans of the calibration's artefacts belong to no object.
+    object_number = machine.choices.object if machine.calibrating is None else None
+    return machine, (
+        do.Arm(number, machine.choices.period_px, second or machine.exposure, second is not None, object_number),
+    )
 
 
 def add(machine: Machine) -> Result:
-    """Begin a second sequence with the exposure that was proposed; whatever comes of it, the scan in hand is not lost."""
+    """Begin a second sequence with the proposed exposure; the scan in hand is kept if it fails."""
     scan = machine.scan
     if scan is None or second_exposure(machine) is None:
         return machine, ()
@@ -107,32 +111,31 @@ def add(machine: Machine) -> Result:
 
 
 def armed(machine: Machine, number: int) -> Result:
-    """Begin the capture, as everything waits for the first pulse."""
+    """Begin the capture: all devices wait for the first pulse."""
     if machine.state is not State.ARMED or number != machine.captures:
         return machine, ()
     period_px = machine.choices.period_px
     limit_s = machine.settings.capture_s(period_px)
-    # Spent before the light is on: a capture that fails half-way has cost its light all the same.
+    # The light is counted before it is on: a capture that fails half-way has used it, too.
     machine = thermal.spend(machine, machine.settings.light_s(period_px))
     return enter(machine, State.CAPTURE, limit_s), (do.Capture(number),)
 
 
 def abandon(machine: Machine, notice: Notice | None) -> Result:
-    """Give up what is being recorded."""
+    """Give up the sequence that is being recorded."""
     if notice is not None and notice.kind is NoticeKind.FAILURE:
         notice = _failure(machine, notice.fault)
     return replace(home(machine), notice=notice), (do.Wish.ABORT_CAPTURE,)
 
 
 def _failure(machine: Machine, fault: Fault) -> Notice:
-    """Return the notice that nothing came of a recording; of a second exposure, it says that the first one is there as
-    it was."""
+    """Return the notice of a failed capture; for a second exposure it says that the first is unchanged."""
     adding = machine.scan is not None and machine.scan.adding is not None
     return Notice(fault, NoticeKind.NOT_ADDED if adding else NoticeKind.FAILURE)
 
 
 def late(machine: Machine) -> Result:
-    """Give up a capture of which neither an end nor a fault was heard in time."""
+    """Give up a capture that neither ended nor failed in time."""
     begun = "ready" if machine.state is State.ARMED else "end"
     waited_s = (machine.now_ns - machine.since_ns) / 1e9
     fault = Fault(FaultCode.CAPTURE_TIMEOUT, f"no {begun} after {waited_s:.1f} s")
@@ -140,7 +143,7 @@ def late(machine: Machine) -> Result:
 
 
 def finished(machine: Machine, number: int) -> Result:
-    """Every witness agrees: secure the frames, and look at what they show."""
+    """Store the frames and start their reconstruction, as every witness agrees."""
     if machine.state is not State.CAPTURE or number != machine.captures:
         return machine, ()
     if machine.calibrating is not None:
@@ -156,21 +159,22 @@ def finished(machine: Machine, number: int) -> Result:
 
 
 def failed(machine: Machine, number: int, fault: Fault) -> Result:
-    """End a capture that no scan came of; a late flip is repeated once in silence."""
+    """End a failed capture; after a late flip it is repeated once, without a notice."""
     if machine.state not in RECORDING or number != machine.captures:
         return machine, ()
-    # The diver could do nothing against it but press the same key again.
+    # The diver could only press the same key again.
     if fault.code is FaultCode.LATE_FLIP and machine.retries < SILENT_RETRIES:
         return arm(replace(machine, retries=machine.retries + 1))
     machine = replace(home(machine), notice=_failure(machine, fault))
     match fault.code:
         case FaultCode.LASER_ON:
-            # What the board read back is the condition that telemetry clears; what images showed has its own witness.
+            # A fault that the board reports is the condition that telemetry clears. One seen in images keeps its
+            # device.
             witness = None if fault.device == Device.BOARD.value else fault.device
             return raised(machine, Fault(fault.code, fault.detail, device=witness)), ()
         case FaultCode.CAMERA_STUCK:
             stuck = next((device for device in Device if device.value == fault.device), None)
-            # A camera that repeats an image answers every question as if it worked: only opening it anew helps.
+            # A camera that repeats an image otherwise answers as if it worked: only opening it again helps.
             return machine, (do.ReopenDevice(stuck),)
         case _:
             return machine, ()
@@ -179,10 +183,10 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
 # ------------------------------------------------------------------------------------- checked
 
 
-def told(machine: Machine, number: int, fact: SequenceFact) -> Result:
-    """Take over a fact about what the frames of scan ``number`` give."""
+def apply_fact(machine: Machine, number: int, fact: SequenceFact) -> Result:
+    """Apply a fact about the frames of scan ``number``."""
     if isinstance(fact, ScanOverlap):
-        # Also where the diver kept it before this was known.
+        # Applied even if the diver has kept the scan before the overlap was known.
         return (replace(machine, overlap=fact.overlap), ()) if number == machine.overlap_of else (machine, ())
     scan = machine.scan
     if scan is None or scan.number != number:
@@ -190,12 +194,14 @@ def told(machine: Machine, number: int, fact: SequenceFact) -> Result:
     match fact:
         case PatternIdentity(judgement):
             return _patterns_right(machine) if judgement.fault is None else _no_points(machine, scan, judgement.fault)
-        case CoarseCloud(found):
-            return _show(replace(machine, scan=replace(scan, coarse=found.summary)))
+        case CoarseCloud(cloud):
+            return _show(replace(machine, scan=replace(scan, coarse=cloud.summary)))
         case Verdicts(judgements):
-            return replace(machine, scan=_judged(scan, judgements)), ()
-        case FullCloud(found, judgements):
-            return _show(replace(machine, scan=replace(_judged(scan, judgements), full=found.summary, failed=None)))
+            return replace(machine, scan=_with_judgements(scan, judgements)), ()
+        case FullCloud(cloud, judgements):
+            return _show(
+                replace(machine, scan=replace(_with_judgements(scan, judgements), full=cloud.summary, failed=None))
+            )
         case Bracket():
             return _second_known(machine, scan, fact)
         case ReconstructionFailure(fault):
@@ -207,24 +213,24 @@ def told(machine: Machine, number: int, fact: SequenceFact) -> Result:
 
 
 def _patterns_right(machine: Machine) -> Result:
-    """Go on to the points, as each frame shows the pattern it should."""
+    """Go on to the points, since each frame shows the right pattern."""
     if machine.state is not State.CHECK:
         return machine, ()
     return enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s), ()
 
 
-def _judged(scan: ScanInHand, judgements: tuple[Judgement, ...]) -> ScanInHand:
-    """Return the scan with what is held against it now, and with the first proposals of its judges."""
-    proposal = next((one.proposal for one in judgements if one.proposal is not None), None)
-    second = next((one.second for one in judgements if one.second is not None), None)
+def _with_judgements(scan: ScanInHand, judgements: tuple[Judgement, ...]) -> ScanInHand:
+    """Return the scan with the verdicts' faults and the first proposals of its judges."""
+    proposal = next((judgement.proposal for judgement in judgements if judgement.proposal is not None), None)
+    second = next((judgement.second for judgement in judgements if judgement.second is not None), None)
     return replace(scan, warnings=faults_in(judgements), proposal=proposal, second=second)
 
 
 def _no_points(machine: Machine, scan: ScanInHand, fault: Fault) -> Result:
     """Go on without points of the sequence that was recorded last."""
     if scan.publishing:
-        return machine, ()  # it was accepted with what there was
-    # Where the scan has its points, only a second sequence can have failed to get any.
+        return machine, ()  # the diver has kept it without them
+    # If the scan has its points, it is the second sequence that failed.
     if scan.full is not None:
         return _not_added(machine, scan, fault)
     if fault.code in SPOILS_SCAN:
@@ -234,7 +240,7 @@ def _no_points(machine: Machine, scan: ScanInHand, fault: Fault) -> Result:
 
 
 def _second_known(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Result:
-    """Go to the review of a scan that is one of two exposures now, or of the first one alone."""
+    """Go to the review of the merged bracket, or of the first exposure alone."""
     if bracket.found is None:
         return _not_added(machine, scan, bracket.fault)
     if machine.state is not State.RECONSTRUCT or scan.adding is None:
@@ -247,7 +253,7 @@ def _second_known(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Resul
         added=scan.second,
         second=None,
         warnings=faults_of_both((*scan.warnings, *faults_in((*bracket.second, bracket.pair)))),
-        # The second frames are in memory only until StoreRaw is answered; durable is said of all of the scan.
+        # Durable refers to all frames: the second ones are in memory only until StoreRaw is answered.
         adding=None,
         proposal=None,
         raw_durable=False,
@@ -256,21 +262,21 @@ def _second_known(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Resul
 
 
 def _not_added(machine: Machine, scan: ScanInHand, fault: Fault) -> Result:
-    """Go back to the review of the first sequence, as it was."""
+    """Go back to the review of the first sequence, unchanged."""
     if machine.state is not State.RECONSTRUCT or scan.adding is None:
         return machine, ()
     return replace(home(machine), notice=_failure(machine, fault)), ()
 
 
 def stopped_adding(machine: Machine) -> Result:
-    """Give up a second sequence whose points are being found, and no more."""
+    """Give up only the second sequence, while its points are computed."""
     if machine.scan is None or machine.scan.adding is None:
         return machine, ()
     return abandon(replace(machine, back_from=None), None)  # held on, this press does not reject the first one
 
 
 def rejected(machine: Machine) -> Result:
-    """Reject a scan that is not wanted, as BACK was held. One whose second sequence is under way is not decided on."""
+    """Reject the scan in hand, as BACK was held; not while a second sequence is being added."""
     if machine.scan is None or machine.scan.adding is not None:
         return machine, ()
     when = "by the diver" if machine.state is State.REVIEW else "before the cloud was ready"
@@ -278,7 +284,7 @@ def rejected(machine: Machine) -> Result:
 
 
 def no_cloud_in_time(machine: Machine) -> Result:
-    """Go on without a cloud, as the worker said nothing for too long."""
+    """Go on without a cloud, as the worker exceeded its time."""
     limit_s = machine.settings.reconstruct_s
     late = Fault(FaultCode.RECONSTRUCTION_FAILED, f"no cloud after {limit_s:g} s")
     if machine.scan is not None and machine.scan.adding is not None:
@@ -287,7 +293,7 @@ def no_cloud_in_time(machine: Machine) -> Result:
 
 
 def no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
-    """Show that the worker failed: the raw frames can be kept without a cloud."""
+    """Go on without a cloud, as the worker failed; the raw frames can be kept."""
     scan = machine.scan
     if scan is None:
         return enter(machine, State.AIM), ()
@@ -296,14 +302,13 @@ def no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
 
 
 def _show(machine: Machine) -> Result:
-    """Go to the review with the worker's news, or on with a save that waited for it."""
+    """Go to the review with the worker's result, or publish a scan that waited for it."""
     scan = machine.scan
     if machine.state in (State.CHECK, State.RECONSTRUCT):
         return enter(machine, State.REVIEW), ()
     waited = machine.state in (State.SAVING, State.SAFE)
-    # A save that the disk refused has its own time (`retry_ns`), and a cloud that comes meanwhile must not hurry
-    # it.
-    if waited and scan is not None and scan.settled and scan.kept and not scan.publishing and scan.retry_ns is None:
+    # A failed save is repeated at its own time (`retry_ns`), even if a cloud comes meanwhile.
+    if waited and scan is not None and scan.settled and scan.is_kept and not scan.publishing and scan.retry_ns is None:
         return saving.publish(machine, scan)
     return machine, ()
 
@@ -312,7 +317,7 @@ def _show(machine: Machine) -> Result:
 
 
 def review_key(machine: Machine, key: Key) -> Result:
-    """SCAN keeps, UP turns the cloud, DOWN takes the proposed exposure for the next scan; the rest wants to be held."""
+    """Handle a key in REVIEW: SCAN keeps, UP turns the cloud, DOWN applies the proposed exposure."""
     scan = machine.scan
     if scan is None:  # REVIEW without a scan cannot be reached; if it were, the way out is AIM
         return enter(machine, State.AIM), ()
@@ -322,25 +327,25 @@ def review_key(machine: Machine, key: Key) -> Result:
         case Key.BACK:
             return machine, ()  # it is held to reject the scan
         case Key.UP:
-            return replace(machine, scan=replace(scan, turn=scan.turn + 1)), ()
+            return replace(machine, scan=replace(scan, turn_steps=scan.turn_steps + 1)), ()
         case Key.DOWN:
-            # DOWN is about the exposure, whatever the scan: a press changes the next scan's, and a second sequence,
-            # which shines and must be held still for, wants it held.
-            other = None if second_exposure(machine) is not None else other_exposure(machine)
-            if other is None:
+            # DOWN concerns the exposure: a press changes that of the next scan. A second sequence, for which the
+            # instrument must be held still, needs DOWN to be held.
+            exposure = None if second_exposure(machine) is not None else other_exposure(machine)
+            if exposure is None:
                 return machine, ()
-            return replace(machine, choices=replace(machine.choices, exposure=other)), ()
+            return replace(machine, choices=replace(machine.choices, exposure=exposure)), ()
         case _:
             assert_never(key)
 
 
 def drop(machine: Machine, reason: str) -> Result:
-    """Put a scan that is not wanted, or worthless, among the rejected ones. From SAFE there is no way but SAFE."""
+    """Move an unwanted or worthless scan to the rejected ones. SAFE stays SAFE."""
     scan = machine.scan
     machine = replace(machine, overlap_of=None, overlap=None)
     after: tuple[do.Effect, ...] = ()
     if machine.stopping is not None:
-        # The end waited for this scan's save only: with nothing left to save it follows at once.
+        # The instrument waited only for this scan to be saved before ending.
         machine, after = saving.end(machine)
     elif machine.state is State.SAFE:
         machine = replace(machine, scan=None, deadline_ns=None)

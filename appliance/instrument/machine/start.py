@@ -1,4 +1,4 @@
-"""Owns the way from power-on to AIM: what the self-test waits for, what it lets pass, and what it stops at."""
+"""From power-on to AIM: the results that the self-test waits for, and the faults it stops at."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from appliance.instrument.machine.conditions import device_down, refusal
 from appliance.instrument.machine.moves import Result, enter
-from appliance.instrument.machine.states import Device, Machine, Part, PartTested, State, seconds_ns
+from appliance.instrument.machine.states import Device, Machine, Part, PartResult, State, seconds_ns
 from appliance.instrument.machine.words import Text
 from drivers.api import Key
 
@@ -18,58 +18,57 @@ def booted(machine: Machine) -> Result:
     return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
 
 
-def tested(machine: Machine, result: PartTested) -> Machine:
-    """Take over a part's result, which may come again and be another."""
+def tested(machine: Machine, result: PartResult) -> Machine:
+    """Record a part's result, which may come again and differ."""
     return replace(machine, parts={**machine.parts, result.part: result})
 
 
 def busy(machine: Machine, part: Part) -> Machine:
-    """Let the self-test wait for a part that gets on: a slow processor has not failed."""
+    """Extend the self-test for a part that reports progress: a slow processor has not failed."""
     deadline_ns = machine.deadline_ns
     if machine.state is not State.SELF_TEST or part in machine.parts or deadline_ns is None:
         return machine
-    # Never less than what was granted before: a sign of life must not shorten the wait.
+    # A report of progress must not shorten the wait.
     return replace(machine, deadline_ns=max(deadline_ns, machine.now_ns + seconds_ns(machine.settings.busy_s)))
 
 
 def finished(machine: Machine) -> bool:
-    """Tell whether every device and part has a result."""
-    # Lost is a result like any other; only silence is waited for.
-    heard = all(device in machine.up or device in machine.lost for device in Device)
-    return heard and all(part in machine.parts for part in Part)
+    """Return True if every device and part has a result."""
+    # A lost device is a result, too.
+    devices_tried = all(device in machine.up or device in machine.lost for device in Device)
+    return devices_tried and all(part in machine.parts for part in Part)
 
 
 def stops(machine: Machine) -> bool:
-    """Tell whether something failed that a scan needs: the diver must have seen it."""
+    """Return True if a scan is impossible because of a fault, which the diver must see."""
     storage = machine.parts.get(Part.STORAGE)
     return refusal(machine) is not None or (storage is not None and not storage.passed)
 
 
 def passed(machine: Machine) -> bool:
-    """Tell whether everything works."""
+    """Return True if all devices and parts work."""
     return finished(machine) and not machine.lost and all(test.passed for test in machine.parts.values())
 
 
 def waits_for_ok(machine: Machine) -> bool:
-    """Tell whether the diver is asked to go on in spite of what failed."""
+    """Return True if the diver is asked to go on despite the faults."""
     return machine.state is State.SELF_TEST and finished(machine) and stops(machine)
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """SCAN (OK) goes on in spite of what failed, and so does BACK."""
+    """Handle a key: SCAN (OK) goes on despite the faults, and so does BACK."""
     if waits_for_ok(machine) and key in (Key.SCAN, Key.BACK):
         return enter(machine, State.AIM), ()
     return machine, ()
 
 
-def passed_by(machine: Machine) -> Machine:
-    """Go to AIM, once everything has a result that was shown long enough."""
+def leave_if_shown(machine: Machine) -> Machine:
+    """Go to AIM, once all results are there and were shown long enough."""
     if machine.state is not State.SELF_TEST or not finished(machine):
         return machine
     settings = machine.settings
     if stops(machine):
-        # Without keys nobody could press OK, and an instrument that waits for it would never get to its live
-        # pictures.
+        # Without keys OK cannot be pressed, and an instrument that waits for it would never show live images.
         if Device.KEYS in machine.up:
             return replace(machine, deadline_ns=None)
         shown_s = settings.keyless_s
@@ -79,13 +78,13 @@ def passed_by(machine: Machine) -> Machine:
 
 
 def late(machine: Machine) -> Result:
-    """Count everything that has not answered by now as failed."""
+    """Count all devices and parts without a result as failed."""
     if machine.state is State.BOOT:
         return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
-    # A device or part that speaks up later is taken over all the same: `device_up` and `tested` ask for no state.
+    # A result that comes later is recorded all the same: `device_up` and `tested` do not depend on the state.
     for device in Device:
         if device not in machine.up and device not in machine.lost:
             machine = device_down(machine, device, Text.NO_ANSWER.english, None)
-    silent = {part: PartTested(part, False, Text.NO_ANSWER) for part in Part if part not in machine.parts}
-    # Shown from now on, for as long as any other result.
+    silent = {part: PartResult(part, False, Text.NO_ANSWER) for part in Part if part not in machine.parts}
+    # The results are shown from now on, for the usual time.
     return enter(replace(machine, parts={**machine.parts, **silent}), State.SELF_TEST), ()

@@ -1,15 +1,14 @@
-"""Owns the state of the machine: everything the instrument knows about itself at one moment, as frozen values.
+"""State of the machine as frozen values.
 
     State       what the instrument is doing; the names are promised in ``docs/protocols/status.md``
-    Machine     the whole: a ``State``, and all that is remembered beside it
-    Settings    limits and deadlines that the machine is given once
-    others      parts of ``Machine``: the scan in hand, notice, menu, gallery, calibration, temperatures, and
-    Transfer    whether scans can be fetched from a desk, at which address, and with how many keys; the diver switches
-                it on in the menu, another program serves, and its status is copied here
+    Machine     a ``State`` and all other values that decisions depend on
+    Settings    limits and deadlines, given once
+    Transfer    whether a desk can fetch scans, at which address, and the number of keys; another program
+                serves, and its status is copied here
     Failure     why a task of the calibration failed: a kind that the screen has words for, and details for the log
 
-Nothing here decides; ``appliance.instrument.machine.step`` does. Times are ns of the host's monotonic clock, as given by
-the latest ``Tick``.
+The other classes are parts of ``Machine``. Decisions are made in ``appliance.instrument.machine.step``. Times are ns of
+the host's monotonic clock, as given by the latest ``Tick``.
 """
 
 from __future__ import annotations
@@ -37,32 +36,32 @@ from drivers.api import Key
 
 
 class Serving(Enum):
-    """States of the program that serves."""
+    """State of the program that serves scans to a desk."""
 
     STARTING = "starting"
-    """It was asked for and has not told anything yet."""
+    """Requested, without a report so far."""
     ON = "on"
     FAILED = "failed"
-    """It cannot serve; the journal says why."""
+    """It cannot serve; the journal has the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """The transfer as the program that serves tells it."""
+    """State of the scan transfer, as the serving program reports it."""
 
     serving: Serving = Serving.STARTING
     address: str | None = None
-    """Address to type at the desk; ``None``: no cable, or none was given yet."""
+    """Address to type at the desk; ``None``: no cable, or none assigned yet."""
     keys: int | None = None
-    """Number of keys that are enrolled; ``None``: not known."""
+    """Number of enrolled keys; ``None``: not known."""
 
 
-NOT_TOLD = Transfer()
-"""The transfer as it is known before anything was told."""
+TRANSFER_UNKNOWN = Transfer()
+"""State of the scan transfer before the first report."""
 
 
 class FailureKind(Enum):
-    """Kind of a failure, to tell the diver; it decides what he can do."""
+    """Kind of a failure, which decides the diver's remedy."""
 
     RECORDING = "recording"
     """A recording, or the artefact in it, cannot be used."""
@@ -71,15 +70,15 @@ class FailureKind(Enum):
     CAMERAS = "cameras"
     """The recordings are of other cameras."""
     NO_SOLUTION = "no solution"
-    """Each recording can be used, and no calibration fits all of them."""
+    """Each recording can be used, but no calibration fits all of them."""
     FILES = "files"
     """A file of the session, or a calibration, is damaged, missing or does not fit."""
     DISK = "disk"
     """The disk refused."""
     BROKEN_OFF = "broken off"
-    """The computation ended without an answer."""
+    """The computation ended without a result."""
     NO_ANSWER = "no answer"
-    """Nobody answered in time."""
+    """No answer came in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +87,9 @@ class Failure:
 
     kind: FailureKind
     detail: str
-    """Details for the log, and for who repairs it: English, with names and values. Never on the screen."""
-    about: str = ""
-    """The step that it is about; empty: none in particular."""
+    """Details for the log and for the technician: English, with names and values. Never on the screen."""
+    step_name: str = ""
+    """Name of the step that failed; empty: none in particular."""
 
 
 class State(Enum):
@@ -99,11 +98,11 @@ class State(Enum):
     BOOT = "BOOT"
     """Opening devices: each is tried once."""
     SELF_TEST = "SELF_TEST"
-    """Each device and part with its result; ends by itself unless something forbids scans."""
+    """Each device and part with its result; ends by itself unless a fault forbids scans."""
     AIM = "AIM"
     """Live views; with CALIBRATE the only state with light outside a capture."""
     MENU = "MENU"
-    """The menu is open: what can be chosen, page by page."""
+    """The menu is open: choices, page by page."""
     GALLERY = "GALLERY"
     """The scans on the disk, the newest first."""
     ARMED = "ARMED"
@@ -111,19 +110,19 @@ class State(Enum):
     CAPTURE = "CAPTURE"
     """A sequence is being recorded; ends by itself, by a fault or by its deadline."""
     CHECK = "CHECK"
-    """Every witness of the ledger agrees; whether the images show the right patterns is being looked at."""
+    """Every witness of the ledger agrees; the images are being checked for the right patterns."""
     RECONSTRUCT = "RECONSTRUCT"
     """The patterns are right; no cloud yet."""
     REVIEW = "REVIEW"
-    """A cloud (or why there is none) is shown; the diver keeps or repeats."""
+    """A cloud is shown, or the reason why there is none; the diver keeps or repeats the scan."""
     SAVING = "SAVING"
     """The diver keeps the scan; it is being published."""
     CALIBRATE = "CALIBRATE"
     """The steps of the calibration in water; live views at those that record."""
     COOLING = "COOLING"
-    """Too hot to shine; left by itself when it has cooled down, or by the diver for a dark AIM."""
+    """Too hot to shine; ends when it has cooled down, or when the diver leaves for a dark AIM."""
     SAFE = "SAFE"
-    """A leak, or another fault that forbids light: dark, what was recorded is saved, and what to do is shown."""
+    """A leak, or another fault that forbids light: dark, recorded frames are saved, and a remedy is shown."""
     SHUTDOWN = "SHUTDOWN"
     """The end; no event leads out of it."""
 
@@ -140,7 +139,7 @@ class Device(Enum):
 
 
 class Part(Enum):
-    """Parts that the self-test looks at besides devices; named as on the screen."""
+    """Parts that the self-test checks besides devices; named as on the screen."""
 
     STORAGE = "storage"
     CALIBRATION = "calibration"
@@ -148,7 +147,7 @@ class Part(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class PartTested:
+class PartResult:
     """Result of the self-test for a part that is no device."""
 
     part: Part
@@ -164,16 +163,19 @@ class TemperatureLimits:
     """Temperature limits of one place, °C."""
 
     warm_c: float
-    """Temperature from which a warning is shown, and light rests sooner."""
+    """Temperature from which a warning is shown, and the light is switched off sooner."""
     hot_c: float
-    """Temperature from which nothing shines."""
+    """Temperature from which all light is off."""
     off_c: float
     """Temperature from which the instrument switches itself off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Constants that the machine is given once. Deadlines are generous: they end a hang, they do not pace the work."""
+    """Constants of the machine, given once.
+
+    Deadlines are generous: they end a hang, they do not pace the work.
+    """
 
     choices: Choices = field(default_factory=Choices)
     """Choices at power-on."""
@@ -182,17 +184,17 @@ class Settings:
     self_test_s: float = 45.0
     """Time after which a part of the self-test without a result counts as failed."""
     busy_s: float = 10.0
-    """Additional time for a part that was seen to get on, from then."""
+    """Additional time for a part that reports progress, counted from the report."""
     passed_s: float = 1.0
-    """Time for which a self-test is shown that found nothing wrong."""
+    """Time for which a self-test without faults is shown."""
     limited_s: float = 3.0
-    """Time for which a self-test is shown that found what limits but does not forbid scans."""
+    """Time for which a self-test is shown whose faults limit scans but do not forbid them."""
     keyless_s: float = 10.0
-    """Time for which a self-test is shown that found what forbids scans, where no key works to go on."""
+    """Time for which a self-test is shown whose faults forbid scans, if no key works to go on."""
     arm_s: float = 45.0
-    """Longer than what may still be on its way to the disk, and patterns that are drawn anew."""
+    """Longer than pending writes to the disk, and drawing new patterns."""
     capture_margin_s: float = 5.0
-    """Time beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
+    """Time beyond the length of the sequence: to find the vertical blank, and to wait for missing frames."""
     refresh_hz: float = 60.0
     frames: Mapping[int, int] = field(
         default_factory=lambda: {period_px: len(build_sequence(period_px)) for period_px in PERIODS_PX}, hash=False
@@ -213,23 +215,23 @@ class Settings:
     dark_s: float = 180.0
     """Time without a key after which live views go on without the projector's light."""
     dark_warm_s: float = 30.0
-    """Time without a key after which they do so where it is warm."""
+    """The same time where it is warm."""
     supply_low_v: float | None = None
     supply_off_s: float = 30.0
-    """Time for which a low supply is borne before the instrument switches off in good order."""
+    """Time of low supply after which the instrument saves and switches off."""
     ask_off_s: float = 20.0
     """Time for which the question whether to switch off waits for an answer."""
     insist_s: float = 10.0
-    """Time for which SCAN outside the measuring volume waits to be pressed again."""
+    """Time for which SCAN outside the working volume waits to be pressed again."""
     volume: WorkingVolume = STANDARD
-    """Range in which the housing measures."""
+    """Working volume of the housing."""
 
     def light_s(self, period_px: int) -> float:
-        """Return for how long a sequence shines."""
+        """Return the time for which a sequence shines."""
         return self.frames.get(period_px, max(self.frames.values(), default=0)) / self.refresh_hz
 
     def capture_s(self, period_px: int) -> float:
-        """Return the time within which a capture ends, whatever happens: its frames and a margin."""
+        """Return the time limit of a capture: its frames and a margin."""
         return (
             self.frames.get(period_px, max(self.frames.values(), default=0)) / self.refresh_hz + self.capture_margin_s
         )
@@ -237,55 +239,57 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class ScanInHand:
-    """The recorded scan the diver has not decided on, or that is being saved."""
+    """The recorded scan that awaits the diver's decision, or that is being saved."""
 
     number: int
     """Number of the scan's Capture effect; events about it carry the same."""
     exposure: Exposure
-    """Exposure that it was recorded with."""
+    """Exposure of the first sequence."""
     proposal: Exposure | None = None
-    """Exposure that its judge of light proposes for the next one."""
+    """Exposure that the judge of light proposes for the next scan."""
     second: Exposure | None = None
-    """Exposure of a second sequence that would show what this one cannot: too bright in parts, and too dark."""
+    """Exposure of a second sequence, for parts that are too bright or too dark in this one."""
     adding: int | None = None
-    """Number of the Arm effect of that second sequence, while it is recorded and merged; whatever fails, this scan
-    stays."""
+    """Number of the Arm effect of the second sequence, while it is recorded and merged.
+
+    If that fails, this scan stays as it is.
+    """
     added: Exposure | None = None
-    """The second sequence's, once the scan is of both."""
+    """Exposure of the second sequence, once it is merged."""
     warnings: tuple[Fault, ...] = ()
-    """Verdicts that do not forbid keeping it (moved, too bright)."""
+    """Faults that do not forbid keeping the scan (moved, too bright)."""
     coarse: CloudSummary | None = None
     full: CloudSummary | None = None
     failed: Fault | None = None
     """Reason why there will be no cloud now; the raw frames can be kept all the same."""
     raw_durable: bool = False
-    kept: bool = False
-    """The diver wants it, or it is saved unasked because the instrument must end."""
+    is_kept: bool = False
+    """The diver keeps it, or it is saved unasked because the instrument must end."""
     publishing: bool = False
     failures: int = 0
-    """Number of the disk's refusals since the last key."""
+    """Number of failed writes since the last key."""
     retry_ns: int | None = None
-    """Time to try again without being asked."""
-    turn: int = 0
+    """Time of the next automatic try."""
+    turn_steps: int = 0
     """Turn of the view by the diver: steps to the right, negative to the left."""
 
     @property
     def settled(self) -> bool:
-        """True if nothing more will come from the worker."""
+        """True if the worker has no more results to send."""
         return self.full is not None or self.failed is not None
 
 
 class NoticeKind(Enum):
-    """Reasons of a notice; they decide its wording."""
+    """Reason of a notice; it decides the wording."""
 
     FAILURE = "failure"
     """The capture or the scan failed."""
     NOT_ADDED = "not added"
-    """Nothing came of the second exposure; the scan in hand is as it was."""
+    """The second exposure failed; the scan in hand is unchanged."""
     REFUSAL = "refusal"
     """SCAN was pressed and refused."""
     NEWS = "news"
-    """Something happened by itself."""
+    """An event that the diver did not cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,31 +303,31 @@ class Notice:
 
 
 class Task(Enum):
-    """Task that a step of the calibration waits for."""
+    """Task of the service that a step of the calibration waits for."""
 
     STORE = "STORE"
-    """The frames are on their way to the disk."""
+    """The frames are being written to the disk."""
     EXAMINE = "EXAMINE"
-    """The artefact is looked for."""
+    """The artefact is being searched for in the frames."""
     ACCEPT = "ACCEPT"
-    """The recording is entered into the session."""
+    """The recording is being entered into the session."""
     SOLVE = "SOLVE"
     SWITCH = "SWITCH"
-    """Another calibration is put in use, or a new session begun."""
+    """Another calibration is being put in use, or a new session begun."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibrating:
-    """Position of the diver among the steps of the calibration. What was achieved is in the session."""
+    """Position of the diver among the steps of the calibration; the results are in the session."""
 
     step: Step
     task: Task | None = None
     number: int | None = None
     """Number of the Capture effect whose recording is stored, examined or accepted."""
     progress: float | None = None
-    """Progress of the task, 0..1; ``None`` where nobody knows."""
+    """Progress of the task, 0..1; ``None``: not known."""
     latest: RecordingCheck | None = None
-    """The latest recording, until the next key."""
+    """Check of the latest recording, until the next key."""
     failed: Failure | None = None
     """Failure of the latest task, until the next key."""
 
@@ -346,12 +350,12 @@ class Answer(Enum):
 
 @dataclass(frozen=True, slots=True)
 class OffQuestion:
-    """The diver wants to switch off, and is asked whether that is meant."""
+    """The question whether the diver really wants to switch off."""
 
     answer: Answer
-    """The one that is selected."""
+    """The selected answer."""
     until_ns: int
-    """Time at which, without an answer, it stays on."""
+    """Time at which the question ends without an answer, and the instrument stays on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,41 +365,41 @@ class Menu:
     page: Page = Page.MAIN
     row: int = 0
     draft: Choices | None = None
-    """Choices as they would be, while a value is being changed. Taken by SCAN, forgotten by BACK."""
+    """Choices with the value that is being changed. SCAN applies them, BACK discards them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gallery:
-    """Scan that is looked at."""
+    """Position of the diver in the gallery."""
 
     scans: tuple[str, ...] | None = None
-    """Numbers of the scans, the newest first; ``None`` until the disk has told."""
+    """Numbers of the scans, the newest first; ``None`` until the disk was read."""
     index: int = 0
 
     @property
     def scan_id(self) -> str | None:
-        """The one that is shown."""
+        """The shown scan."""
         return self.scans[self.index] if self.scans else None
 
 
 @dataclass(frozen=True, slots=True)
 class Thermal:
-    """Memory of temperatures and light; ``appliance.instrument.machine.thermal`` reads and writes it."""
+    """History of temperatures and light, for ``appliance.instrument.machine.thermal``."""
 
     heard_ns: Mapping[str, int] = field(default_factory=dict, hash=False)
-    """Time at which each sensor spoke last; from the first heartbeat on for one that never did."""
+    """Time of each sensor's latest value; of a sensor without any, the time of the first heartbeat."""
     trend: Mapping[str, tuple[tuple[int, float], ...]] = field(default_factory=dict, hash=False)
     """(ns, °C) of the last minute, by place."""
-    lit: bool = False
-    """The live views are lit."""
+    is_lit: bool = False
+    """True while the live views are illuminated."""
     ration_s: float = 20.0
-    """Light that is left where it is rationed."""
+    """Remaining light while it is rationed."""
     spent: bool = False
-    """Too little is left for aiming."""
+    """True if too little of the ration is left for aiming."""
 
 
 class Ending(Enum):
-    """End that follows once the save in progress is through."""
+    """Action after the save in progress has ended."""
 
     STOP = "stop"
     """The service ends."""
@@ -404,7 +408,7 @@ class Ending(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """The whole of the instrument's state."""
+    """State of the instrument, and all values that its decisions depend on."""
 
     settings: Settings
     state: State
@@ -415,11 +419,11 @@ class Machine:
     """Time at which ``state`` ends at the latest; ``None`` where the diver decides."""
     up: frozenset[Device] = frozenset()
     lost: Mapping[Device, Fault] = field(default_factory=dict, hash=False)
-    """A device in neither ``up`` nor ``lost`` has not been heard of."""
+    """Faults of lost devices. A device in neither ``up`` nor ``lost`` was not tried yet."""
     conditions: tuple[Fault, ...] = ()
-    """Faults that last, besides lost devices; one per code and device."""
-    seen: tuple[Fault, ...] = ()
-    """Lasting faults as the diver acknowledged them; one per code and device."""
+    """Conditions besides lost devices; one per code and device."""
+    acknowledged: tuple[Fault, ...] = ()
+    """Conditions as the diver acknowledged them; one per code and device."""
     notice: Notice | None = None
     captures: int = 0
     """Number of the latest Capture effect."""
@@ -427,35 +431,35 @@ class Machine:
     """Silent repetitions of the current capture."""
     choices: Choices = field(default_factory=Choices)
     """Choices for the next scan and the live views, until the diver changes them."""
-    parts: Mapping[Part, PartTested] = field(default_factory=dict, hash=False)
-    """Results of the self-test; a part that is missing has not been heard of."""
+    parts: Mapping[Part, PartResult] = field(default_factory=dict, hash=False)
+    """Results of the self-test; a part that is missing has no result yet."""
     menu: Menu | None = None
-    """Menu in MENU, and in a GALLERY that was entered from there."""
+    """The menu in MENU, and in a GALLERY that was entered from there."""
     gallery: Gallery | None = None
     insists_until_ns: int | None = None
-    """SCAN was pressed outside the measuring volume; pressed again before then, it records."""
+    """Time until which SCAN records outside the working volume, since it was pressed there before."""
     cooling_left: bool = False
     """The diver left COOLING although it is still hot."""
     scan: ScanInHand | None = None
     overlap_of: int | None = None
     """Number of the Capture effect whose overlap is shown: the latest scan's, unless it was rejected."""
     overlap: Overlap | None = None
-    """Its overlap with the scan before, until the next one is begun; ``None``: nothing was said of it."""
+    """Overlap of that scan with the one before, until the next capture begins; ``None``: not known."""
     guidance: Guidance | None = None
-    """Guidance to the next view, while the diver aims with an object; ``None``: there is none, or it is too old."""
+    """Guidance to the next view, while the diver aims with an object; ``None``: none, or too old."""
     guided_ns: int = 0
-    """Time at which what it says was seen."""
+    """Time of the image behind ``guidance``."""
     stuck: frozenset[Key] = frozenset()
     back_from: State | None = None
-    """State in which the latest press of BACK began: held on into another state, it means nothing there."""
+    """State in which BACK was pressed last: a key held on into another state has no effect there."""
     back_spent: bool = False
-    """The latest press of BACK has had its effect: held on, it means nothing more."""
+    """True if the latest press of BACK has had its effect: holding it on has no other."""
     add_offered: bool = False
-    """A second exposure was offered when DOWN went down last: held on from anywhere else, it adds nothing."""
+    """True if a second exposure was offered when DOWN was pressed last: otherwise holding it adds none."""
     off_question: OffQuestion | None = None
     """Question over BOOT, SELF_TEST, AIM, MENU and SAFE; while it is shown, the keys answer it."""
     last_key_ns: int | None = None
-    """Time at which a key was pressed last."""
+    """Time of the latest press of a key."""
     board_resets: int = 0
     thermal: Thermal = field(default_factory=Thermal)
     leak_votes: int = 0
@@ -465,26 +469,26 @@ class Machine:
     range: Range | None = None
     """Distance of the object, as long as the lasers are on; ``None``: unknown."""
     reach: Reach = Reach.UNKNOWN
-    """The word for it, which does not flicker."""
+    """Advice about the distance, with hysteresis."""
     scans: int = 0
     last_scan: str | None = None
     scans_left: int | None = None
     objects_used: int | None = None
-    """Largest number of an object that scans on the disk carry; ``None`` until the disk has told."""
-    transfer: Transfer = NOT_TOLD
-    """The transfer of scans to a desk, while it is switched on."""
+    """Largest object number of the scans on the disk; ``None`` until the disk was read."""
+    transfer: Transfer = TRANSFER_UNKNOWN
+    """State of the scan transfer, while it is switched on."""
     just_saved: str | None = None
     """Scan to confirm as SAVED on the screen, until the next key."""
     stopping: Ending | None = None
-    """Quit once the save is through."""
+    """Action after the save in progress."""
     off_ns: int | None = None
-    """Time at which the instrument switches off by itself, unless what forces it ends before."""
+    """Time at which the instrument switches off by itself, unless the cause ends before."""
     ended_by: Fault | None = None
-    """Fault that forced it to switch off; ``None``: the diver wanted it."""
+    """Fault that forced the end; ``None``: the diver wanted it."""
     session: Session = field(default_factory=Session)
-    """The calibration under way, or the last one, as it lies on the disk."""
+    """The current calibration session, or the last one, as it is on the disk."""
     calibrating: Calibrating | None = None
-    """Calibration in CALIBRATE, and in ARMED and CAPTURE for one of its steps."""
+    """Position in CALIBRATE, and in ARMED and CAPTURE for one of its steps."""
 
     @property
     def exposure(self) -> Exposure:
@@ -502,11 +506,11 @@ def boot(now_ns: int, settings: Settings | None = None) -> Machine:
         since_ns=now_ns,
         now_ns=now_ns,
         deadline_ns=now_ns + seconds_ns(settings.boot_s),
-        # Nobody has asked for lasers yet: one that conducts although this has settled is a fault.
+        # The lasers are off so far: one that conducts after LASER_SETTLE_S is a fault.
         lasers_off_since_ns=now_ns,
     )
 
 
 def seconds_ns(duration_s: float) -> int:
-    """Return seconds as whole ns."""
+    """Convert seconds to integer ns."""
     return round(duration_s * 1e9)

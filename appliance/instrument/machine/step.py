@@ -1,9 +1,9 @@
-"""Owns every decision of the instrument: ``step(machine, event) -> (machine, effects)``, pure and total.
+"""The machine's transition function: ``step(machine, event) -> (machine, effects)``, pure and total.
 
-It does no I/O, never raises and never waits. The decisions themselves lie with their subjects: ``start``, ``keys``,
-``asking``, ``acknowledge``, ``menu``, ``gallery``, ``scanning``, ``saving``, ``calibrate``, ``safety``. Light is
-granted in one place (``_settle``), from the state and the conditions after the event, so that no path to a new state
-can forget to switch it off.
+It does no I/O, never raises and never waits. The decisions are made in the modules of their subjects: ``start``,
+``keys``, ``asking``, ``menu``, ``gallery``, ``scanning``, ``saving``, ``calibrate``, ``safety``. Light is granted in
+one place (``_settle``), from the state and the conditions after the event, so that no path to a new state can forget to
+switch it off.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from appliance.instrument.machine.conditions import (
 from appliance.instrument.machine.leading import guides
 from appliance.instrument.machine.moves import Result
 from appliance.instrument.machine.states import (
-    NOT_TOLD,
+    TRANSFER_UNKNOWN,
     Device,
     Ending,
     Failure,
     Machine,
     Notice,
     NoticeKind,
-    PartTested,
+    PartResult,
     State,
     Transfer,
 )
@@ -57,19 +57,19 @@ from drivers.api import BoardBooted, KeyFreed, KeyLongPress, KeyPress, KeyStuck,
 
 
 def step(machine: Machine, event: on.Event) -> Result:
-    """Return the machine after ``event`` and what is to be done, in order. Total over states and events."""
+    """Return the machine after ``event``, and the effects in order. Total over states and events."""
     if machine.state is State.SHUTDOWN:
         return machine, ()
-    after, wanted = _react(machine, event)
+    after, effects = _react(machine, event)
     after, more = safety.forced(after)
     if after.insists_until_ns is not None and after.now_ns >= after.insists_until_ns:
         after = replace(after, insists_until_ns=None, notice=None)  # the question was not answered
     after = asking.without_acknowledged(asking.unanswered(after))
-    return _settle(machine, _without_answered_refusal(after), (*wanted, *more))
+    return _settle(machine, _without_answered_refusal(after), (*effects, *more))
 
 
 def _without_answered_refusal(machine: Machine) -> Machine:
-    """Take the message of a refusal away whose reason is gone, once it could be read."""
+    """Remove the notice of a refusal once its reason is gone and it could be read."""
     notice = machine.notice
     if notice is None or notice.kind is not NoticeKind.REFUSAL or machine.now_ns < notice.readable_until_ns:
         return machine
@@ -81,8 +81,7 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.Tick(now_ns):
             return _tick(machine, now_ns)
         case KeyPress(key):
-            # A key that is pressed is not stuck any more; what this press means was still said by the labels of
-            # before.
+            # A key that is pressed is no longer stuck, but this press still has the meaning of the labels before.
             return keys.pressed(replace(machine, stuck=machine.stuck - {key}), keys.meaning(machine, key))
         case KeyLongPress(key):
             return keys.held(machine, keys.meaning(machine, key))
@@ -97,23 +96,23 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case BoardBooted():
             return safety.board_reset(machine, event.cause)
         case Telemetry():
-            return thermal.felt(judge(machine, event), event), ()
+            return thermal.judge_temperatures(judge(machine, event), event), ()
         case on.ConditionRaised(fault):
             return raised(machine, fault), ()
         case on.ConditionCleared(code, name):
             return cleared(machine, code, name), ()
-        case on.Told(fault):
+        case on.FaultReported(fault):
             return replace(machine, notice=Notice(fault, NoticeKind.NEWS)), ()
         case on.StorageCounted(scans, last_scan, scans_left):
             return _counted(machine, scans, last_scan, scans_left), ()
         case on.ObjectsCounted(largest):
             return replace(machine, objects_used=largest), ()
         case Transfer():
-            # What was told of a transfer that was switched off since is of no interest.
+            # Reports of a transfer that was switched off meanwhile are ignored.
             return (replace(machine, transfer=event), ()) if machine.choices.transfer else (machine, ())
         case on.BootFinished():
             return start.booted(machine)
-        case PartTested():
+        case PartResult():
             return start.tested(machine, event), ()
         case on.PartBusy(part):
             return start.busy(machine, part), ()
@@ -126,9 +125,9 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.RawStored(number):
             return calibrate.stored(saving.raw_stored(machine, number), number)
         case News(number, fact):
-            return scanning.told(machine, number, fact)
+            return scanning.apply_fact(machine, number, fact)
         case LiveGuidance(guidance, taken_ns):
-            # One that could not be told does not unsay the one before, which goes by its age.
+            # Without a new guidance the former one stays until it is too old.
             return (machine if guidance is None else replace(machine, guidance=guidance, guided_ns=taken_ns)), ()
         case on.Saved(number, scan_id):
             return saving.saved(machine, number, scan_id)
@@ -142,9 +141,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return calibrate.progressed(machine, progress), ()
         case Failure():
             return calibrate.failed(machine, event)
-        case on.Ranged(measured):
-            # The word keeps a memory (hysteresis), so that it does not flicker where the distance lies at a
-            # limit.
+        case on.RangeMeasured(measured):
+            # With hysteresis, so that the advice does not flicker where the distance is at a limit.
             return replace(
                 machine, range=measured, reach=reach_of(measured, machine.reach, machine.settings.volume)
             ), ()
@@ -160,11 +158,10 @@ def _react(machine: Machine, event: on.Event) -> Result:
 
 
 def _live(machine: Machine) -> tuple[do.GoLive, object] | None:
-    """Return the live views wanted now, with what makes it necessary to ask again."""
+    """Return the live views needed now, and the state in which that order must be repeated."""
     if machine.state is not State.AIM and not (machine.state is State.CALIBRATE and calibrate.records(machine)):
         return None
-    # Part of the comparison only: a device that came back knows nothing of what was asked before, and is told
-    # again.
+    # For comparison only: a device that came back does not know the former order, so it is repeated.
     cameras_and_lights = machine.up & {Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Device.PROJECTOR}
     light = may_shine(machine) and thermal.may_aim_lit(machine)
     return do.GoLive(light, may_lase(machine), machine.exposure), (
@@ -173,37 +170,37 @@ def _live(machine: Machine) -> tuple[do.GoLive, object] | None:
     )
 
 
-def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> Result:
-    """Add what follows from where the machine was and is: light, live views, and choices that take effect."""
+def _settle(before: Machine, after: Machine, effects: tuple[do.Effect, ...]) -> Result:
+    """Add the effects of the transition: light, live views, and choices that take effect."""
     first: list[do.Effect] = []
     last: list[do.Effect] = []
     live_before, live_after = _live(before), _live(after)
-    # Off comes before everything else that this step does, on after it.
+    # Light goes off before the other effects of this step, and on after them.
     if (may_light(before) and not may_light(after)) or (live_after is None and live_before is not None):
         first.append(do.Wish.DARK)
     if live_after is not None and live_after != live_before:
         last.append(live_after[0])
     if after.choices != before.choices:
-        # Compared, not told by each key: whatever way a choice changed, it takes effect here.
+        # Compared, so that a choice takes effect here however it was changed.
         first.append(do.UseChoices(before.choices, after.choices))
     lasers = live_after is not None and live_after[0].lasers
     if lasers:
         after = replace(after, lasers_off_since_ns=None)
     else:
         since_ns = after.now_ns if after.lasers_off_since_ns is None else after.lasers_off_since_ns
-        # What was measured ends with the light.
+        # Without lasers the distance is not known.
         after = replace(after, lasers_off_since_ns=since_ns, range=None, reach=Reach.UNKNOWN)
     if before.choices.object != after.choices.object:
-        # What was said was said of the other object.
+        # Overlap and guidance referred to the other object.
         after = replace(after, overlap_of=None, overlap=None, guidance=None)
     if before.choices.transfer and not after.choices.transfer:
-        after = replace(after, transfer=NOT_TOLD)
+        after = replace(after, transfer=TRANSFER_UNKNOWN)
     if after.guidance is not None and not guides(after):
         after = replace(after, guidance=None)
-    lit = live_after is not None and live_after[0].light
-    if lit is not after.thermal.lit:
-        after = replace(after, thermal=replace(after.thermal, lit=lit))
-    return after, (*first, *wanted, *last)
+    is_lit = live_after is not None and live_after[0].light
+    if is_lit is not after.thermal.is_lit:
+        after = replace(after, thermal=replace(after.thermal, is_lit=is_lit))
+    return after, (*first, *effects, *last)
 
 
 # -------------------------------------------------------------------------------------------- time
@@ -211,9 +208,9 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
 
 def _tick(machine: Machine, now_ns: int) -> Result:
     # A clock never runs backwards; a late message must not push a deadline away.
-    machine = thermal.passed(replace(machine, now_ns=max(now_ns, machine.now_ns)), machine.now_ns)
-    # Deadlines are looked at with the new time only, and each state has one at most.
-    machine = start.passed_by(machine)
+    machine = thermal.gather_light(replace(machine, now_ns=max(now_ns, machine.now_ns)), machine.now_ns)
+    # Deadlines are checked with the new time only; each state has at most one.
+    machine = start.leave_if_shown(machine)
     if machine.deadline_ns is None or machine.now_ns < machine.deadline_ns:
         return saving.retry(machine)
     return by_state.late(machine)
@@ -221,7 +218,7 @@ def _tick(machine: Machine, now_ns: int) -> Result:
 
 def _counted(machine: Machine, scans: int, last_scan: str | None, scans_left: int | None) -> Machine:
     machine = replace(machine, scans=scans, last_scan=last_scan, scans_left=scans_left)
-    # Unknown is not none: a disk that does not tell must not block scans.
+    # Unknown is not zero: a disk that does not report its space must not block scans.
     if scans_left is None:
         return machine
     if scans_left > 0:

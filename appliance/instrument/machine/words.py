@@ -1,8 +1,8 @@
-"""Owns every word that the screens write, each beside its translation and known by its name.
+"""All texts of the screens by name, each with its translation.
 
-The machine says what its keys mean by these names, the screens put them into the diver's language. Only the sentences
-of faults are elsewhere: in the table that says what each fault does (``appliance.instrument.machine.alerts``), in both
-languages there, too."""
+The machine names the labels of its keys, the screens write them in the diver's language. Only the texts of faults are
+elsewhere, in both languages, too: in the table of faults (``appliance.instrument.machine.alerts``).
+"""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Words:
     german: str
 
     def in_language(self, language: Language) -> str:
-        """Return the phrase as that language has it."""
+        """Return the phrase in ``language``."""
         return self.german if language is Language.GERMAN else self.english
 
 
@@ -276,11 +276,11 @@ class Text(Enum):
         self.german = german
 
     def in_language(self, language: Language) -> str:
-        """Return the entry as that language has it."""
+        """Return the text in ``language``."""
         return self.german if language is Language.GERMAN else self.english
 
     def filled(self, language: Language, *numbers: float) -> str:
-        """Return an entry that has places for numbers as that language has it, with ``numbers`` in them."""
+        """Return a text with places for numbers in ``language``, with ``numbers`` inserted."""
         return self.in_language(language).format(*numbers)
 
 
@@ -296,17 +296,20 @@ STEP_NAMES: Mapping[Step, Text] = {
 """Name of each step of the calibration."""
 
 Label = Text | Words | str | tuple[Text | str, ...]
-"""Words that a screen writes in one place: an entry, something that is the same in every language (a number with its
-unit), or such parts with a space between them: (EXPOSE, "8 ms")."""
+"""Text that a screen writes in one place.
+
+It is an entry, a text that is the same in every language (a number with its unit), or such parts with a space between
+them: (EXPOSE, "8 ms").
+"""
 
 _DECIMAL = re.compile(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])")
 """Pattern of one point between figures: a version like 0.1.0 has two."""
 
 
 def worded(label: Label, language: Language = Language.ENGLISH) -> str:
-    """Return a label in a language: its entries translated, its numbers written as there (0.31 % → 0,31 % in German).
+    """Return a label in a language, with its decimal sign (0.31 % → 0,31 % in German).
 
-    The log, the status file and the tests have it in English.
+    The log, the status file and the tests use English.
     """
     match label:
         case Text() | Words():

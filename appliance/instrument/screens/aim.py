@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.instrument.machine.alerts import Severity
-from appliance.instrument.machine.leading import GuidanceSaid, Leader, leader, passing
+from appliance.instrument.machine.leading import GuidanceText, Leader, leader, passing
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme
@@ -144,7 +144,7 @@ _PLATES_PX = 56.0
 """Height of what is written along the picture's upper edge."""
 
 
-def draw_guidance(canvas: Canvas, said: GuidanceSaid, left: float, top: float, width: float, height: float) -> None:
+def draw_guidance(canvas: Canvas, said: GuidanceText, left: float, top: float, width: float, height: float) -> None:
     """Draw on the picture that has this place on the screen."""
     # Shape tells as well as colour: no arrow, one, or the other way, and words of their own.
     ground, ink = {
@@ -154,9 +154,9 @@ def draw_guidance(canvas: Canvas, said: GuidanceSaid, left: float, top: float, w
         None: (theme.INK, theme.WHITE),
     }[said.move]
     bottom, tall = top + height - 10, height > _BOTH_PX
-    for label, size, plate in ((said.words, WORDS_PX, PLATE_PX), (said.overlap, CAPTION + 2, SMALL_PLATE_PX)):
+    for label, size, plate in ((said.instruction, WORDS_PX, PLATE_PX), (said.overlap, CAPTION + 2, SMALL_PLATE_PX)):
         # What to do stays where there is no room for how much.
-        if label is None or (size != WORDS_PX and said.words is not None and not tall):
+        if label is None or (size != WORDS_PX and said.instruction is not None and not tall):
             continue
         words = label
         wide = canvas.measure(words, size, BLACK) + 28
@@ -210,7 +210,7 @@ def draw_aim(canvas: Canvas, view: AimView, time_s: float) -> None:
     elif view.overlap is not None:
         # Of the scan before; two percentages at once would be taken for each other.
         ground, ink = (theme.YELLOW, theme.INK) if _leads(view) is Leader.OVERLAP else (theme.INK, theme.WHITE)
-        _plate(canvas, view.overlap.words, 10, top + height - _PLATE_PX - 10, ground, ink)
+        _plate(canvas, view.overlap.label, 10, top + height - _PLATE_PX - 10, ground, ink)
     bottom = top + height - _PLATE_PX - 10
     # Where the camera is gone, the words that say so have the room.
     if view.water is not None and view.right is not None:

@@ -338,7 +338,7 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, time_s: float) -
         _working(canvas, at.task, at.progress, time_s, bottom)
     elif at.failed is not None:
         came, remedy = _FAILURES[at.failed.kind]
-        _band(canvas, theme.YELLOW, came, remedy, _step_name(at.failed.about), bottom)
+        _band(canvas, theme.YELLOW, came, remedy, _step_name(at.failed.step_name), bottom)
     elif check is not None and check.refusal is None:
         number = "" if check.number is None else f"{1000.0 * check.number:.0f} µm"
         what = (STEP_NAMES[check.step], Text.ACCEPTED)

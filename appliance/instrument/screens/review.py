@@ -207,7 +207,7 @@ def draw_review(cloud: CloudPainter, canvas: Canvas, view: ReviewView, time_s: f
     else:
         low = canvas.height - BAR_PX + 8 if not view.alerts else bottom
         room = canvas.pixels(0, BAR_PX - 14, CLOUD_PX, low - BAR_PX + 14)
-        cloud.draw(canvas.framebuffer, room, time_s, view.turn)
+        cloud.draw(canvas.framebuffer, room, time_s, view.turn_steps)
         _legend(canvas, cloud.range, view)
     if view.coarse:
         # More is to come, in the place of the title.
@@ -219,7 +219,7 @@ def draw_review(cloud: CloudPainter, canvas: Canvas, view: ReviewView, time_s: f
         # Yellow only where nothing else is to be done first.
         leads = leader(view.alerts, view.overlap) is Leader.OVERLAP
         colour = theme.YELLOW if leads else theme.MUTED if view.overlap.warns else theme.WHITE
-        draw_title(canvas, view.overlap.words, view.keys, colour)
+        draw_title(canvas, view.overlap.label, view.keys, colour)
     led = leader(view.alerts, view.overlap) is not Leader.SCREEN
     top = draw_verdict(canvas, view.grade, view.lengths_doubtful, _VERDICT_TOP_PX, led=led) + 4
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)

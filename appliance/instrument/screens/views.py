@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.calibrate import Session, Step
 from appliance.instrument.machine.alerts import Alert
-from appliance.instrument.machine.leading import GuidanceSaid, OverlapSaid
+from appliance.instrument.machine.leading import GuidanceText, OverlapText
 from appliance.instrument.machine.states import Calibrating, State
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Marks, Reach
@@ -86,9 +86,9 @@ class AimView(View):
     """Places where the laser dots are going to be seen; ``None``: no marks are drawn."""
     water: Text | None = None
     """Word for the water that the refractive index is computed for."""
-    overlap: OverlapSaid | None = None
+    overlap: OverlapText | None = None
     """Words about the overlap of the latest scan with the one before; ``None``: nothing is said."""
-    guidance: GuidanceSaid | None = None
+    guidance: GuidanceText | None = None
     """Words about the overlap that a scan from here would have, and the way to a better one, in place of ``overlap``;
     ``None``: nothing is said."""
     object: int | None = None
@@ -133,11 +133,11 @@ class ReviewView(View):
     """Time in seconds from the key press to this picture; ``None`` where it is not known."""
     lengths_doubtful: bool = False
     """Lengths are not to be trusted: no grade stands alone."""
-    overlap: OverlapSaid | None = None
+    overlap: OverlapText | None = None
     """Words about the overlap with the scan before; ``None``: nothing is said."""
     next_scan: str | None = None
     """Exposure of the next scan, with its unit, where it is not that of this one."""
-    turn: int = 0
+    turn_steps: int = 0
     """Number of steps by which the diver turned the cloud: to the right."""
 
 

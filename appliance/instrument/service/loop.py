@@ -18,7 +18,7 @@ from appliance.instrument.machine.ashore import ASHORE
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.machine.conditions import LOST_CODES
 from appliance.instrument.machine.keys import meaning
-from appliance.instrument.machine.states import Machine, Part, PartTested, State, boot
+from appliance.instrument.machine.states import Machine, Part, PartResult, State, boot
 from appliance.instrument.machine.step import step
 from appliance.instrument.machine.words import Language, Text
 from appliance.instrument.screens.painter import Painter
@@ -99,9 +99,9 @@ class Service:
         self._recorder = SequenceRecorder(rig, parts, drawing.patterns, self._inputs, clock, self._inbox)
         raised = [*beginning.conditions, parts.scans.watch.fault, lost]
         self._inbox += [on.ConditionRaised(fault) for fault in raised if fault is not None]
-        self._inbox += [on.Told(fault) for fault in beginning.news]
+        self._inbox += [on.FaultReported(fault) for fault in beginning.news]
         uncalibrated = any(fault.code is FaultCode.UNCALIBRATED for fault in beginning.conditions)
-        self._inbox.append(PartTested(Part.CALIBRATION, not uncalibrated, Text.NOT_MEASURED if uncalibrated else ""))
+        self._inbox.append(PartResult(Part.CALIBRATION, not uncalibrated, Text.NOT_MEASURED if uncalibrated else ""))
         scans, calibrating = parts.scans, parts.calibrating
         self._wishes: Mapping[do.Wish, Callable[[], None]] = {
             do.Wish.DARK: self._live.end,

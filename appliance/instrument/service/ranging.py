@@ -202,7 +202,7 @@ class RangingController:
                 return self._judge(measured)
         if self._shown is not None and self._clock.now_ns() - self._shown_ns > self._stale_ns:
             self._shown = None
-            return [on.Ranged(None)]
+            return [on.RangeMeasured(None)]
         return []
 
     def shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
@@ -291,7 +291,7 @@ class RangingController:
             # The latest ones: what lay before the instrument at first may have been moved away since.
             del self._dark[:-DARK_PAIRS]
             return self._cleared(measured.dots)
-        events: list[on.Event] = [on.Ranged(measured.range)]
+        events: list[on.Event] = [on.RangeMeasured(measured.range)]
         self._shown, self._shown_ns = measured.range, self._clock.now_ns()
         if len(self._lit_first) < DARK_PAIRS:
             self._lit_first.append(measured.dots)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Part, PartTested
+from appliance.instrument.machine.states import Part, PartResult
 from appliance.instrument.machine.words import Label, Text
 from appliance.measure import SIDES, Cloud, Exposure, Fault, FaultCode, Verdict
 from appliance.store import (
@@ -356,7 +356,7 @@ class ScanFiles:
             counted = self._room.counted()
         except (StorageError, OSError) as error:
             return _test_failed(str(error))
-        return [*counted, PartTested(Part.STORAGE, True, self._room.summary)]
+        return [*counted, PartResult(Part.STORAGE, True, self._room.summary)]
 
     def count_objects(self) -> list[on.Event]:
         """Answer ObjectsCounted; where manifests cannot be listed, what the diver's choices remember counts alone."""
@@ -396,7 +396,7 @@ class ScanFiles:
 
 def _test_failed(why: str) -> list[on.Event]:
     log.warning("self-test of the storage: %s", why)
-    return [PartTested(Part.STORAGE, False, Text.REFUSES_FILES)]
+    return [PartResult(Part.STORAGE, False, Text.REFUSES_FILES)]
 
 
 def _numbers(cloud: Cloud | None) -> dict[str, float | None]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from appliance.calibrate import STEPS
 from appliance.instrument.machine.keys import labels
-from appliance.instrument.machine.leading import alerts, guidance_said, overlap_said
+from appliance.instrument.machine.leading import alerts, guidance_text, overlap_text
 from appliance.instrument.machine.states import Answer, Device, Machine
 from appliance.instrument.machine.words import worded
 
@@ -29,7 +29,7 @@ def describe(
                 "action": alert.action,
                 "severity": alert.severity.name,
                 "detail": alert.detail,
-                "seen": alert.seen,
+                "seen": alert.is_acknowledged,
             }
             for alert in alerts(machine)
         ],
@@ -84,18 +84,18 @@ def _calibration(machine: Machine) -> dict[str, Any] | None:
 
 def _overlap(machine: Machine) -> str | None:
     """Return what the screen says of the latest scan's overlap; ``None``: nothing."""
-    said = overlap_said(machine)
-    return None if said is None else worded(said.words)
+    said = overlap_text(machine)
+    return None if said is None else worded(said.label)
 
 
 def _guidance(machine: Machine) -> dict[str, Any] | None:
     """Return what the screen says of the place that the diver aims at, and the direction of its arrow; ``None``:
     nothing."""
-    said = guidance_said(machine)
+    said = guidance_text(machine)
     if said is None:
         return None
     toward = None if said.toward is None else [round(part, 2) for part in said.toward]
-    return {"words": said.whole, "toward": toward}
+    return {"words": said.english, "toward": toward}
 
 
 def _range(machine: Machine) -> dict[str, Any] | None:

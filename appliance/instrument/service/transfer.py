@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import NOT_TOLD, Serving, Transfer
+from appliance.instrument.machine.states import TRANSFER_UNKNOWN, Serving, Transfer
 
 log = logging.getLogger("kingfisher")
 
@@ -90,7 +90,7 @@ def read_status(path: Path) -> Transfer:
         shown = next((one for one in addresses if len(one) <= LONGEST), None)
         return Transfer(Serving(content["state"]), shown, keys)
     except FileNotFoundError:
-        return NOT_TOLD
+        return TRANSFER_UNKNOWN
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         log.warning("%s: %s; what it tells is not shown", path, error)
-        return NOT_TOLD
+        return TRANSFER_UNKNOWN

@@ -20,7 +20,7 @@ from appliance.instrument.machine import menu, safety, start, thermal
 from appliance.instrument.machine.alerts import alert_of, lengths_doubtful
 from appliance.instrument.machine.conditions import refusal
 from appliance.instrument.machine.keys import labels
-from appliance.instrument.machine.leading import alerts, guidance_said, on_screen, overlap_said
+from appliance.instrument.machine.leading import alerts, guidance_text, on_screen, overlap_text
 from appliance.instrument.machine.menu import Row
 from appliance.instrument.machine.states import (
     Answer,
@@ -217,8 +217,8 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 gauge=_gauge(machine),
                 marks=around.marks,
                 water=Text.SALT if machine.choices.salt else Text.FRESH,
-                overlap=overlap_said(machine),
-                guidance=guidance_said(machine),
+                overlap=overlap_text(machine),
+                guidance=guidance_text(machine),
                 object=machine.choices.object,
                 scan_allowed=refusal(machine) is None,
                 alerts=shown,
@@ -262,7 +262,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     cloud = around.scan.cloud if around.scan is not None else None
     if cloud is None:
         return ReviewView(
-            next_scan=_next_scan(machine), overlap=overlap_said(machine), points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
+            next_scan=_next_scan(machine), overlap=overlap_text(machine), points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
             coverage_percent=None, noise_mm=None, distance_mm=None, duration_s=None, alerts=on_screen(machine),
         )  # fmt: skip
     # The coarse cloud is what a small screen can show; the numbers are those of the full one as soon as it is there.
@@ -281,9 +281,9 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         noise_mm=s.noise_mm,
         distance_mm=s.distance_mm,
         duration_s=duration_s,
-        overlap=overlap_said(machine),
+        overlap=overlap_text(machine),
         next_scan=_next_scan(machine),
-        turn=machine.scan.turn if machine.scan is not None else 0,
+        turn_steps=machine.scan.turn_steps if machine.scan is not None else 0,
         alerts=on_screen(machine),
     )
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import assert_never
 
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Part, PartTested
+from appliance.instrument.machine.states import Part, PartResult
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.scan_files import ScanInMemory
 from appliance.instrument.service.watches import CalibrationWatch, WindowWatch
@@ -78,7 +78,7 @@ class WorkerReports:
         """Return what the machine hears after ``report``; ``scan`` is the one in hand."""
         match report:
             case Ready():
-                return [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartTested(Part.WORKER, True)]
+                return [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartResult(Part.WORKER, True)]
             case LiveGuidance():
                 return [report]
             case WorkerFailure(text):
@@ -105,7 +105,7 @@ class WorkerReports:
         if self._worker.pid is not None:
             return []
         fault = Fault(FaultCode.RECONSTRUCTION_FAILED, why)
-        return [on.ConditionRaised(fault), PartTested(Part.WORKER, False, Text.GIVEN_UP)]
+        return [on.ConditionRaised(fault), PartResult(Part.WORKER, False, Text.GIVEN_UP)]
 
     def _entered(self, fact: SequenceFact, scan: ScanInMemory) -> list[on.Event] | None:
         """Enter a fact into its scan; return the conditions that follow, ``None``: the machine is not told of it."""

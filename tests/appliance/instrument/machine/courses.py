@@ -44,7 +44,7 @@ def full(machine: Machine) -> str | None:
 
 
 def marks(machine: Machine) -> list[str]:
-    return [alert.headline for alert in alerts(machine) if alert.seen]
+    return [alert.headline for alert in alerts(machine) if alert.is_acknowledged]
 
 
 def codes(machine: Machine) -> list[FaultCode]:

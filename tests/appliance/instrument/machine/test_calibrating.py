@@ -94,7 +94,7 @@ def checked() -> Machine:
                state=S.CALIBRATE),
         # A recording.
         course("is armed", calibrating, SCAN, state=S.ARMED, among=do.Arm(1, 16, NOMINAL)),
-        course("a far object is no reason to ask", calibrating, on.Ranged(Range(700.0, 0.0, 0.5, 2)), SCAN, state=S.ARMED),
+        course("a far object is no reason to ask", calibrating, on.RangeMeasured(Range(700.0, 0.0, 0.5, 2)), SCAN, state=S.ARMED),
         course("stored and not reconstructed", calibrating, *RECORD, among=do.StoreRaw(1), never=do.Wish.RECONSTRUCT),
         course("examined, not before its frames are safe", storing, on.RawStored(1), effects=[do.CheckRecording(1, Step.M1)]),
         course("entered", trial_in_work, on.TrialExamined(1, M1), effects=[do.AcceptRecording(1, M1)]),

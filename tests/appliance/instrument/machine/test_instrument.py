@@ -20,14 +20,14 @@ from appliance.instrument.machine.states import (
     Ending,
     Machine,
     Part,
-    PartTested,
+    PartResult,
     Settings,
     State,
     Thermal,
     boot,
 )
 from appliance.instrument.machine.step import step
-from appliance.instrument.machine.thermal import RATION_S, may_aim_lit, passed, remaining_s, slope_c_per_s, spend
+from appliance.instrument.machine.thermal import RATION_S, gather_light, may_aim_lit, remaining_s, slope_c_per_s, spend
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import NOMINAL
 from drivers.api import Key, KeyFreed, KeyLongPress, KeyStuck
@@ -78,7 +78,7 @@ def without_a_worker() -> Machine:
 
 
 def without_a_calibration() -> Machine:
-    return run(boot(0), *UPS, on.BootFinished(), *(PartTested(part, part is not Part.CALIBRATION) for part in Part))
+    return run(boot(0), *UPS, on.BootFinished(), *(PartResult(part, part is not Part.CALIBRATION) for part in Part))
 
 
 def without_keys() -> Machine:
@@ -188,7 +188,7 @@ def kept_off() -> Machine:
         course("also while it starts", lambda: asked(boot(0)), *LEAK, asked=False),
         course("what BACK held means elsewhere is not asked", at.reviewing, *HOLD_BACK, asked=False),
         course("nor in the menu", at.in_menu, *HOLD_BACK, asked=False),
-        course("BACK answers the question and not a message", lambda: asked(aim()), raised(C.UNCALIBRATED), BACK, asked=False, seen=()),
+        course("BACK answers the question and not a message", lambda: asked(aim()), raised(C.UNCALIBRATED), BACK, asked=False, acknowledged=()),
         course("the menu asks the same", lambda: at.in_menu(*(Key.DOWN,) * 9, Key.SCAN), labels=labels(asked(aim()))),
         course("and goes on there", lambda: at.in_menu(*(Key.DOWN,) * 9, Key.SCAN), SCAN, state=S.MENU, menu=at.in_menu(*(Key.DOWN,) * 9).menu),
         course("also by BACK held", lambda: at.in_menu(*(Key.DOWN,) * 9, Key.SCAN), *HOLD_BACK, state=S.MENU),
@@ -388,16 +388,16 @@ def unsensed(**thermal: float | bool) -> Machine:
 def test_light_gathers_by_a_third_of_the_time_and_is_spent_by_two_thirds(
     before_s: float, lit: bool, seconds: float, after_s: float
 ) -> None:
-    machine = unsensed(ration_s=before_s, lit=lit)
+    machine = unsensed(ration_s=before_s, is_lit=lit)
     then = replace(machine, now_ns=machine.now_ns + round(seconds * SECOND_NS))
-    assert passed(then, machine.now_ns).thermal.ration_s == pytest.approx(after_s)
+    assert gather_light(then, machine.now_ns).thermal.ration_s == pytest.approx(after_s)
     assert [spend(unsensed(ration_s=9.0), s).thermal.ration_s for s in (2.5, 30.0)] == [6.5, 0.0]
 
 
 def test_aiming_goes_dark_at_the_reserve_and_is_lit_again_only_with_something_in_hand() -> None:
     def lit(ration_s: float, spent: bool) -> bool:
-        machine = unsensed(ration_s=ration_s, spent=spent, lit=False)
-        return may_aim_lit(passed(machine, machine.now_ns))
+        machine = unsensed(ration_s=ration_s, spent=spent, is_lit=False)
+        return may_aim_lit(gather_light(machine, machine.now_ns))
 
     assert [lit(s, spent=False) for s in (5.0, 5.1, 7.9)] == [False, True, True]
     assert [lit(s, spent=True) for s in (5.1, 7.9, 8.0)] == [False, False, True]

@@ -13,7 +13,7 @@ from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.menu import Row, row_of, shown
 from appliance.instrument.machine.states import (
-    NOT_TOLD,
+    TRANSFER_UNKNOWN,
     Calibrating,
     Machine,
     Page,
@@ -130,7 +130,7 @@ ALL = listed("000003", "000002", "000001")
         course("looked at it is not switched on", at(Row.TRANSFER), SCAN, SCAN, UP, BACK, choices=BALTIC),
         course("but when it is taken", at(Row.TRANSFER), SCAN, SCAN, UP, SCAN, among=do.UseChoices(BALTIC, taken(transfer=True))),
         course("and off again", transferring, SCAN, DOWN, SCAN, among=do.UseChoices(taken(transfer=True), BALTIC)),
-        course("what was told is gone then", transferring, SERVED, SCAN, DOWN, SCAN, SERVED, transfer=NOT_TOLD),
+        course("what was told is gone then", transferring, SERVED, SCAN, DOWN, SCAN, SERVED, transfer=TRANSFER_UNKNOWN),
         course("address and keys are read", transferring, DOWN, labels={Key.BACK: "BACK", Key.UP: "▲", Key.DOWN: "▼"}),
         course("and not opened", transferring, DOWN, SCAN, menu=run(transferring(), DOWN).menu),
     ],
@@ -171,7 +171,7 @@ def test_a_page_says_what_is_chosen_and_what_would_be() -> None:
 @pytest.mark.parametrize(
     ("told", "said"),
     [
-        (NOT_TOLD, (Text.STARTING, "", "")),
+        (TRANSFER_UNKNOWN, (Text.STARTING, "", "")),
         (Transfer(Serving.ON, "169.254.3.4", 2), (Text.ON, "169.254.3.4", "2")),
         (Transfer(Serving.ON, None, 0), (Text.ON, Text.NO_NETWORK, Text.PLUG_STICK_IN)),
         (Transfer(Serving.ON, None, None), (Text.ON, Text.NO_NETWORK, "")),

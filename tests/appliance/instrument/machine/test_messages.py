@@ -18,13 +18,13 @@ from appliance.instrument.machine.ashore import ASHORE
 from appliance.instrument.machine.conditions import may_light, refusal
 from appliance.instrument.machine.leading import (
     Leader,
-    OverlapSaid,
+    OverlapText,
     alerts,
-    guidance_said,
+    guidance_text,
     in_full,
     leader,
     on_screen,
-    overlap_said,
+    overlap_text,
     passing,
     urgency,
 )
@@ -102,7 +102,7 @@ def length_error(percent: float | None) -> on.ConditionRaised:
                  never=do.Reject) for way in (aim, at.reviewing)),
         course("told again it is no news", aim, UNCALIBRATED, BACK, UNCALIBRATED, full=None),
         course("for another reason it is", aim, UNCALIBRATED, BACK, raised(C.UNCALIBRATED, "of KF-0002"), full="UNCALIBRATED"),
-        course("what ended is forgotten", aim, KEYS_GONE, BACK, on.DeviceUp(Device.KEYS), full=None, seen=()),
+        course("what ended is forgotten", aim, KEYS_GONE, BACK, on.DeviceUp(Device.KEYS), full=None, acknowledged=()),
         course("and comes again as news", aim, KEYS_GONE, BACK, on.DeviceUp(Device.KEYS), KEYS_GONE, full="KEYS LOST"),
         course("a temperature that trembles", aim, case_warm(51.0), BACK, case_warm(52.4), full=None, marks=["WARM 52 °C"]),
         course("one that rises", aim, case_warm(51.0), BACK, case_warm(52.4), case_warm(53.0), full="WARM 53 °C"),
@@ -122,8 +122,8 @@ def length_error(percent: float | None) -> on.ConditionRaised:
         course("and needs no key", at.calibrating, UNCALIBRATED, BACK, full="UNCALIBRATED"),
         course("after a refused scan BACK says SEEN", aim, LEFT_GONE, SCAN, first=("LEFT CAM LOST", "SCAN REFUSED"), on_back="SEEN"),
         course("and does it", aim, LEFT_GONE, SCAN, BACK, full=None, on_back="HOLD: OFF"),
-        course("news of the last run is told", lambda: boot(0), on.Told(Fault(C.RESTARTED)), on.Tick(1), codes=[C.RESTARTED]),
-        course("until the next key", lambda: boot(0), on.Told(Fault(C.RESTARTED)), on.Tick(1), UP, codes=[]),
+        course("news of the last run is told", lambda: boot(0), on.FaultReported(Fault(C.RESTARTED)), on.Tick(1), codes=[C.RESTARTED]),
+        course("until the next key", lambda: boot(0), on.FaultReported(Fault(C.RESTARTED)), on.Tick(1), UP, codes=[]),
         course("after the end no key has a label", aim, UNCALIBRATED, STOP, labels={}),
     ],
 )  # fmt: skip
@@ -141,7 +141,7 @@ def test_back_takes_a_lasting_warning_for_known_and_does_nothing_else(way: Calla
     assert (full(known), marks(known), effects) == (None, ["UNCALIBRATED"], [])
     assert labels(known) == labels(way()), "its key means again what it always means"
     # But for what is known, and when a key was pressed, it is the machine that it was.
-    as_it_was = {name: getattr(machine, name) for name in ("seen", "last_key_ns", "back_from", "back_spent")}
+    as_it_was = {name: getattr(machine, name) for name in ("acknowledged", "last_key_ns", "back_from", "back_spent")}
     assert replace(known, **as_it_was) == machine
 
 
@@ -191,7 +191,7 @@ def test_remedies_come_in_the_order_in_which_they_are_done(ordered: tuple[FaultC
     assert [urgency(code) for code in ordered] == sorted(urgency(code) for code in ordered)
 
 
-NOTHING_SHARED = OverlapSaid((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
+NOTHING_SHARED = OverlapText((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
 
 
 def test_beside_an_alert_in_full_a_lack_of_overlap_and_a_distance_do_not_lead() -> None:
@@ -204,13 +204,13 @@ def test_beside_an_alert_in_full_a_lack_of_overlap_and_a_distance_do_not_lead() 
         for reach in (Reach.CLOSER, Reach.BACK):
             outside = leader(said, NOTHING_SHARED, reach)
             assert outside is (Leader.ALERT if expected is Leader.ALERT else Leader.DISTANCE), code
-        assert rule.passing or leader((replace(said[0], seen=True),), NOTHING_SHARED) is Leader.OVERLAP, code
+        assert rule.passing or leader((replace(said[0], is_acknowledged=True),), NOTHING_SHARED) is Leader.OVERLAP, code
 
 
 def test_the_title_tells_what_passes_and_where_nothing_is_wrong_the_screen_says_its_own_words() -> None:
     lasts, passes = rules.alert_of(Fault(C.UNCALIBRATED)), rules.alert_of(Fault(C.AIM_FAST))
     assert (passing((lasts, passes)), passing((lasts,))) == (passes, None)
-    assert leader(()) is leader((), OverlapSaid((Text.OVERLAP, "62 %"))) is Leader.SCREEN
+    assert leader(()) is leader((), OverlapText((Text.OVERLAP, "62 %"))) is Leader.SCREEN
     assert leader((), NOTHING_SHARED) is Leader.OVERLAP
 
 
@@ -266,7 +266,7 @@ def test_a_scan_is_refused_with_the_gravest_reason_and_news_are_no_warning() -> 
     grave = [rules.alert_of(Fault(code)).severity for code in (C.COMPENSATED, C.MOVED, C.LEAK)]
     assert grave == [rules.Severity.INFO, rules.Severity.WARNING, rules.Severity.CRITICAL]
     alert = rules.alert_of(Fault(C.UNCALIBRATED))
-    assert (alert.lasts, alert.seen, alert.passing) == (False, False, False)
+    assert (alert.lasts, alert.is_acknowledged, alert.passing) == (False, False, False)
 
 
 @pytest.mark.parametrize(
@@ -394,7 +394,7 @@ def test_up_turns_the_cloud_and_down_never_does() -> None:
     for keys, turn in (((), 0), ((UP,), 1), ((UP, UP), 2), ((DOWN,), 0), ((UP, DOWN), 1), (HOLD_DOWN, 0)):
         scan = run(at.reviewing(), *keys).scan
         assert scan is not None
-        assert scan.turn == turn
+        assert scan.turn_steps == turn
 
 
 def of_object(machine: Machine, number: int | None = 3) -> Machine:
@@ -402,8 +402,8 @@ def of_object(machine: Machine, number: int | None = 3) -> Machine:
 
 
 def overlap(machine: Machine) -> tuple[str, bool] | None:
-    found = overlap_said(machine)
-    return None if found is None else (worded(found.words), found.warns)
+    found = overlap_text(machine)
+    return None if found is None else (worded(found.label), found.warns)
 
 
 @pytest.mark.parametrize(
@@ -453,8 +453,8 @@ def guided(guidance: Guidance | None, *events: on.Event, number: int | None = 3)
 
 
 def said_of(machine: Machine) -> str | None:
-    found = guidance_said(machine)
-    return None if found is None else found.whole
+    found = guidance_text(machine)
+    return None if found is None else found.english
 
 
 @pytest.mark.parametrize(
@@ -467,18 +467,18 @@ def said_of(machine: Machine) -> str | None:
     ],
 )
 def test_the_way_is_said_in_steps_with_the_move_and_its_arrow(guidance: Guidance, words: str, german: str) -> None:
-    found = guidance_said(guided(guidance))
+    found = guidance_text(guided(guidance))
     assert found is not None
-    assert (found.whole, found.toward) == (words, guidance.toward)
-    parts = [worded(label, Language.GERMAN) for label in (found.overlap, found.words) if label is not None]
+    assert (found.english, found.toward) == (words, guidance.toward)
+    parts = [worded(label, Language.GERMAN) for label in (found.overlap, found.instruction) if label is not None]
     assert " ".join(parts) == german
 
 
 @pytest.mark.parametrize("reach", [Reach.CLOSER, Reach.BACK])
 def test_nobody_is_told_to_scan_where_the_distance_is_wrong(reach: Reach) -> None:
-    found = guidance_said(replace(guided(Guidance(Overlap(0.5))), reach=reach))
+    found = guidance_text(replace(guided(Guidance(Overlap(0.5))), reach=reach))
     assert found is not None
-    assert (found.words, found.move, found.toward) == (None, None, None), "the distance leads, without a colour"
+    assert (found.instruction, found.move, found.toward) == (None, None, None), "the distance leads, without a colour"
     assert found.overlap is not None
     assert worded(found.overlap, Language.ENGLISH) == "OVERLAP 50 %"
 

@@ -153,7 +153,7 @@ def no_scan_is_forgotten(before: Machine, event: on.Event, machine: Machine, eff
     saved = isinstance(event, on.Saved) and event.number == kept.number
     rejected = any(isinstance(e, do.Reject) and e.number == kept.number for e in effects)
     assert saved or rejected or machine.state is State.SHUTDOWN
-    if not kept.kept or isinstance(event, on.Saved):
+    if not kept.is_kept or isinstance(event, on.Saved):
         return
     if any(isinstance(effect, do.Quit) for effect in effects):
         assert kept.failures >= 1 or no_points(event), "the disk refused it again and again"
@@ -198,14 +198,16 @@ def keys_switch_off_by_an_answered_question_only(
 
 
 def nothing_becomes_known_but_by_its_key(before: Machine, event: on.Event, machine: Machine, effects: Effects) -> None:
-    gained = set(machine.seen) - set(before.seen)
+    gained = set(machine.acknowledged) - set(before.acknowledged)
     if gained:
         assert isinstance(event, KeyPress)
         assert labels(replace(before, stuck=before.stuck - {event.key}))[event.key] == "SEEN"
         assert gained == {pending_fault(before)} or before.stuck
     there = {(fault.code, fault.device) for fault in lasting(machine)}
-    assert all((was.code, was.device) in there for was in machine.seen)
-    assert not any(alert.seen and RULES[alert.code].severity is Severity.CRITICAL for alert in alerts(machine))
+    assert all((was.code, was.device) in there for was in machine.acknowledged)
+    assert not any(
+        alert.is_acknowledged and RULES[alert.code].severity is Severity.CRITICAL for alert in alerts(machine)
+    )
 
 
 def water_leads_to_safe(before: Machine) -> None:

@@ -45,7 +45,7 @@ LATE = Fault(C.LATE_FLIP, "frame 9", {"frame": 9})
 MOVED = Fault(C.MOVED, "", {"shift_px": 1.84})
 SPOILT = Fault(C.PATTERN_WRONG)
 SHORTER, SECOND = Exposure(8_000), Exposure(3_200)
-FAR = on.Ranged(Range(700.0, 0.0, 0.5, 2))
+FAR = on.RangeMeasured(Range(700.0, 0.0, 0.5, 2))
 SAVED = on.Saved(1, "000001")
 LEFT_GONE, BOARD_GONE = on.DeviceDown(Device.CAMERA_LEFT, "gone"), on.DeviceDown(Device.BOARD, "gone")
 FULL_DISK = on.StorageCounted(3, "000003", 0)
@@ -102,7 +102,7 @@ def wet() -> Machine:
         course("patterns are told right after the cloud", at.checking, news.coarse(1, SUMMARY), news.right(1), state=S.REVIEW),
         course("kept", at.reviewing, SCAN, state=S.SAVING, effects=[do.Publish(1)], just_saved=None),
         course("saved", at.saving, SAVED, state=S.AIM, just_saved="000001", last_scan="000001", effects=[LIT]),
-        course("and news of before is old then", at.saving, on.Told(Fault(C.RESTARTED)), SAVED, shown=[]),
+        course("and news of before is old then", at.saving, on.FaultReported(Fault(C.RESTARTED)), SAVED, shown=[]),
         course("said until the next key", at.saving, SAVED, DOWN, just_saved=None),
         course("kept before the full cloud it waits", coarse, SCAN, state=S.SAVING, effects=[]),
         course("and is saved with it", coarse, SCAN, news.full(1, SUMMARY), effects=[do.Publish(1)]),
@@ -143,16 +143,16 @@ def wet() -> Machine:
         course("until it is seen off", at.capturing, on.CaptureFailed(1, Fault(C.LASER_ON, "left")), SCAN, wait(5.0), heartbeat(), shown=[]),
         # Outside of the volume SCAN asks once more.
         course("too far", aim, FAR, SCAN, state=S.AIM, effects=[], full="FAR 700 mm", on_scan="ANYWAY"),
-        course("too near", aim, on.Ranged(Range(401.0, 2.0, 0.4, 2)), SCAN, state=S.AIM, full="NEAR 401 mm"),
+        course("too near", aim, on.RangeMeasured(Range(401.0, 2.0, 0.4, 2)), SCAN, state=S.AIM, full="NEAR 401 mm"),
         course("pressed again", aim, FAR, SCAN, wait(9.9), SCAN, state=S.ARMED),
         course("after ten seconds it is asked anew", aim, FAR, SCAN, wait(10.0), SCAN, state=S.AIM),
-        course("hands that tremble at the limit", aim, *(on.Ranged(Range(d, 0.0, 0.3, 2)) for d in (558.0, 562.0)), SCAN, state=S.ARMED),
-        course("once outside, a little inside is not enough", aim, *(on.Ranged(Range(d, 0.0, 0.3, 2)) for d in (566.0, 558.0)), SCAN,
+        course("hands that tremble at the limit", aim, *(on.RangeMeasured(Range(d, 0.0, 0.3, 2)) for d in (558.0, 562.0)), SCAN, state=S.ARMED),
+        course("once outside, a little inside is not enough", aim, *(on.RangeMeasured(Range(d, 0.0, 0.3, 2)) for d in (566.0, 558.0)), SCAN,
                state=S.AIM),
-        course("not known is not outside", aim, on.Ranged(None), SCAN, state=S.ARMED),
-        course("one dot is enough", aim, on.Ranged(Range(500.0, None, 1.0, 1)), SCAN, state=S.ARMED),
-        course("a distance is forgotten with the lasers", aim, on.Ranged(Range(500.0, 1.0, 0.3, 2)), SCAN, range=None),
-        course("also one that is told after", aim, SCAN, on.Ranged(Range(480.0, 1.0, 0.3, 2)), state=S.ARMED, range=None),
+        course("not known is not outside", aim, on.RangeMeasured(None), SCAN, state=S.ARMED),
+        course("one dot is enough", aim, on.RangeMeasured(Range(500.0, None, 1.0, 1)), SCAN, state=S.ARMED),
+        course("a distance is forgotten with the lasers", aim, on.RangeMeasured(Range(500.0, 1.0, 0.3, 2)), SCAN, range=None),
+        course("also one that is told after", aim, SCAN, on.RangeMeasured(Range(480.0, 1.0, 0.3, 2)), state=S.ARMED, range=None),
         # The review.
         course("a dead worker leaves the frames", at.reconstructing, news.failed(1, DIED), state=S.REVIEW, effects=[],
                shown=[("PROCESS LATER", "KEEP RAW FRAMES OR REPEAT")]),
@@ -211,7 +211,7 @@ def wet() -> Machine:
                first=("BOARD LOST", "SCAN REFUSED")),
         *(course(f"the press that stops {way.__name__} held on", way, *HOLD_BACK, state=S.REVIEW, never=do.Reject) for way in (adding, added)),
         course("and the next one rejects", added, *HOLD_BACK, *HOLD_BACK, state=S.AIM, among=do.Reject(1, "rejected by the diver")),
-        course("whatever lasts, BACK gives it up first", added, raised(C.UNCALIBRATED), BACK, state=S.REVIEW, seen=()),
+        course("whatever lasts, BACK gives it up first", added, raised(C.UNCALIBRATED), BACK, state=S.REVIEW, acknowledged=()),
         course("while it is worked out the first is not rejected", added, KeyLongPress(Key.BACK, 0), never=do.Reject),
         *(course(f"a leak while {way.__name__} saves the first", way, *LEAK, state=S.SAFE, among=do.Publish(1)) for way in (adding, added)),
         # The disk.

@@ -19,7 +19,7 @@ from appliance.instrument.machine.states import (
     FailureKind,
     Machine,
     Part,
-    PartTested,
+    PartResult,
     Serving,
     State,
     Transfer,
@@ -65,7 +65,7 @@ def labels(machine: Machine) -> Mapping[Key, str]:
 
 
 UPS = tuple(on.DeviceUp(device) for device in Device)
-PARTS = tuple(PartTested(part, True) for part in Part)
+PARTS = tuple(PartResult(part, True) for part in Part)
 
 
 def self_testing() -> Machine:
@@ -191,7 +191,7 @@ def gallery_from_the_menu() -> Machine:
 
 def outside_the_volume() -> Machine:
     """SCAN was pressed 700 mm away; pressed again it records."""
-    return run(aim(), on.Ranged(Range(700.0, 0.0, 0.5, 2)), KeyPress(Key.SCAN, 0))
+    return run(aim(), on.RangeMeasured(Range(700.0, 0.0, 0.5, 2)), KeyPress(Key.SCAN, 0))
 
 
 WAYS: dict[State, Callable[[], Machine]] = {
@@ -248,7 +248,7 @@ EVERY_EVENT: list[on.Event] = [
     heartbeat(),
     *(on.ConditionRaised(Fault(code)) for code in FaultCode),
     *(on.ConditionCleared(code) for code in OF_EACH_COST),
-    on.Told(Fault(FaultCode.RESTARTED)),
+    on.FaultReported(Fault(FaultCode.RESTARTED)),
     on.StorageCounted(1, "000001", 0),
     *(news.overlap(number, overlap) for number in (0, 1) for overlap in (UNKNOWN, NO_OVERLAP, Overlap(0.62))),
     *(LiveGuidance(guidance, 1) for guidance in (None, LOST, Guidance(Overlap(0.62), (1.0, 0.0)))),
@@ -256,7 +256,7 @@ EVERY_EVENT: list[on.Event] = [
     on.ObjectsCounted(7),
     SERVED,
     on.BootFinished(),
-    *(PartTested(part, passed) for part in Part for passed in (True, False)),
+    *(PartResult(part, passed) for part in Part for passed in (True, False)),
     *(on.PartBusy(part) for part in Part),
     *(on.Armed(number) for number in (0, 1, 2)),
     *(on.CaptureFinished(number) for number in (0, 1, 2)),
@@ -281,7 +281,7 @@ EVERY_EVENT: list[on.Event] = [
     *(session for session in SESSIONS),
     on.CalibrationProgressed(0.5),
     Failure(FailureKind.RECORDING, "no bar"),
-    on.Ranged(Range(500.0, 2.0, 0.3, 2)),
+    on.RangeMeasured(Range(500.0, 2.0, 0.3, 2)),
     on.ScansListed(()),
     on.ScansListed(("000002", "000001")),
     on.StopRequested(),

@@ -189,7 +189,7 @@ def test_every_fault_with_every_number_is_whole_and_large_in_its_band(canvas: Ca
         if one.detail == "noticed":
             continue
         canvas.begin(theme.INK)
-        draw_alerts(canvas, (replace(one, seen=True, lasts=True),), 0.0)
+        draw_alerts(canvas, (replace(one, is_acknowledged=True, lasts=True),), 0.0)
         assert not any(line.cut for line in canvas.written), words
     assert len(told) > 200
 
@@ -207,7 +207,7 @@ def test_many_alerts_are_named_or_counted(canvas: Canvas, language: Language) ->
 
 
 UNCALIBRATED = replace(alert(FaultCode.UNCALIBRATED), lasts=True)
-MARK = replace(UNCALIBRATED, seen=True)
+MARK = replace(UNCALIBRATED, is_acknowledged=True)
 SHOWN: dict[str, tuple[Alert, ...]] = {
     "mark": (MARK,),
     "passing, and a mark": (alert(FaultCode.AIM_DARK), MARK),
@@ -228,7 +228,7 @@ def lost_behind(
         missing = set() if len(view.rows) > 6 else missing
     if shown != "mark" and isinstance(view, AimView):
         missing.discard(Text.READY.in_language(language))  # what leads stands in its place
-        if view.guidance is not None and view.guidance.words is not None:
+        if view.guidance is not None and view.guidance.instruction is not None:
             missing -= {worded(view.guidance.overlap or "", language)}  # what to do stays, how much may go
     missing |= slots - {slot for slot, *_ in painter.canvas.pictured}
     top = alerts_top(painter.canvas, said_once(view).alerts)

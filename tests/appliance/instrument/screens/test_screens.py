@@ -205,7 +205,7 @@ def test_the_scale_is_that_of_the_housing(painter: Painter) -> None:
 def test_a_preview_is_the_cloud_alone_whatever_lies_over_it(painter: Painter) -> None:
     drawn(painter, REVIEW, 0.0)
     alone = painter.preview()
-    drawn(painter, replace(REVIEW, alerts=(LEAK,), turn=2, grade=Grade.BAD), 3.0)
+    drawn(painter, replace(REVIEW, alerts=(LEAK,), turn_steps=2, grade=Grade.BAD), 3.0)
     again = painter.preview()
     assert alone is not None
     assert again is not None

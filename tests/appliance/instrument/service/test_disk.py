@@ -15,7 +15,7 @@ import pytest
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.alerts import RULES
-from appliance.instrument.machine.states import Part, PartTested
+from appliance.instrument.machine.states import Part, PartResult
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.scan_files import ASK_AGAIN_S, CountedRoom, DiskQueue, steady
 from appliance.instrument.service.scans import MeasuringSetup, ScanController, ScanStorage
@@ -172,9 +172,9 @@ def test_what_counts_as_freed(before: CountedRoom, now: CountedRoom, left: int) 
     assert steady(None, now) == now
 
 
-def storage_tested(scans: ScanController) -> PartTested:
+def storage_tested(scans: ScanController) -> PartResult:
     scans.test_storage()
-    (found,) = (event for event in answered(scans) if isinstance(event, PartTested))
+    (found,) = (event for event in answered(scans) if isinstance(event, PartResult))
     assert (found.part, found.passed) == (Part.STORAGE, True)
     return found
 

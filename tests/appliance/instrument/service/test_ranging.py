@@ -184,12 +184,12 @@ def test_a_distance_of_more_than_a_second_ago_is_shown_no_longer(
     told: list[on.Event] = []
     until(lambda: told.extend(ranging.poll()) or told)  # type: ignore[func-returns-value]
     (shown,) = told
-    assert isinstance(shown, on.Ranged)
+    assert isinstance(shown, on.RangeMeasured)
     assert shown.range is not None
     clock.advance_s(1.0)
     assert ranging.poll() == []
     clock.advance_s(1e-9)
-    assert ranging.poll() == [on.Ranged(None)]
+    assert ranging.poll() == [on.RangeMeasured(None)]
 
 
 def _with_a_dot() -> dict[str, NDArray[np.uint8]]:

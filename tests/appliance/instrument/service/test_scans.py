@@ -13,7 +13,7 @@ from appliance.instrument.capture.ledger import Ledger
 from appliance.instrument.capture.scan import CaptureReport
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Part, PartTested
+from appliance.instrument.machine.states import Part, PartResult
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.scan_files import ScanFiles, ScanInMemory, ScanRoom, SecondInMemory
 from appliance.instrument.service.scans import ScanController
@@ -78,7 +78,7 @@ def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(desk: Desk
     raised, tested = told
     assert isinstance(raised, on.ConditionRaised)
     assert raised.fault.code is FaultCode.RECONSTRUCTION_FAILED
-    assert tested == PartTested(Part.WORKER, False, Text.GIVEN_UP)
+    assert tested == PartResult(Part.WORKER, False, Text.GIVEN_UP)
 
 
 def begun(desk: Desk, number: int = 3) -> ScanController:
@@ -277,7 +277,7 @@ def test_of_another_scan_nothing_is_heard_and_news_of_none_are_told_as_they_are(
         assert heard.meant(News(3, fact)) == heard.reports.meant(News(4, fact), None) == []
     assert (heard.scan.full, heard.scan.times_s) == (None, {})
     assert BAD.verdict not in heard.verdicts
-    ready: list[on.Event] = [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartTested(Part.WORKER, True)]
+    ready: list[on.Event] = [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartResult(Part.WORKER, True)]
     assert heard.reports.meant(Ready(), None) == ready
     assert heard.reports.meant(LiveGuidance(None, 77, 0.1), None) == [LiveGuidance(None, 77, 0.1)]
 
@@ -361,6 +361,6 @@ def test_a_process_that_is_down_for_good_fails_what_it_had(
         heard.with_second().merged = merged
     lost = None if number is None else News(number, ReconstructionFailure(DOWN))
     events = heard.meant(WorkerFailure(DOWN.detail) if lost is None else lost)
-    down = [on.ConditionRaised(DOWN), PartTested(Part.WORKER, False, Text.GIVEN_UP)]
+    down = [on.ConditionRaised(DOWN), PartResult(Part.WORKER, False, Text.GIVEN_UP)]
     assert events == [*([] if lost is None else [lost]), *down]
     assert heard.dropped == dropped, "the second sequence, and no more"

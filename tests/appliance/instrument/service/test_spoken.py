@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.states import Device, Gallery, Part, PartTested, State, boot
+from appliance.instrument.machine.states import Device, Gallery, Part, PartResult, State, boot
 from appliance.instrument.ranging.reach import Marks, Range, Reach, Track
 from appliance.instrument.screens.review import to_the_minute
 from appliance.instrument.screens.views import AimView, CalibrateView, GalleryView, SelfTestView, StoredScan
@@ -86,7 +86,7 @@ def test_the_gallery_shows_the_scan_that_is_looked_at_and_of_another_that_was_lo
 
 @pytest.mark.parametrize("failed", [None, *Part])
 def test_all_is_called_ready_only_when_no_line_of_the_self_test_says_otherwise(failed: Part | None) -> None:
-    parts = [PartTested(part, part is not failed) for part in Part]
+    parts = [PartResult(part, part is not failed) for part in Part]
     view = view_of(run(boot(0), *UPS, on.BootFinished(), *parts), NOTHING)
     assert isinstance(view, SelfTestView)
     assert view.finished
@@ -110,7 +110,7 @@ def shown_aim(*events: on.Event) -> AimView:
 @pytest.mark.parametrize("device", [Device.CAMERA_LEFT, Device.CAMERA_RIGHT])
 def test_with_one_camera_gone_the_gauge_pretends_no_distance(device: Device) -> None:
     """It went on with a green OK and 515 mm."""
-    measured = on.Ranged(Range(515.0, 0.0, 0.3, 2))
+    measured = on.RangeMeasured(Range(515.0, 0.0, 0.3, 2))
     gauge = shown_aim(measured).gauge
     assert gauge is not None
     assert (gauge.word, gauge.distance_mm) == (Reach.OK, 515.0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from appliance.instrument.machine import states
-from appliance.instrument.machine.states import NOT_TOLD, Device, Machine, Part, Serving, State, Transfer, boot
+from appliance.instrument.machine.states import TRANSFER_UNKNOWN, Device, Machine, Part, Serving, State, Transfer, boot
 from appliance.instrument.service.transfer import LOOK_NS, TransferSwitch
 from appliance.instrument.service.watchdog import SELF_TEST_FILE, ServiceManager, Watchdog
 from appliance.measure.fault import Fault, FaultCode
@@ -38,7 +38,7 @@ def machine(now_s: float, state: State = State.AIM) -> Machine:
 
 
 def answered(at: Machine, *lost: Device, **parts: bool) -> Machine:
-    results = {part: states.PartTested(part, parts.get(part.name.lower(), True)) for part in Part}
+    results = {part: states.PartResult(part, parts.get(part.name.lower(), True)) for part in Part}
     up = frozenset(set(Device) - set(lost))
     gone = {device: Fault(FaultCode.CAMERA_LOST, "unplugged") for device in lost}
     return replace(at, up=up, lost=gone, parts=results)
@@ -171,7 +171,7 @@ def test_the_note_is_what_the_unit_waits_for(status: Path) -> None:
 def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Path) -> None:
     one = switch(status)
     assert one.poll(0, wanted=False) == []
-    assert one.poll(0, wanted=True) == [NOT_TOLD]
+    assert one.poll(0, wanted=True) == [TRANSFER_UNKNOWN]
     status.write_text(json.dumps(TOLD))
     assert one.poll(LOOK_NS - 1, wanted=True) == []
     assert one.poll(LOOK_NS, wanted=True) == [Transfer(Serving.ON, "192.168.1.7", 2)]
@@ -190,7 +190,7 @@ def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Pat
 )  # fmt: skip
 def test_what_cannot_be_understood_is_not_shown(status: Path, wrong: bytes) -> None:
     status.write_bytes(wrong)
-    assert switch(status).poll(0, wanted=True) == [NOT_TOLD]
+    assert switch(status).poll(0, wanted=True) == [TRANSFER_UNKNOWN]
 
 
 def test_an_address_that_the_screen_would_cut_is_not_shown(status: Path) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.instrument.machine.alerts import RULES, Alert, alert_of
-from appliance.instrument.machine.leading import GuidanceSaid, OverlapSaid
+from appliance.instrument.machine.leading import GuidanceText, OverlapText
 from appliance.instrument.machine.states import Calibrating, Failure, FailureKind, State, Task
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
@@ -57,9 +57,9 @@ AIM = views.AimView(
     exposure="12 ms", water=Text.SALT, gauge=views.Gauge(503.0, -4.0, Reach.OK), marks=seabed.marks(),
     keys=_AIM_KEYS,
 )  # fmt: skip
-NO_OVERLAP = OverlapSaid((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
-GO_BACK = GuidanceSaid((Text.OVERLAP, "25 %"), Text.TURN_BACK, Move.GO_BACK, (-0.95, 0.31))
-GO_ON = GuidanceSaid((Text.OVERLAP, "80 %"), Text.GO_ON, Move.GO_ON, (0.6, -0.8))
+NO_OVERLAP = OverlapText((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
+GO_BACK = GuidanceText((Text.OVERLAP, "25 %"), Text.TURN_BACK, Move.GO_BACK, (-0.95, 0.31))
+GO_ON = GuidanceText((Text.OVERLAP, "80 %"), Text.GO_ON, Move.GO_ON, (0.6, -0.8))
 _POINTS = seabed.cloud()
 REVIEW = views.ReviewView(
     points_mm=_POINTS, values=_POINTS[:, 2], coarse=False, grade=Grade.GOOD, points=1_312_409,
@@ -109,7 +109,7 @@ _VIEWS: dict[str, views.AnyView] = {
     "aim": AIM,
     "aim-closer": replace(AIM, gauge=views.Gauge(588.0, 17.0, Reach.CLOSER), exposure="8 ms", water=Text.FRESH, overlap=NO_OVERLAP),
     "aim-insist": replace(
-        AIM, gauge=views.Gauge(421.0, None, Reach.BACK), guidance=GuidanceSaid((Text.OVERLAP, "50 %"), None), object=3,
+        AIM, gauge=views.Gauge(421.0, None, Reach.BACK), guidance=GuidanceText((Text.OVERLAP, "50 %"), None), object=3,
         alerts=(replace(alert(FaultCode.TOO_NEAR), headline="NEAR 421 mm", german=("NAH 421 mm", "ZURÜCK, ODER NOCHMAL DRÜCKEN")),),
         keys=keys(scan=Text.ANYWAY, back=Text.HOLD_OFF, up=Text.MENU, down=Text.GALLERY),
     ),
@@ -123,7 +123,7 @@ _VIEWS: dict[str, views.AnyView] = {
     "aim-acknowledge": replace(
         AIM, alerts=(_UNCALIBRATED,), keys=keys(scan=Text.SCAN, back=Text.SEEN, up=Text.MENU, down=Text.GALLERY)
     ),
-    "aim-mark": replace(AIM, alerts=(replace(_UNCALIBRATED, seen=True),)),
+    "aim-mark": replace(AIM, alerts=(replace(_UNCALIBRATED, is_acknowledged=True),)),
     "aim-many-alerts": replace(
         AIM, scan_allowed=False,
         alerts=(alert(FaultCode.HOT), LOST, *map(alert, (FaultCode.BOARD_LOST, FaultCode.UNCALIBRATED, FaultCode.STORAGE_FULL))),
@@ -133,7 +133,7 @@ _VIEWS: dict[str, views.AnyView] = {
     "check": views.ProgressView(state=State.CHECK, keys=_REDO),
     "reconstruct": views.ProgressView(state=State.RECONSTRUCT, keys=_REDO),
     "review": replace(
-        REVIEW, overlap=OverlapSaid((Text.OVERLAP, "62 %")),
+        REVIEW, overlap=OverlapText((Text.OVERLAP, "62 %")),
         keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.HOLD_ADD, "3.2 ms")),
     ),
     "review-coarse": replace(REVIEW, coarse=True, grade=Grade.USABLE, points=20_412, noise_mm=0.071),
@@ -141,7 +141,7 @@ _VIEWS: dict[str, views.AnyView] = {
         REVIEW, grade=Grade.USABLE, alerts=(alert(FaultCode.TOO_BRIGHT),), next_scan="10 ms",
         keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.EXPOSE, "12 ms")),
     ),
-    "review-doubtful": replace(REVIEW, lengths_doubtful=True, alerts=(replace(_UNCALIBRATED, seen=True),)),
+    "review-doubtful": replace(REVIEW, lengths_doubtful=True, alerts=(replace(_UNCALIBRATED, is_acknowledged=True),)),
     "review-moved": replace(
         REVIEW, grade=Grade.BAD, alerts=(alert(FaultCode.MOVED),), overlap=NO_OVERLAP,
         keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.EXPOSE, "8 ms")),
