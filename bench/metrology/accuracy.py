@@ -1,4 +1,4 @@
-"""Owns the tables and the picture of ``docs/accuracy.md``: written from the runs' files, never by hand."""
+"""The tables and the picture of ``docs/accuracy.md``, written from the runs' files, never by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.document import short
-from bench.metrology.table import KEYS, PAPER, SAME_AS, JsonRow, summary
+from bench.metrology.table import PAPER, SAME_AS, JsonRow, summary
 from bench.picture import Bar, Panel, draw
 
 BEGIN, END = "<!-- figures: ./dev bench metrology --write-docs -->", "<!-- end of figures -->"
@@ -23,29 +23,24 @@ TARGETS: Mapping[tuple[str, str, str], float] = {
     ("realistic", "ba_spline_4", "noise_mm"): 0.03,
 }
 """What the median over the rigs of a set should keep, by set, rung and quantity."""
-SAID = {
-    "pm_mapped": "pinhole, mapped through the drawn port",
-    "pm_water": "pinhole, recalibrated in water (boards)",
-    "paper_rm_printed": "search of distances, Eq. 1 as printed",
-    "rm": "search of distances, Eq. 1 corrected",
-    "rm_noise_free": "… with noise-free flatness",
-    "rmd": "… with the operator D",
-    "ba_ports": "bundle, ports",
-    "ba_all": "bundle, and all of air",
-    "ba_spline_4": "**bundle, and spline**",
-    "ba_spline_4_points": "… its recordings made point by point",
-    "ba_spline_10": "**bundle, and spline**",
-    "ray_field": "bundle, and field of rays",
-    "salt_updated": "bundle, and spline, in salt water, index updated",
-    "salt_not_updated": "… index not updated",
+ROWS = {
+    "pm_mapped": "`paper`, PM",
+    "rm": "`paper`, RM",
+    "rmd": "`paper`, RMD",
+    "ba_ports": "`ports`",
+    "ba_spline_4": "**`spline`**",
+    "ba_spline_10": "**`spline`**",
+    "salt_updated": "`spline`, salt water, index updated",
+    "salt_not_updated": "`spline`, salt water, index not updated",
 }
+"""Rungs in the page's tables, by the names of the product's methods; the picture and the files have all."""
+TABLE_SETS, TABLE_KEYS = ("realistic", "hard"), ("E_Lb", "E_Lp", "E_F_sys")
 TITLES = {
     "E_Lb": "E_Lb %",
     "E_Lp": "E_Lp %",
     "E_F": "E_F %",
     "E_F_sys": "E_F,sys %",
     "noise_mm": "noise mm",
-    "gap_mm": "ray gap mm",
 }
 
 
@@ -81,7 +76,7 @@ def write_accuracy(folder: Path, document: Path, picture: Path) -> None:
     runs = collected(folder)
     if not runs:
         raise ValueError(f"no metrology-*.json in {folder}; run ./dev bench metrology first")
-    parts = [table(run) for run in runs.values()]
+    parts = [table(run) for name, run in runs.items() if name in TABLE_SETS]
     if "paper" in runs:
         parts.append(beside_the_paper(runs["paper"]["rows"]))
     before, after = text.split(BEGIN)[0], text.split(END)[1]
@@ -102,13 +97,15 @@ def table(run: Mapping[str, Any]) -> str:
             f"{unseen['frustums']} frustums. Median over the rigs (worst rig)."
         ),
         "",
-        "| | recordings | " + " | ".join(TITLES[key] for key in KEYS) + " | s CPU |",
-        "|---|---:|" + "---:|" * (len(KEYS) + 1),
+        "| | scans | " + " | ".join(TITLES[key] for key in TABLE_KEYS) + " |",
+        "|---|---:|" + "---:|" * len(TABLE_KEYS),
     ]
-    for rung, values in summary(rows).items():
-        cells = [_cell(values[key], TARGETS.get((run["set"], rung, key))) for key in KEYS]
-        name = SAID.get(rung, rung) + (f" ({values['missing']} artefacts not found)" if values["missing"] else "")
-        lines.append(f"| {name} | {values['recordings']} | {' | '.join(cells)} | {values['seconds']['median']:.1f} |")
+    summed = summary(rows)
+    for rung in (rung for rung in ROWS if rung in summed):
+        values = summed[rung]
+        cells = [_cell(values[key], TARGETS.get((run["set"], rung, key))) for key in TABLE_KEYS]
+        name = ROWS[rung] + (f" ({values['missing']} artefacts not found)" if values["missing"] else "")
+        lines.append(f"| {name} | {values['recordings']} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""Owns the tables of ``docs/phase-bias.md``: written from what was measured, never by hand."""
+"""The table of ``docs/phase-bias.md``, written from what was measured, never by hand."""
 
 from __future__ import annotations
 
@@ -7,14 +7,9 @@ from pathlib import Path
 from typing import Any
 
 BEGIN, END = "<!-- figures: ./dev bench phase_bias --write-docs -->", "<!-- end of figures -->"
-TITLES = {
-    "response": "Harmonics of the fringes, in parts of the first; 64 px",
-    "causes": "One cause at a time; no noise, no paint, 16 px",
-    "periods": "As the instrument is, 500 mm",
-    "distances": "As the instrument is, 16 px",
-    "paint": "Paint; a straight response, 16 px",
-    "artefacts": "Full images of a ball bar, a plane and a frustum, the true calibration, 16 px",
-}
+TABLE, TITLE = "distances", "As the instrument is, 16 px"
+COLUMNS = ("ripple of depth, µm", "rms, µm", "rms in sigmas")
+"""Of the page's table; the other tables are printed and kept as JSON."""
 
 
 def write_page(measured: Path, page: Path) -> None:
@@ -23,16 +18,14 @@ def write_page(measured: Path, page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     if BEGIN not in text or END not in text:
         raise ValueError(f"{page} has no marks {BEGIN} and {END}")
-    lines: list[str] = []
-    for table, title in TITLES.items():
-        mine = [row for row in rows if row["table"] == table]
-        if not mine:
-            continue
-        columns = list(mine[0]["values"])
-        lines += ["", f"| {title} | {' | '.join(columns)} |", "|---|" + "---:|" * len(columns)]
-        lines += [f"| {row['name']} | {' | '.join(short(row['values'][c]) for c in columns)} |" for row in mine]
+    lines = [f"| {TITLE} | {' | '.join(COLUMNS)} |", "|---|" + "---:|" * len(COLUMNS)]
+    lines += [
+        f"| {row['name']} | {' | '.join(short(row['values'][c]) for c in COLUMNS)} |"
+        for row in rows
+        if row["table"] == TABLE
+    ]
     before, after = text.split(BEGIN)[0], text.split(END)[1]
-    page.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n\n" + END + after, encoding="utf-8")
+    page.write_text(before + BEGIN + "\n\n" + "\n".join(lines) + "\n\n" + END + after, encoding="utf-8")
 
 
 def short(value: float) -> str:

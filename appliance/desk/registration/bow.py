@@ -24,7 +24,7 @@ _WITH_DISTANCE = 0.2
 """The same of shapes that go with the distance, over that of those that do not; of a tilt as of what is bent."""
 PRIOR_MM2 = np.diag([(_USUAL_MM[max(i + j, 2)] * (_WITH_DISTANCE if k else 1.0)) ** 2 for i, j, k in POWERS])
 """Covariance before any overlap is seen, of a calibration that states none: flatness errors of calibrated instruments
-(docs/accuracy.md: worst 0.017 % of the view's diagonal, 46 µm from the highest to the lowest point)."""
+(docs/calibration.md: worst 0.017 % of the view's diagonal, 46 µm from the highest to the lowest point)."""
 CLEARLY_TOLD = 0.5
 """Least share of a direction's variance that overlaps have to take away to tell about it."""
 LEAST_MM = 0.006

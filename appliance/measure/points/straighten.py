@@ -8,7 +8,7 @@ sin kθ are known at all three places: least squares over samples of all four ma
 cannot have made is taken out of every coordinate.
 
 A projector that makes grey by bit planes has another response for each exposure that takes a part of its frame
-(``docs/response.md``); what is measured here is that of the exposure the scan was taken with, through the cameras that
+(``docs/phase-bias.md``); what is measured here is that of the exposure the scan was taken with, through the cameras that
 took it, blur and their own response included.
 
 Symbols: y = p₋ + p₊ − 2 p is the second difference over a distance of d pixels; r_k that of sin kθ; m the normal
