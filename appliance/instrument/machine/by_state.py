@@ -1,4 +1,4 @@
-"""For each state: the effect of its deadline, the effect of each key, and the labels of the keys.
+"""Effect of the deadline, effects of the keys, and labels of the keys, for each state.
 
 Each is a closed match over the states: a new state needs a row in each.
 """

@@ -1,4 +1,4 @@
-"""From power-on to AIM: the results that the self-test waits for, and the faults it stops at."""
+"""The way from power-on to AIM: the results that the self-test waits for, and the faults it stops at."""
 
 from __future__ import annotations
 
