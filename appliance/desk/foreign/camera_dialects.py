@@ -1,10 +1,9 @@
-"""Owns what names in camera files mean: OpenCV's and those of other programs, each bound to the file in which it
-stands.
+"""Meaning of the names in camera files: OpenCV's and those of other programs, with the file of each number.
 
-Two cameras are ``1`` and ``2``, left and right, or counted from 0; a projector takes the right one's place, or is a
-third. Where they stand is said by R and T between them (x_right = R x_left + T), by R and T of the world into each, by
-projection matrices P = K (R | t), or by the rectification that brings both to one plane. Two places that say the same
-thing differently are refused. Sources of ``DIALECTS``: Kalibr's wiki, "Yaml formats"; MathWorks,
+Two cameras are ``1`` and ``2``, left and right, or counted from 0; a projector takes the place of the right one, or is a
+third. Their poses are given by R and T between them (x_right = R x_left + T), by R and T of the world into each, by
+projection matrices P = K (R | t), or by the rectification that brings both to one plane. Two places that give one
+quantity differently are rejected. Sources of ``DIALECTS``: Kalibr's wiki, "Yaml formats"; MathWorks,
 ``stereoParametersToOpenCV``; J.-Y. Bouguet, Camera Calibration Toolbox for Matlab; SLStudio's CalibrationData;
 SLMaster's caliInfo; Middlebury Stereo 2014, calib.txt.
 """
@@ -26,9 +25,9 @@ from appliance.desk.foreign.problem import ForeignError, Table
 
 Array = NDArray[np.float64]
 NumbersOf = Mapping[str, Array]
-"""The numbers of a file by name; those in tables as TABLE.NAME."""
+"""Numbers of a file by name; those in tables as TABLE.NAME."""
 
-WANTED = {
+REQUIRED = {
     "left_matrix": ("left", "matrix"),
     "right_matrix": ("right", "matrix"),
     "left_distortion": ("left", "distortion"),
@@ -36,15 +35,15 @@ WANTED = {
     "rotation": ("both", "rotation"),
     "translation": ("both", "translation"),
 }
-"""Side and kind of all that is wanted, by its name in a description."""
-MOST = 1e9
+"""Side and kind of all numbers that are read, by their name in a description."""
+MAX_NUMBER = 1e9
 """Numbers of cameras are smaller than this."""
-LEAST_LISTED = 3
-"""Fewer numbers under a name are not worth a mention: neither matrix nor vector."""
-SAME = 2e-3
-"""Largest relative difference of two places that say the same."""
-SAME_DEG = 1.0
-"""Largest angle between two ways to say how cameras stand, which are computed from each other."""
+MIN_LISTED_NUMBERS = 3
+"""Least count of numbers under a name that an error lists: fewer are neither matrix nor vector."""
+MAX_RELATIVE_DIFFERENCE = 2e-3
+"""Largest relative difference of two places that agree."""
+MAX_ANGLE_DEG = 1.0
+"""Largest angle between two rotations that agree, as one of them is computed from other numbers."""
 
 # ------------------------------------------------------------------------------------------------ the tables
 
@@ -65,45 +64,51 @@ KINDS: Mapping[str, tuple[Sequence[int], str]] = {
     "width": ((1,), "imagewidth width framewidth imgwidth nx resx"),
     "height": ((1,), "imageheight height frameheight imgheight ny resy"),
 }
-"""Kinds of what a camera file says: how many numbers each may have, and its names, in small letters without anything
-between."""
-WHOSE = ("matrix", "projection")
-"""Kinds by which a camera is told."""
+"""Kinds of entries in a camera file: allowed counts of numbers, and names in small letters without separators."""
+CAMERA_KINDS = ("matrix", "projection")
+"""Kinds that show that a side has a camera."""
 PROJECTOR = ("proj", "projector", "prj")
 
 
-def _known(first: int) -> dict[tuple[str, str], str]:
-    """Return the side by name and kind, for every known name where cameras are counted from ``first``; empty where a
-    name has none."""
+def _sides_by_name(first: int) -> dict[tuple[str, str], str]:
+    """Return the side by name and kind, for all names where cameras are counted from ``first``.
+
+    The side is empty where a name has none.
+    """
     sides = {"both": ("lr", "stereo", "12"), "projector": (*PROJECTOR, "screen")}
     for n, side in ((first, "left"), (first + 1, "right")):
         sides[side] = (side, side[0], f"{n}", f"cam{n}", f"camera{n}")
-    found: dict[tuple[str, str], str] = {}
+    side_by_name: dict[tuple[str, str], str] = {}
     for kind, (_, names) in KINDS.items():
         for name in names.split():
-            for side, words in sides.items():
-                found |= {(both, kind): side for word in words for both in (name + word, word + name)}
-            found[name, kind] = ""
-    return found
+            for side, affixes in sides.items():
+                side_by_name |= {
+                    (full_name, kind): side for word in affixes for full_name in (name + word, word + name)
+                }
+            side_by_name[name, kind] = ""
+    return side_by_name
 
 
-KNOWN = (_known(0), _known(1))
-ZEROS = {name for name, _ in KNOWN[0]} - {name for name, _ in KNOWN[1]}
+SIDES_BY_NAME = (_sides_by_name(0), _sides_by_name(1))
+ZERO_BASED_NAMES = {name for name, _ in SIDES_BY_NAME[0]} - {name for name, _ in SIDES_BY_NAME[1]}
 """Names of cameras that are counted from 0."""
 
 
 def _four(f_and_c: Array, c_px: Array | None = None, skew: Array | None = None) -> Array:
-    """Return the matrix of fu, fv, cu, cv, or of f and c; a skew is in units of the focal length."""
+    """Return the camera matrix of fu, fv, cu, cv, or of f and c.
+
+    A skew is in units of the focal length.
+    """
     fu, fv, cu, cv = np.ravel(f_and_c if c_px is None else [f_and_c, c_px])
     return np.array([[fu, 0.0 if skew is None else float(np.ravel(skew)[0]) * fu, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])
 
 
 def _from_one(matrix: Array) -> Array:
-    """Return a matrix of MATLAB's, which counts pixels from 1 and may multiply from the right."""
-    found = matrix.reshape(3, 3)
-    found = (found.T if abs(found[2, 0]) > abs(found[0, 2]) else found).copy()
-    found[:2, 2] -= 1.0
-    return found
+    """Return a camera matrix from MATLAB's, which counts pixels from 1 and may multiply from the right."""
+    camera_matrix = matrix.reshape(3, 3)
+    camera_matrix = (camera_matrix.T if abs(camera_matrix[2, 0]) > abs(camera_matrix[0, 2]) else camera_matrix).copy()
+    camera_matrix[:2, 2] -= 1.0
+    return camera_matrix
 
 
 def _brown(radial: Array, across: Array | None) -> Array:
@@ -112,14 +117,14 @@ def _brown(radial: Array, across: Array | None) -> Array:
 
 
 def rotation_of(numbers: Array) -> Array:
-    """Return the matrix (3, 3) of nine numbers, or of a vector of three: axis times angle."""
+    """Return the rotation matrix (3, 3) of nine numbers, or of a rotation vector."""
     return np.asarray(cv2.Rodrigues(numbers)[0] if numbers.size == 3 else numbers.reshape(3, 3), np.float64)
 
 
-Says = tuple[str, str, str, Callable[..., Any]]
-"""Side, kind, names in the file (``?``: may be missing), and what makes ours of their numbers."""
+DialectRow = tuple[str, str, str, Callable[..., Any]]
+"""Side, kind, names in the file (``?``: may be missing), and a function from their numbers to ours."""
 
-DIALECTS: tuple[tuple[Says, ...], ...] = (
+DIALECTS: tuple[tuple[DialectRow, ...], ...] = (
     # SLStudio
     (("left", "matrix", "Kc", np.ravel), ("left", "distortion", "kc", np.ravel), ("projector", "matrix", "Kp", np.ravel),
      ("projector", "distortion", "kp", np.ravel), ("projector", "rotation", "Rp", np.ravel), ("projector", "translation", "Tp", np.ravel)),
@@ -129,9 +134,9 @@ DIALECTS: tuple[tuple[Says, ...], ...] = (
     # Middlebury
     (("both", "translation", "baseline cam0 cam1", lambda base, *_: [-base.ravel()[0], 0.0, 0.0]), ("left", "matrix", "cam0", np.ravel),
      ("right", "matrix", "cam1", np.ravel), ("both", "rotation", "baseline", lambda _: np.eye(3))),
-    # Renderings by Blender: of each device its place in the world, and the turn of the world into it
-    (("", "translation", "rotate translate", lambda turn, place: -rotation_of(turn) @ place.ravel()), ("", "rotation", "rotate", np.ravel)),
-    # Kalibr: T_cn_cnm1 is the pose of the camera before in this one
+    # Renderings by Blender: the place of each device in the world, and the rotation of the world into it
+    (("", "translation", "rotate translate", lambda rotation, place: -rotation_of(rotation) @ place.ravel()), ("", "rotation", "rotate", np.ravel)),
+    # Kalibr: T_cn_cnm1 is the pose of the previous camera in this one
     *(((side, "matrix", f"cam{n}.intrinsics", _four), (side, "distortion", f"cam{n}.distortion_coeffs", np.ravel),
        (side, "size", f"cam{n}.resolution", np.ravel), ("both", "rotation", f"cam{n}.T_cn_cnm1", lambda pose: pose.reshape(4, 4)[:3, :3]),
        ("both", "translation", f"cam{n}.T_cn_cnm1", lambda pose: pose.reshape(4, 4)[:3, 3])) for n, side in enumerate(("left", "right"))),
@@ -139,23 +144,23 @@ DIALECTS: tuple[tuple[Says, ...], ...] = (
     *(((side, "matrix", f"CameraParameters{n}.{name}", _from_one),
        (side, "distortion", f"CameraParameters{n}.RadialDistortion CameraParameters{n}.TangentialDistortion?", _brown),
        (side, "size", f"CameraParameters{n}.ImageSize", lambda size: np.ravel(size)[::-1]),
-       ("both", "rotation", "RotationOfCamera2", lambda turn: turn.reshape(3, 3).T), ("both", "translation", "TranslationOfCamera2", np.ravel))
+       ("both", "rotation", "RotationOfCamera2", lambda rotation: rotation.reshape(3, 3).T), ("both", "translation", "TranslationOfCamera2", np.ravel))
       for n, side in enumerate(("left", "right"), 1) for name in ("IntrinsicMatrix", "K")),
     # Bouguet
     *(((side, "matrix", f"fc{behind} cc{behind} alpha_c{behind}?", _four),) for behind, side in (("_left", "left"), ("_right", "right"), ("", ""))),
 )  # fmt: skip
-"""Rows by program of what it says in its own way; a file is of such a program where it has the names of the first row,
-behind the same tables if any."""
+"""Rows of each program with names or numbers of its own; a file is of a program if it has the names of the first row,
+below the same tables if any."""
 
 LENSES = {
     "camera_model": ("pinhole",),
     "distortion_model": ("radtan", "plumb_bob", "plumb-bob", "rational_polynomial", "none", "brown", "opencv"),
 }
-"""Models that OpenCV's numbers describe, by the name under which files say them."""
+"""Lens models that OpenCV's numbers describe, by the key under which files name them."""
 
 
 def refuse_other_lenses(source: str, content: Mapping[str, Any]) -> None:
-    """Raise ForeignError for a model of lenses that is no pinhole with OpenCV's distortion."""
+    """Raise ForeignError for a lens model other than a pinhole with OpenCV's distortion."""
     for name, word in content.items():
         allowed = LENSES.get(name.rpartition(".")[2].lower())
         if allowed and isinstance(word, str) and word and word.lower() not in allowed:
@@ -165,13 +170,15 @@ def refuse_other_lenses(source: str, content: Mapping[str, Any]) -> None:
             )
 
 
-# ----------------------------------------------------------------------------------------------- what is said
+# --------------------------------------------------------------------------------------------------- numbers
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """Numbers of one kind, and of whom: ``left``, ``right``, ``projector``, ``both``: between them; empty: whoever's
-    file it is."""
+    """Numbers of one kind, with their side and source.
+
+    ``side`` is ``left``, ``right``, ``projector``, or ``both`` for what is between two; empty if the file does not say it.
+    """
 
     side: str
     kind: str
@@ -189,13 +196,13 @@ Facts = dict[tuple[str, str], Fact]
 
 @dataclass(frozen=True, slots=True)
 class CameraNumbers:
-    """All that camera files say of two cameras."""
+    """Numbers that camera files give of two cameras."""
 
-    found: Mapping[str, Array]
-    """``WANTED``; those of distortion may be empty."""
+    numbers: Mapping[str, Array]
+    """The numbers by the keys of ``REQUIRED``; those of distortion may be empty."""
     sizes: Mapping[str, Fact]
-    """Sizes by side as far as they are stated; the right one is a projector's where it takes that place, else that is a
-    third."""
+    """Image sizes by side, as far as they are stated; a projector in the right camera's place is ``right``, else a third
+    side."""
     has_projector: bool
     notes: tuple[str, ...]
 
@@ -205,56 +212,63 @@ class CameraNumbers:
         return {side: (int(fact.numbers[0]), int(fact.numbers[1])) for side, fact in self.sizes.items()}
 
 
-def understood(files: Mapping[str, NumbersOf], names: Table, of_projector: bool) -> CameraNumbers:
-    """Return what ``files`` say of two cameras, or of one and a projector.
+def interpret_numbers(files: Mapping[str, NumbersOf], names: Table, of_projector: bool) -> CameraNumbers:
+    """Return the numbers that ``files`` give of two cameras, or of one and a projector.
 
     ``names`` are the description's own for single numbers: NAME, FILE:NAME or the FILE of a single matrix. Raises
     ForeignError.
     """
-    names.only(*WANTED)
+    names.only(*REQUIRED)
     facts: Facts = {}
-    for wanted in names.content:
-        _put(facts, _named(files, names, wanted))
+    for key_name in names.content:
+        _add_fact(facts, _named(files, names, key_name))
     fixed, named = set(facts), {(fact.file, fact.name) for fact in facts.values()}
-    said = [fact for fact in facts_of(files, of_projector) if (fact.file, fact.name) not in named]
-    cameras = {fact.side: fact for fact in said if fact.kind in WHOSE}
+    unnamed = [fact for fact in facts_of(files, of_projector) if (fact.file, fact.name) not in named]
+    cameras = {fact.side: fact for fact in unnamed if fact.kind in CAMERA_KINDS}
     projector = cameras.get("projector")
     if of_projector:
         # It takes the right camera's place; beside a second camera, what is between two is the cameras'.
-        beside = () if projector is None else ("right", "both") if "right" in cameras else ("right",)
-        said = [replace(fact, side=fact.side.replace("projector", "right")) for fact in said if fact.side not in beside]
+        ignored = () if projector is None else ("right", "both") if "right" in cameras else ("right",)
+        unnamed = [
+            replace(fact, side=fact.side.replace("projector", "right")) for fact in unnamed if fact.side not in ignored
+        ]
     elif projector and "right" not in cameras and ("right", "matrix") not in fixed:
         raise ForeignError(
             f"cameras.files: {projector.where} is a projector's, and the images are of two cameras; give the file of both "
             "cameras, or leave images.right out"
         )
-    for fact in said:
+    for fact in unnamed:
         if (fact.side, fact.kind) not in fixed:
-            _put(facts, fact)
+            _add_fact(facts, fact)
     notes: list[str] = []
-    pose = {} if {WANTED["rotation"], WANTED["translation"]} <= fixed else _pose(facts, notes)
-    found = pose | {
-        wanted: facts[key].numbers for wanted, key in WANTED.items() if key in (fixed if wanted in pose else facts)
+    pose = {} if {REQUIRED["rotation"], REQUIRED["translation"]} <= fixed else _pose(facts, notes)
+    chosen = pose | {
+        key_name: facts[key].numbers
+        for key_name, key in REQUIRED.items()
+        if key in (fixed if key_name in pose else facts)
     }
-    missing = [wanted for wanted in WANTED if wanted not in found and not wanted.endswith("distortion")]
+    missing = [key_name for key_name in REQUIRED if key_name not in chosen and not key_name.endswith("distortion")]
     if missing:
-        there = "; ".join(
-            f"{file}: {', '.join([name for name, numbers in values.items() if numbers.size >= LEAST_LISTED][:20])[:400] or 'no matrices'}"
+        names_text = "; ".join(
+            f"{file}: {', '.join([name for name, numbers in values.items() if numbers.size >= MIN_LISTED_NUMBERS][:20])[:400] or 'no matrices'}"
             for file, values in files.items()
         )
         raise ForeignError(
-            f"cameras have no {', '.join(missing)} under a name that is known ({there}); say which is which under [cameras.names], "
+            f"cameras have no {', '.join(missing)} under a name that is known ({names_text}); say which is which under [cameras.names], "
             f'for example {missing[0]} = "NAME" or "FILE:NAME"'
         )
     sizes = {side: fact for (side, kind), fact in facts.items() if kind == "size"}
     return CameraNumbers(
-        {wanted: found.get(wanted, np.empty(0)) for wanted in WANTED}, sizes, projector is not None, tuple(notes)
+        {key_name: chosen.get(key_name, np.empty(0)) for key_name in REQUIRED},
+        sizes,
+        projector is not None,
+        tuple(notes),
     )
 
 
-def _named(files: Mapping[str, NumbersOf], names: Table, wanted: str) -> Fact:
-    """Return the numbers that [cameras.names] says."""
-    text, (side, kind) = names.text(wanted), WANTED[wanted]
+def _named(files: Mapping[str, NumbersOf], names: Table, key: str) -> Fact:
+    """Return the numbers that an entry of [cameras.names] names."""
+    text, (side, kind) = names.text(key), REQUIRED[key]
     counts = KINDS[kind][0]
     hits = [
         Fact(side, kind, numbers.ravel(), file, name)
@@ -264,28 +278,31 @@ def _named(files: Mapping[str, NumbersOf], names: Table, wanted: str) -> Fact:
     ]
     if not hits:
         allowed = f"a name of {' or '.join(map(str, counts))} numbers in one of cameras.files, as NAME or FILE:NAME"
-        raise names.wrong(wanted, allowed, "correct it")
-    if any(not np.array_equal(one.numbers, hits[0].numbers) for one in hits):
-        raise names.wrong(wanted, " or ".join(f'"{one.file}:{one.name}"' for one in hits), "say which")
+        raise names.wrong(key, allowed, "correct it")
+    if any(not np.array_equal(hit.numbers, hits[0].numbers) for hit in hits):
+        raise names.wrong(key, " or ".join(f'"{hit.file}:{hit.name}"' for hit in hits), "say which")
     return hits[0]
 
 
 def facts_of(files: Mapping[str, NumbersOf], of_projector: bool = False) -> list[Fact]:
-    """Return all that is known in ``files`` with the side of each: by its name, else by its file's, else by the order
-    of files."""
-    # Folders and names that all have in common tell nothing, whatever words are in them.
+    """Return all numbers with a known name in ``files``, each with its side.
+
+    The side follows from the name, else from the file's name, else from the order of the files.
+    """
+    # Ignore words in folders and names that all files share.
     shared = set.intersection(*(set(Path(file).parts) for file in files)) if files else set()
     paths = {file: [part for part in Path(file).parts if part not in shared] for file in files}
-    # Counted from 0 where something is called so.
+    # Cameras are counted from 0 if any name has a 0.
     zero = any(re.search(r"cam(era)?[_-]?0(?!\d)", "/".join(parts), re.IGNORECASE) for parts in paths.values())
-    zero = zero or any(ZEROS.intersection(_spellings(name)) for values in files.values() for name in values)
+    zero = zero or any(ZERO_BASED_NAMES.intersection(_spellings(name)) for values in files.values() for name in values)
     first = 0 if zero else 1
-    by_file = {file: list(_in_file(file, values, KNOWN[first])) for file, values in files.items()}
+    by_file = {file: list(_in_file(file, values, SIDES_BY_NAME[first])) for file, values in files.items()}
     sides = {
-        file: {fact.side for fact in facts if fact.kind in WHOSE} - {"", "both"} for file, facts in by_file.items()
+        file: {fact.side for fact in facts if fact.kind in CAMERA_KINDS} - {"", "both"}
+        for file, facts in by_file.items()
     }
-    taken = set().union(*sides.values(), (_side_of(parts, first) for parts in paths.values()))
-    found: list[Fact] = []
+    known_sides = set().union(*sides.values(), (_side_of(parts, first) for parts in paths.values()))
+    results: list[Fact] = []
     for file, facts in by_file.items():
         in_order = ""
         for fact in facts:
@@ -293,94 +310,106 @@ def facts_of(files: Mapping[str, NumbersOf], of_projector: bool = False) -> list
             side = fact.side
             if not side and not sides[file]:
                 side = _side_of(parts, first)
-                if not side and "projector" in taken and "cam" in f"{'/'.join(paths[file])} {fact.name}".lower():
+                if not side and "projector" in known_sides and "cam" in f"{'/'.join(paths[file])} {fact.name}".lower():
                     side = "left"
-                elif not side and any(one.kind in WHOSE for one in facts):
-                    side = in_order = in_order or ("right" if "left" in taken else "left")
-            if fact.kind in WHOSE:
-                taken.add(side)
-            mine = [side]
+                elif not side and any(sibling.kind in CAMERA_KINDS for sibling in facts):
+                    side = in_order = in_order or ("right" if "left" in known_sides else "left")
+            if fact.kind in CAMERA_KINDS:
+                known_sides.add(side)
+            own_sides = [side]
             if not side and fact.kind in ("rotation", "translation"):
-                mine = ["both"]
+                own_sides = ["both"]
             elif not side and fact.kind == "size":
-                mine = ["left"] if of_projector or (sides[file] and "right" not in sides[file]) else ["left", "right"]
+                own_sides = (
+                    ["left"] if of_projector or (sides[file] and "right" not in sides[file]) else ["left", "right"]
+                )
             elif not side:
-                mine = [] if "left" in sides[file] else ["left"]
-            found += [replace(fact, side=one) for one in mine]
-    return found
+                own_sides = [] if "left" in sides[file] else ["left"]
+            results += [replace(fact, side=own_side) for own_side in own_sides]
+    return results
 
 
 def _side_of(parts: Sequence[str], first: int) -> str:
-    """Return whose a file is by its folders and its name; empty where they do not say so."""
+    """Return the side that the folders and the name of a file tell; empty if they do not."""
     text = "/".join(parts)
     if re.search("|".join(PROJECTOR), text, re.IGNORECASE):
         return "projector"
-    words = {
+    patterns = {
         side: rf"{side}|(?<![a-z]){side[0]}(?![a-z])|cam(era)?[_-]?{n}(?!\d)"
         for n, side in ((first, "left"), (first + 1, "right"))
     }
-    sides = [side for side, word in words.items() if re.search(word, text, re.IGNORECASE)]
+    sides = [side for side, word in patterns.items() if re.search(word, text, re.IGNORECASE)]
     return sides[0] if len(sides) == 1 else ""
 
 
 def _spellings(name: str) -> Iterator[str]:
-    """Yield how a name may be known: with the tables in which it stands, or the last one of them, and without a word
-    for camera."""
+    """Yield the spellings of a name: with its tables or the last of them, and without a word for camera."""
     parts = name.lower().split(".")
     for k in range(max(1, len(parts) - 1)):
         plain = re.sub(r"[^a-z0-9]", "", "".join(parts[k:]))
         yield from (plain, re.sub("^cam(era)?|cam(era)?$", "", plain))
 
 
-def _in_file(file: str, values: NumbersOf, known: Mapping[tuple[str, str], str]) -> Iterator[Fact]:
-    """Yield what is known in a file, by its names alone."""
+def _in_file(file: str, values: NumbersOf, side_by_name: Mapping[tuple[str, str], str]) -> Iterator[Fact]:
+    """Yield the facts of a file, by its names alone."""
     facts: list[Fact] = []
     used: set[str] = set()
-    for says in DIALECTS:
-        asks = [name for name in says[0][2].split() if not name.endswith("?")]
-        before = next((name.removesuffix(asks[0]) for name in values if f".{name}".endswith(f".{asks[0]}")), None)
-        if before is None or not all(before + name in values for name in asks):
+    for rows in DIALECTS:
+        required = [name for name in rows[0][2].split() if not name.endswith("?")]
+        prefix = next(
+            (name.removesuffix(required[0]) for name in values if f".{name}".endswith(f".{required[0]}")), None
+        )
+        if prefix is None or not all(prefix + name in values for name in required):
             continue
-        for side, kind, names, change in says:
-            theirs = [before + name.rstrip("?") for name in names.split()]
+        for side, kind, names, change in rows:
+            full_names = [prefix + name.rstrip("?") for name in names.split()]
             with suppress(KeyError, TypeError, ValueError, IndexError):
-                numbers = np.asarray(change(values[theirs[0]], *map(values.get, theirs[1:])), np.float64).ravel()
+                numbers = np.asarray(
+                    change(values[full_names[0]], *map(values.get, full_names[1:])), np.float64
+                ).ravel()
                 if numbers.size in KINDS[kind][0]:
-                    used.update(theirs)
-                    facts.append(Fact(side, kind, numbers, file, theirs[0]))
-    # One table about everything says nothing: MATLAB's files often have one variable.
+                    used.update(full_names)
+                    facts.append(Fact(side, kind, numbers, file, full_names[0]))
+    # Skip a table that holds the whole file: MATLAB's files often have one variable.
     while len({name.partition(".")[0] for name in values}) == 1 and all("." in name for name in values):
         used = {name.partition(".")[2] for name in used}
         values = {name.partition(".")[2]: numbers for name, numbers in values.items()}
     for name, numbers in values.items():
         for plain in () if name in used else _spellings(name):
-            kinds = [kind for kind, (counts, _) in KINDS.items() if (plain, kind) in known and numbers.size in counts]
+            kinds = [
+                kind for kind, (counts, _) in KINDS.items() if (plain, kind) in side_by_name and numbers.size in counts
+            ]
             if kinds:
-                facts.append(Fact(known[plain, kinds[0]], kinds[0], numbers.ravel(), file, name))
+                facts.append(Fact(side_by_name[plain, kinds[0]], kinds[0], numbers.ravel(), file, name))
                 break
     for fact in facts:
         if fact.kind == "width":
-            for other in facts:
-                if (other.kind, other.side) == ("height", fact.side):
-                    both = np.append(fact.numbers, other.numbers)
-                    yield Fact(fact.side, "size", both, file, f"{fact.name}, {other.name}")
+            for height in facts:
+                if (height.kind, height.side) == ("height", fact.side):
+                    size_px = np.append(fact.numbers, height.numbers)
+                    yield Fact(fact.side, "size", size_px, file, f"{fact.name}, {height.name}")
         elif fact.kind != "height":
             yield fact
 
 
-def _put(facts: Facts, fact: Fact) -> None:
-    """Add a fact. Raises ForeignError where another place says it differently."""
-    if not np.all(np.abs(fact.numbers) < MOST):
+def _add_fact(facts: Facts, fact: Fact) -> None:
+    """Add a fact. Raises ForeignError if another place gives another value."""
+    if not np.all(np.abs(fact.numbers) < MAX_NUMBER):
         raise ForeignError(
-            f"{fact.where} is {fact.numbers.tolist()!r:.80}; allowed are finite numbers below {MOST:g}; correct it"
+            f"{fact.where} is {fact.numbers.tolist()!r:.80}; allowed are finite numbers below {MAX_NUMBER:g}; correct it"
         )
     # Programs write the same number with few digits in one place and with many in another.
-    before = facts.setdefault((fact.side, fact.kind), fact)
-    one, other = _comparable(before), _comparable(fact)
-    if not np.allclose(one, other, rtol=SAME, atol=SAME * np.abs(one).max()):
+    earlier = facts.setdefault((fact.side, fact.kind), fact)
+    earlier_numbers, numbers = _comparable(earlier), _comparable(fact)
+    if not np.allclose(
+        earlier_numbers,
+        numbers,
+        rtol=MAX_RELATIVE_DIFFERENCE,
+        atol=MAX_RELATIVE_DIFFERENCE * np.abs(earlier_numbers).max(),
+    ):
         raise ForeignError(
-            f"{before.where} and {fact.where} say the {fact.kind} of {fact.side} differently "
-            f"({before.numbers.round(4).tolist()!r:.60} and {fact.numbers.round(4).tolist()!r:.60}); leave one out, or say which holds under [cameras.names]"
+            f"{earlier.where} and {fact.where} say the {fact.kind} of {fact.side} differently "
+            f"({earlier.numbers.round(4).tolist()!r:.60} and {fact.numbers.round(4).tolist()!r:.60}); leave one out, or say which holds under [cameras.names]"
         )
 
 
@@ -390,64 +419,71 @@ def _comparable(fact: Fact) -> Array:
     return np.append(fact.numbers, np.zeros(14 - fact.numbers.size)) if fact.kind == "distortion" else fact.numbers
 
 
-# -------------------------------------------------------------------------------------------- how they stand
+# ------------------------------------------------------------------------------------------------------ poses
 
 Pose = tuple[str, Array, Array]
-"""The place where it is said, R and T: x = R X + T."""
+"""Source, R and T: x = R X + T."""
 
 
 def _pose(facts: Facts, notes: list[str]) -> dict[str, Array]:
-    """Return rotation and translation from left to right by whatever says them. Raises ForeignError where two ways say
-    them differently.
+    """Return rotation and translation from left to right, from any numbers that give them.
 
-    ``facts`` get the camera matrices that only projection matrices say.
+    ``facts`` get the camera matrices that only projection matrices give. Raises ForeignError if two sources disagree.
     """
     first, second = _of_world(facts, "left"), _of_world(facts, "right")
-    # What the right one alone says is in the left camera's frame.
+    # A pose of the right camera alone is in the left camera's frame.
     R, T = (
         facts.get(("both", kind), None if ("left", kind) in facts else facts.get(("right", kind)))
         for kind in ("rotation", "translation")
     )
-    ways = [(R.where, rotation_of(R.numbers), T.numbers)] if R and T else []
-    for (where, R1, T1), (other, R2, T2) in ((first[way], second[way]) for way in first if way in second):
-        ways.append((f"{where} with {other}", R2 @ R1.T, T2 - R2 @ R1.T @ T1))
-    if not ways and "own" in first:
-        ways.append(first["own"])
+    poses = [(R.where, rotation_of(R.numbers), T.numbers)] if R and T else []
+    for (left_where, R1, T1), (right_where, R2, T2) in (
+        (first[source], second[source]) for source in first if source in second
+    ):
+        poses.append((f"{left_where} with {right_where}", R2 @ R1.T, T2 - R2 @ R1.T @ T1))
+    if not poses and "own" in first:
+        poses.append(first["own"])
         notes.append(
             f"cameras: rotation and translation: {first['own'][0]} stands in the left camera's file alone; taken as from left to right"
         )
-    for where, turn, way in ways[1:]:
-        said, rotation, translation = ways[0]
-        apart_deg = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(rotation @ turn.T) - 1.0), -1.0, 1.0))))
-        if apart_deg > SAME_DEG or np.linalg.norm(translation - way) > np.radians(SAME_DEG) * np.linalg.norm(
-            translation
-        ):
+    for where, rotation2, translation2 in poses[1:]:
+        first_where, rotation, translation = poses[0]
+        apart_deg = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(rotation @ rotation2.T) - 1.0), -1.0, 1.0))))
+        if apart_deg > MAX_ANGLE_DEG or np.linalg.norm(translation - translation2) > np.radians(
+            MAX_ANGLE_DEG
+        ) * np.linalg.norm(translation):
             raise ForeignError(
-                f"{said} and {where} say differently how the two stand to each other: turned by {apart_deg:.2g}°, translations "
-                f"{translation.round(3).tolist()} and {way.round(3).tolist()}; leave one out, or say which holds under [cameras.names]"
+                f"{first_where} and {where} say differently how the two stand to each other: turned by {apart_deg:.2g}°, translations "
+                f"{translation.round(3).tolist()} and {translation2.round(3).tolist()}; leave one out, or say which holds under [cameras.names]"
             )
-    return {"rotation": ways[0][1], "translation": ways[0][2]} if ways else {}
+    return {"rotation": poses[0][1], "translation": poses[0][2]} if poses else {}
 
 
 def _of_world(facts: Facts, side: str) -> dict[str, Pose]:
-    """Return how the world stands to a camera, by each way in which files say it."""
-    R, T, P, turn = (facts.get((side, kind)) for kind in ("rotation", "translation", "projection", "rectification"))
-    ways: dict[str, Pose] = {}
+    """Return the pose of the world in a camera's frame, by each kind of source."""
+    R, T, P, rectification = (
+        facts.get((side, kind)) for kind in ("rotation", "translation", "projection", "rectification")
+    )
+    poses: dict[str, Pose] = {}
     if R and T:
-        ways["own"] = R.where, rotation_of(R.numbers), T.numbers
-    # OpenCV calls what rectifies a camera R1 or R2, and has no T1 and T2.
-    turn = R if turn is None and T is None else turn
+        poses["own"] = R.where, rotation_of(R.numbers), T.numbers
+    # OpenCV names the rectifying rotations R1 and R2, and has no T1 and T2.
+    rectification = R if rectification is None and T is None else rectification
     if P is None or abs(np.linalg.det(P.numbers.reshape(3, 4)[:, :3])) < 1e-9:
-        return ways
+        return poses
     projection = P.numbers.reshape(3, 4)
-    if turn:
-        # What brings both to one plane, as ROS and OpenCV's stereoRectify write: x' = R1 x, and P = K' (I | t) of each.
-        back = rotation_of(turn.numbers).T
-        ways["rectified"] = turn.where, back, back @ np.linalg.solve(projection[:, :3], projection[:, 3])
+    if rectification:
+        # Rectification as ROS and OpenCV's stereoRectify write it: x' = R1 x, and P = K' (I | t) of each camera.
+        inverse = rotation_of(rectification.numbers).T
+        poses["rectified"] = (
+            rectification.where,
+            inverse,
+            inverse @ np.linalg.solve(projection[:, :3], projection[:, 3]),
+        )
     elif (side, "matrix") not in facts:
-        # Any multiple of it is the same camera; with a negative one the focal lengths would be so.
+        # Any multiple is the same camera; a negative one would make the focal lengths negative.
         signed = projection * np.sign(np.linalg.det(projection[:, :3]))
         matrix, rotation, centre = cv2.decomposeProjectionMatrix(signed)[:3]
         facts[side, "matrix"] = replace(P, kind="matrix", numbers=np.ravel(matrix / matrix[2, 2]))
-        ways["projected"] = P.where, np.asarray(rotation), np.ravel(-rotation @ (centre[:3] / centre[3]))
-    return ways
+        poses["projected"] = P.where, np.asarray(rotation), np.ravel(-rotation @ (centre[:3] / centre[3]))
+    return poses

@@ -1,14 +1,10 @@
-"""Owns the reading of other people's camera files: whatever their format, numbers by name, which ``camera_dialects``
-understands.
+"""Reading of foreign camera files: numbers by name, which ``camera_dialects`` interprets.
 
-OpenCV's YAML, XML and JSON and those of others; NumPy's .npz; MATLAB's .mat; one matrix a file, as .npy, .txt or .csv,
-which is called as the file is; text of ``name = numbers``, or with the numbers below it.
-
-It also owns the reading of MATLAB's files, versions 4 to 7: by scipy, in a process of its own with little time and
-memory.
-
-A damaged file may end the process that reads it. This module is that process's program, too, and imports nothing of
-ours.
+* ``camera_numbers``, ``cameras_in``, ``numbers_in``: OpenCV's YAML, XML and JSON and those of others; NumPy's .npz;
+  MATLAB's .mat; one matrix a file, as .npy, .txt or .csv, with the name of the file; text of ``name = numbers``, or with
+  the numbers below it.
+* ``matlab_tables``: MATLAB's files, versions 4 to 7, read by scipy in a process of its own with little time and memory,
+  since a damaged file may end the process that reads it. This module is that process's program, too.
 """
 
 from __future__ import annotations
@@ -30,19 +26,25 @@ import yaml
 from numpy.typing import NDArray
 
 from appliance.base import read_bounded
-from appliance.desk.foreign.camera_dialects import CameraNumbers, NumbersOf, facts_of, refuse_other_lenses, understood
+from appliance.desk.foreign.camera_dialects import (
+    CameraNumbers,
+    NumbersOf,
+    facts_of,
+    interpret_numbers,
+    refuse_other_lenses,
+)
 from appliance.desk.foreign.frames import array_heads, load_array
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure import CalibrationError
 from appliance.store import load_calibration
 
 MOST_S, MOST_MEMORY_BYTES, MOST_TEXT_BYTES = 20, 1 << 30, 1 << 24
-MOST_NUMBERS = 20_000
-"""Arrays of more numbers are left out: they are no camera's."""
+MAX_NUMBERS = 20_000
+"""Arrays of more numbers are ignored: they belong to no camera."""
 
 
 def matlab_tables(raw: bytes) -> dict[str, Any]:
-    """Return numbers, lists of them and texts by name; structures are tables.
+    """Return numbers, lists of numbers and texts by name; structures are tables.
 
     Raises ValueError for bytes that are no MATLAB file of version 4 to 7, or are damaged.
     """
@@ -60,20 +62,20 @@ def matlab_tables(raw: bytes) -> dict[str, Any]:
     if done.returncode:
         last = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
         raise ValueError(last[-200:] or f"it ends its reader by signal {-done.returncode}")
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    tables: dict[str, Any] = json.loads(done.stdout)
+    return tables
 
 
-def _plain(value: Any) -> Any:
-    """Return what JSON can hold of what scipy makes: ``None`` for objects, cells and whatever is large."""
+def _to_json(value: Any) -> Any:
+    """Return a value of scipy in types of JSON, ``None`` for objects, cells and large arrays."""
     if isinstance(value, dict):
-        return {str(name): _plain(one) for name, one in value.items() if not str(name).startswith("__")}
+        return {str(name): _to_json(member) for name, member in value.items() if not str(name).startswith("__")}
     if isinstance(value, list):
-        return _plain(value[0]) if value else None  # of an array of structures the first
+        return _to_json(value[0]) if value else None  # of an array of structures the first
     if isinstance(value, str):
         return value
     array = np.asarray(value)
-    return array.tolist() if array.dtype.kind in "fiu" and array.size <= MOST_NUMBERS else None
+    return array.tolist() if array.dtype.kind in "fiu" and array.size <= MAX_NUMBERS else None
 
 
 def _main() -> None:
@@ -87,13 +89,13 @@ def _main() -> None:
         content = loadmat(io.BytesIO(sys.stdin.buffer.read()), simplify_cells=True)
     except NotImplementedError:
         sys.exit("version 7.3 is another format: save it with -v7")
-    found = _plain(content)
-    if not any(found.values()) and any(isinstance(one, MatlabOpaque) for one in content.values()):
+    tables = _to_json(content)
+    if not any(tables.values()) and any(isinstance(value, MatlabOpaque) for value in content.values()):
         sys.exit(
             "it holds an object, which only MATLAB reads: save it as a structure, s = toStruct(stereoParams); "
             "save('stereo.mat', 's', '-v7')"
         )
-    text = json.dumps(found)
+    text = json.dumps(tables)
     if len(text) > MOST_TEXT_BYTES:
         sys.exit("it holds more numbers than cameras have")
     sys.stdout.write(text)
@@ -106,18 +108,18 @@ if __name__ == "__main__":
 Array = NDArray[np.float64]
 
 MAX_BYTES = 4_000_000
-MOST_DEEP = 12
-"""Most levels of tables and lists in one another."""
+MAX_DEPTH = 12
+"""Largest number of nested tables and lists."""
 UP_TO_SCALE = 1e-3
-"""Largest difference from 1 of a translation that has no scale."""
+"""Largest difference from 1 of the length of a translation without scale."""
 METRES_BELOW = 3.0
-"""A translation shorter than this is in metres, unless it is 1: then it has no scale."""
+"""Length below which a translation is in metres, unless its length is 1: then it has no scale."""
 _NAMED_LINE = re.compile(r"(?P<name>[A-Za-z_][\w .-]*?)\s*[=:]\s*(?P<numbers>.*)")
 _BREAKS = re.compile(r"[\[\](){},;]")
 
 
 def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumbers:
-    """Return what ``cameras.files``, relative to ``folder``, say of two cameras, or of one and a projector.
+    """Return the numbers in ``cameras.files``, relative to ``folder``, of two cameras, or of one and a projector.
 
     Raises ForeignError.
     """
@@ -126,12 +128,11 @@ def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumb
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise table.wrong("files", "the name of a file, or a list of names", "correct it")
     files = {name: numbers_in(folder / name) for name in names}
-    return understood(files, table.table("names") or Table("cameras.names.", {}), of_projector)
+    return interpret_numbers(files, table.table("names") or Table("cameras.names.", {}), of_projector)
 
 
 def cameras_in(folder: Path) -> dict[str, Any]:
-    """Return what a folder has about cameras, as [cameras] would say it: a calibration of ours, else files of which
-    something is known."""
+    """Return the table [cameras] for the files of a folder: our own calibration, else files with known numbers."""
     files: dict[str, NumbersOf] = {}
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in FORMATS and path.is_file():
@@ -142,102 +143,107 @@ def cameras_in(folder: Path) -> dict[str, Any]:
                     return {"calibration": name}
             with suppress(ForeignError):
                 files[name] = numbers_in(path)
-    # Pictures' and clouds' files state sizes, too; where nothing is known, the message lists what has matrices.
-    known = {fact.file for fact in facts_of(files) if fact.kind != "size" or fact.side == "projector"}
+    # Files of images and clouds state sizes, too. Without known numbers, list the files with matrices for the message.
+    known_files = {fact.file for fact in facts_of(files) if fact.kind != "size" or fact.side == "projector"}
     listed = [
         name
         for name, values in files.items()
-        if name in known or (not known and any(one.size == 9 for one in values.values()))
+        if name in known_files or (not known_files and any(array.size == 9 for array in values.values()))
     ]
     if not listed:
         return {}
     unit = "mm"
     with suppress(ForeignError):
-        T = camera_numbers(folder, Table("cameras.", {"files": listed}), of_projector=True).found["translation"]
+        T = camera_numbers(folder, Table("cameras.", {"files": listed}), of_projector=True).numbers["translation"]
         length = float(np.linalg.norm(T))
         unit = "m" if length < METRES_BELOW and not without_scale(length) else "mm"
     return {"files": listed, "unit": unit}
 
 
 def without_scale(length: float) -> bool:
-    """Tell whether a translation is that of a calibration without scale: of length one in whatever unit."""
+    """Return whether a translation is of length one, as calibrations without scale have it."""
     return abs(length - 1.0) < UP_TO_SCALE
 
 
 def numbers_in(path: Path) -> dict[str, Array]:
-    """Return the matrices and vectors of a file by name; those in tables as TABLE.NAME. Raises ForeignError."""
+    """Return matrices and vectors of a file by name; those in tables as TABLE.NAME. Raises ForeignError."""
     try:
         raw = read_bounded(path, MAX_BYTES)
     except OSError as error:
         raise ForeignError(f"{path}: {error.strerror or error}; give the file of the cameras' numbers") from error
     format, read = FORMATS[path.suffix.lower()]
     try:
-        content = dict(flat(read(path, raw)))
+        content = dict(flatten_names(read(path, raw)))
     except (ElementTree.ParseError, yaml.YAMLError, ValueError, RecursionError) as error:
-        said = " ".join(str(error).split())[:200]
+        reason = " ".join(str(error).split())[:200]
         raise ForeignError(
-            f"{path}: not readable as {format} ({said}); correct it, or write the matrices under [cameras.left] and "
+            f"{path}: not readable as {format} ({reason}); correct it, or write the matrices under [cameras.left] and "
             "[cameras.right]"
         ) from error
     refuse_other_lenses(str(path), content)
-    return numeric(content)
+    return select_numbers(content)
 
 
-def flat(content: Any, before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Yield numbers, lists and texts by name; a matrix as OpenCV and ROS write it, a table with its sizes, is its data."""
-    if isinstance(content, list) and any(isinstance(one, dict) for one in content):
-        content = {str(k): one for k, one in enumerate(content)}
+def flatten_names(content: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """Yield numbers, lists and texts by name.
+
+    A table with data and sizes, as OpenCV and ROS write a matrix, is its data.
+    """
+    if isinstance(content, list) and any(isinstance(element, dict) for element in content):
+        content = {str(k): element for k, element in enumerate(content)}
     if not isinstance(content, dict):
-        if before:
-            yield before, content
-    elif before and "data" in content and ({"rows", "cols"} <= content.keys() or "sizes" in content):
-        yield before, content["data"]
-    elif depth < MOST_DEEP:
+        if prefix:
+            yield prefix, content
+    elif prefix and "data" in content and ({"rows", "cols"} <= content.keys() or "sizes" in content):
+        yield prefix, content["data"]
+    elif depth < MAX_DEPTH:
         for name, value in content.items():
             if not str(name).startswith("__"):
-                yield from flat(value, f"{before}.{name}" if before else str(name), depth + 1)
+                yield from flatten_names(value, f"{prefix}.{name}" if prefix else str(name), depth + 1)
 
 
-def numeric(content: Mapping[str, Any]) -> dict[str, Array]:
-    """Return what is numbers, and not too many of them."""
-    found = {}
+def select_numbers(content: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the entries that are numbers, up to ``MAX_NUMBERS`` each."""
+    arrays = {}
     for name, value in content.items():
         with suppress(TypeError, ValueError, OverflowError):
             array = np.asarray(value)
-            if array.dtype.kind in "fiu" and 1 <= array.size <= MOST_NUMBERS:
-                found[name] = np.asarray(array, np.float64)
-    return found
+            if array.dtype.kind in "fiu" and 1 <= array.size <= MAX_NUMBERS:
+                arrays[name] = np.asarray(array, np.float64)
+    return arrays
 
 
 # ------------------------------------------------------------------------------------------------------- formats
 
 
 def _numpy(path: Path, _: bytes) -> dict[str, Any]:
-    """Return the arrays that may be a camera's by name; others are not even unpacked."""
-    few = [name for name, head in array_heads(path).items() if head.size <= MOST_NUMBERS]
-    return {name or path.stem: load_array(path, name, MAX_BYTES) for name in few}
+    """Return the arrays by name that may be a camera's; others are not even unpacked."""
+    small = [name for name, head in array_heads(path).items() if head.size <= MAX_NUMBERS]
+    return {name or path.stem: load_array(path, name, MAX_BYTES) for name in small}
 
 
 def _lines(path: Path, raw: bytes) -> dict[str, Any]:
-    """Return ``name = numbers`` or ``name: numbers`` of each line, and of lines below it; before any name, a matrix
-    called as the file is."""
-    found: dict[str, list[float]] = {}
+    """Return the numbers of ``name = numbers`` or ``name: numbers`` and of the lines below it, by name.
+
+    Numbers before any name are a matrix with the name of the file.
+    """
+    numbers_by_name: dict[str, list[float]] = {}
     name = path.stem
     for line in raw.decode("utf-8-sig", "replace").splitlines():
         named = _NAMED_LINE.fullmatch(line.strip())
         name = named["name"] if named else name
         with suppress(ValueError):
-            words = _BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
-            if numbers := [float(word) for word in words]:
-                found.setdefault(name, []).extend(numbers)
-    if not found:
+            fields = _BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
+            if numbers := [float(word) for word in fields]:
+                numbers_by_name.setdefault(name, []).extend(numbers)
+    if not numbers_by_name:
         raise ValueError("no line is NAME = NUMBERS, and it is no matrix")
-    return found
+    return numbers_by_name
 
 
 def _tree(path: Path, raw: bytes) -> Any:
-    """Return what YAML, XML or JSON holds, whatever of them it is called."""
-    # YAML allows no tabs; people's editors do not know that.
+    """Return the content of YAML, XML or JSON."""
+    # YAML allows no tabs, but editors write them.
     text = raw.decode("utf-8-sig", "replace").replace("\0", " ").expandtabs(4)
     if text.lstrip().startswith("<"):
         if "<!DOCTYPE" in text:
@@ -246,52 +252,52 @@ def _tree(path: Path, raw: bytes) -> Any:
     if path.suffix.lower() == ".json":
         content = json.loads(text, object_pairs_hook=_table)
     else:
-        # OpenCV's first line, %YAML:1.0, is none of YAML.
+        # OpenCV's first line, %YAML:1.0, is no YAML.
         events = yaml.parse(re.sub(r"(?m)^%.*$", "", text), Loader=yaml.CSafeLoader)
         content = [_node(event, events, 0) for event in events if isinstance(event, _BEGINS)]
-    tables = [one for one in (content if isinstance(content, list) else [content]) if isinstance(one, dict)]
+    tables = [table for table in (content if isinstance(content, list) else [content]) if isinstance(table, dict)]
     if not tables:
         raise ValueError("it holds no names")
-    return _table(pair for one in tables for pair in one.items())
+    return _table(pair for table in tables for pair in table.items())
 
 
 _BEGINS = (yaml.MappingStartEvent, yaml.SequenceStartEvent, yaml.ScalarEvent, yaml.AliasEvent)
 
 
 def _node(event: Any, events: Iterator[Any], depth: int) -> Any:
-    """Return what begins with an event of YAML; tags are passed over."""
+    """Return the value that begins with an event of YAML; tags are ignored."""
     if isinstance(event, yaml.ScalarEvent):
         return _scalar(event.value) if event.implicit[0] else event.value
-    if isinstance(event, yaml.AliasEvent) or depth > MOST_DEEP:
+    if isinstance(event, yaml.AliasEvent) or depth > MAX_DEPTH:
         raise ValueError(
-            f"line {event.start_mark.line + 1}: {'an alias' if depth <= MOST_DEEP else f'more than {MOST_DEEP} levels'}"
+            f"line {event.start_mark.line + 1}: {'an alias' if depth <= MAX_DEPTH else f'more than {MAX_DEPTH} levels'}"
         )
     items = []
-    while isinstance(one := next(events), _BEGINS):
-        items.append(_node(one, events, depth + 1))
+    while isinstance(inner := next(events), _BEGINS):
+        items.append(_node(inner, events, depth + 1))
     if isinstance(event, yaml.SequenceStartEvent):
         return items
     return _table(zip(items[::2], items[1::2], strict=True))
 
 
 def _table(pairs: Iterable[tuple[Any, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    table: dict[str, Any] = {}
     for name, value in pairs:
-        if str(name) in found and found[str(name)] != value:
+        if str(name) in table and table[str(name)] != value:
             raise ValueError(f"{name} stands there twice, and differs")
-        found[str(name)] = value
-    return found
+        table[str(name)] = value
+    return table
 
 
 def _element(element: ElementTree.Element, depth: int) -> Any:
-    """Return an element of XML: a list of OpenCV's ``_``, a table, numbers, or a text."""
-    if depth > MOST_DEEP:
-        raise ValueError(f"more than {MOST_DEEP} levels")
-    inner = [(one.tag, _element(one, depth + 1)) for one in element]
+    """Return an element of XML as a list (of OpenCV's ``_``), a table, numbers, or a text."""
+    if depth > MAX_DEPTH:
+        raise ValueError(f"more than {MAX_DEPTH} levels")
+    inner = [(child.tag, _element(child, depth + 1)) for child in element]
     if inner:
         return [value for _, value in inner] if len({tag for tag, _ in inner}) == 1 < len(inner) else dict(inner)
-    words = [_scalar(word) for word in (element.text or "").split()]
-    return element.text if any(isinstance(word, str) for word in words) else words[0] if len(words) == 1 else words
+    values = [_scalar(word) for word in (element.text or "").split()]
+    return element.text if any(isinstance(word, str) for word in values) else values[0] if len(values) == 1 else values
 
 
 def _scalar(text: str) -> float | str:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.foreign.camera_dialects import KINDS, CameraNumbers, facts_of, rotation_of, understood
-from appliance.desk.foreign.camera_files import camera_numbers, flat, numeric, without_scale
+from appliance.desk.foreign.camera_dialects import KINDS, CameraNumbers, facts_of, interpret_numbers, rotation_of
+from appliance.desk.foreign.camera_files import camera_numbers, flatten_names, select_numbers, without_scale
 from appliance.desk.foreign.description import Description
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure import (
@@ -82,7 +82,7 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
             _check_size(where, side, stated, found, of_projector)
         elif stated != found:
             notes.append(f"{where} says {stated[0]} x {stated[1]} px, and [projector] {found[0]} x {found[1]} px")
-    R, T = rotation_of(said.found["rotation"]), said.found["translation"]
+    R, T = rotation_of(said.numbers["rotation"]), said.numbers["translation"]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
         raise ForeignError(f"cameras: rotation {R.round(4).tolist()} is no rotation; name the right matrix")
     u, _, vt = np.linalg.svd(R)
@@ -101,7 +101,7 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
     cameras = []
     for side, rotation, t_mm in (("left", np.eye(3), np.zeros(3)), ("right", R.T, -R.T @ T)):
         size_px = sizes_px[side]
-        lens = lens_of(said.found[f"{side}_matrix"].reshape(3, 3), said.found[f"{side}_distortion"], size_px, side)
+        lens = lens_of(said.numbers[f"{side}_matrix"].reshape(3, 3), said.numbers[f"{side}_distortion"], size_px, side)
         notes += [
             f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {what}: a shifted lens, "
             "or the calibration of other images"
@@ -126,14 +126,14 @@ def _in_words(table: Table) -> CameraNumbers:
             )
         camera.only("matrix", "distortion")
     said = {key: table.content[key] for key in (*SIDES, "rotation", "translation") if key in table.content}
-    content = {name: value for name, value in flat(said) if value != []}
-    files = {"[cameras]": numeric(content)}
+    content = {name: value for name, value in flatten_names(said) if value != []}
+    files = {"[cameras]": select_numbers(content)}
     known = {fact.name for fact in facts_of(files)}
     for name, value in content.items():
         if name not in known:
             counts = " or ".join(str(one) for kind, (counts, _) in KINDS.items() if kind in name for one in counts)
             raise ForeignError(f"cameras.{name} is {value!r:.80}; allowed: {counts} numbers; correct it")
-    return understood(files, Table("cameras.names.", {}), of_projector=False)
+    return interpret_numbers(files, Table("cameras.names.", {}), of_projector=False)
 
 
 def _check_size(where: str, side: str, stated: tuple[int, int], found: tuple[int, int], of_projector: bool) -> None:

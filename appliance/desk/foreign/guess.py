@@ -1,24 +1,20 @@
-"""Owns the guess at images that nobody has described: hypotheses are tried on reduced images until one of them stands
-out.
+"""Guess at images without a description: hypotheses are tried on reduced images until one of them stands out.
 
-Hypotheses are data: the sequences of known programs (``sequences``), and what each image looks like by itself. Looks
-choose a few of them; each of these is decoded, what its tests find instead is taken over, and it counts how much of the
-images it explains (``expectation``). Of a rig whose numbers are known, rays decide which camera is which and where the
-pattern lies.
+* ``guess_sequence``: the guess. Hypotheses are data: the sequences of known programs (``SEQUENCES``), and the appearance
+  of each image by itself. Appearance selects a few of them. Each of these is decoded, the corrections of its tests are
+  adopted, and it counts how much of the images it explains (``expected_values``). With a rig whose numbers are known,
+  rays decide which camera is which and where the pattern lies.
+* ``explained_shares``: how well a description explains its images. Each is predicted from the coordinates that all of
+  them make, and compared.
+* ``periods_by_phases``: the periods of several sets of fringes, by their phases alone.
 
-It also owns how well a description explains its images: each is predicted from the coordinates that all of them make,
-and compared.
-
-Coordinates are smoothed first: those of a wrong order are noise, and predict nothing. The share of an image's variation
-that its prediction explains is near 1 where the description is right, near 0 where an image shows something else, and
-near 0, too, for stripes that the camera does not resolve: these vary little, and weigh so much less.
-
-It also owns which periods several sets of fringes have, by their phases alone: how fast each runs, and on which whole
-numbers all agree.
+Coordinates are smoothed before a prediction: those of a wrong order are noise, and predict no image. The share of an
+image's variation that its prediction explains is near 1 where the description is right and near 0 where the image shows
+another pattern. It is near 0, too, for stripes that the camera does not resolve: these vary little, and have little weight.
 
 From a pixel to the next, phase k runs r_k times as fast as that of the finest fringes: r_k is the ratio of their
-numbers. Of all whole numbers in such ratios those are right with which the phases agree on one fringe; that they do so
-by chance is the less likely the fewer fringes there are.
+numbers. The right whole numbers in such ratios make the phases agree on one fringe; that wrong ones do so by chance is
+the less likely the fewer fringes there are.
 """
 
 from __future__ import annotations
@@ -64,67 +60,66 @@ NOWHERE = -1e6
 def explained_shares(
     description: Description, camera: DecodedCamera
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return for each image the share of its variation that is explained, 1 at most, and the weight it has (n,)."""
-    shares, lit = share_of_range(np.stack(list(camera.images.images)))
-    smooth = {axis.name: _smoothed(camera.placed[axis.name].coordinate_px, lit) for axis in description.axes}
+    """Return for each image the explained share of its variation, 1 at most, and its weight (n,)."""
+    shares, illuminated = share_of_range(np.stack(list(camera.images.images)))
+    smooth = {axis.name: _smoothed(camera.placed[axis.name].coordinate_px, illuminated) for axis in description.axes}
     explained, weights = np.zeros(len(shares)), np.zeros(len(shares))
-    for k, one in enumerate(camera.images.shown):
-        axis = description.axis(one.axis)
+    for k, shown in enumerate(camera.images.shown):
+        axis = description.axis(shown.axis)
         if axis is None:
-            seen = shares[k][lit] - 0.5
-            expected = np.full_like(seen, 0.5 if one.shows is Shows.BRIGHT else -0.5)
+            signal = shares[k][illuminated] - 0.5
+            expected = np.full_like(signal, 0.5 if shown.shows is Shows.BRIGHT else -0.5)
             weights[k] = 0.25
         else:
             coordinate_px, usable = smooth[axis.name]
-            modulated = one.shows is Shows.MODULATED
-            # Of one that a carrier multiplies, the mean over the carrier's steps.
-            steps = axis.carriers[one.period] if modulated else 1
-            first = k - one.index % steps
-            seen = shares[first : first + steps, usable].mean(axis=0)
-            seen = seen - (seen.mean() if modulated else np.float32(0.5))
-            if len(seen) < LEAST_PIXELS:
+            modulated = shown.shows is Shows.MODULATED
+            # Average fringes with a carrier over the carrier's steps.
+            steps = axis.carriers[shown.period] if modulated else 1
+            first = k - shown.index % steps
+            signal = shares[first : first + steps, usable].mean(axis=0)
+            signal = signal - (signal.mean() if modulated else np.float32(0.5))
+            if len(signal) < LEAST_PIXELS:
                 continue
-            expected = expected_values(axis, one, coordinate_px[usable] + 0.5)
+            expected = expected_values(axis, shown, coordinate_px[usable] + 0.5)
             # Blur takes contrast from stripes and sines, and explains nothing away.
-            contrast = max(0.0, float(expected @ seen) / max(float(expected @ expected), 1e-9))
+            contrast = max(0.0, float(expected @ signal) / max(float(expected @ expected), 1e-9))
             expected = contrast * expected
-            weights[k] = float(np.mean(np.square(seen)))
-        explained[k] = 1.0 - float(np.mean(np.square(seen - expected))) / max(float(np.mean(np.square(seen))), 1e-9)
+            weights[k] = float(np.mean(np.square(signal)))
+        explained[k] = 1.0 - float(np.mean(np.square(signal - expected))) / max(float(np.mean(np.square(signal))), 1e-9)
     return explained, weights
 
 
-def expected_values(axis: AxisConvention, one: ShownImage, edge_px: NDArray[Any]) -> NDArray[Any]:
-    """Return what an image of ``axis`` shows at places ``edge_px`` from the edge of the pattern, −½ … ½."""
-    if one.shows in (Shows.GRAY, Shows.INVERSE):
+def expected_values(axis: AxisConvention, shown: ShownImage, edge_px: NDArray[Any]) -> NDArray[Any]:
+    """Return the values, −½ … ½, of an image of ``axis`` at distances ``edge_px`` from the pattern's edge."""
+    if shown.shows in (Shows.GRAY, Shows.INVERSE):
         number = np.floor((edge_px - axis.code_offset_px) / axis.stripe_px).astype(np.int64)
-        digit = one.index if axis.fine_first else axis.bits - 1 - one.index
+        digit = shown.index if axis.fine_first else axis.bits - 1 - shown.index
         bit = ((number if axis.plain_binary else number ^ (number >> 1)) >> digit) & 1
-        return (bit - 0.5) * (-1.0 if axis.inverted != (one.shows is Shows.INVERSE) else 1.0)
-    period, step = one.period, one.index
-    if one.shows is Shows.MICRO:
-        period, step = [(k, n) for k, steps in enumerate(axis.steps_deg) for n in range(len(steps))][one.index]
-    elif one.shows is Shows.MODULATED:
-        step = one.index // axis.carriers[period]
-    turns = edge_px / axis.periods_px[period] + (axis.begins_deg[period] + axis.signed_deg[period][step]) / 360.0
-    return np.asarray(0.5 * np.cos(2.0 * np.pi * turns))
+        return (bit - 0.5) * (-1.0 if axis.inverted != (shown.shows is Shows.INVERSE) else 1.0)
+    period, step = shown.period, shown.index
+    if shown.shows is Shows.MICRO:
+        period, step = [(k, n) for k, steps in enumerate(axis.steps_deg) for n in range(len(steps))][shown.index]
+    elif shown.shows is Shows.MODULATED:
+        step = shown.index // axis.carriers[period]
+    phase_turns = edge_px / axis.periods_px[period] + (axis.begins_deg[period] + axis.signed_deg[period][step]) / 360.0
+    return np.asarray(0.5 * np.cos(2.0 * np.pi * phase_turns))
 
 
-def _smoothed(coordinate_px: Floats, lit: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
-    known = np.isfinite(coordinate_px)
-    # A median needs all of its neighbours, or the border of the thing itself would count as an error.
-    whole = cv2.erode(known.astype(np.uint8), np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8)) > 0
-    filled = np.where(known, coordinate_px, NOWHERE).astype(np.float32)
-    return np.asarray(cv2.medianBlur(filled, SMOOTHED_PX)), whole & lit
+def _smoothed(coordinate_px: Floats, illuminated: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+    finite = np.isfinite(coordinate_px)
+    # A median needs all of its neighbours, or the border of the object would count as an error.
+    has_neighbours = cv2.erode(finite.astype(np.uint8), np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8)) > 0
+    filled = np.where(finite, coordinate_px, NOWHERE).astype(np.float32)
+    return np.asarray(cv2.medianBlur(filled, SMOOTHED_PX)), has_neighbours & illuminated
 
 
 MOST_FRINGES = 200
 RATIO_SLACK = 0.03
-"""Allowed relative error of a ratio of speeds."""
+"""Largest relative error of a ratio of speeds."""
 LEAST_RUN_TURNS = 0.004
-"""Slowest phase of the finest fringes, from a pixel to the next, that a ratio is taken of."""
+"""Least change of the finest fringes' phase from a pixel to the next for which a ratio is computed."""
 LAGS_PX = (1, 4, 16)
-"""Distances over which phases are compared; the longest over which the finest fringes run less than half a turn counts.
-"""
+"""Distances over which phases are compared; the longest one counts at which whole turns are known from the shorter."""
 PIXELS = 1000
 STRONG = 0.5
 
@@ -138,58 +133,62 @@ def periods_by_phases(
     """
     if len(images) < 2:
         return (size_px,) * len(images)
-    fits = [fit_sine(list(one), steps, np.inf) for one, steps in zip(images, steps_deg, strict=True)]
+    fits = [fit_sine(list(group), steps, np.inf) for group, steps in zip(images, steps_deg, strict=True)]
     strong = np.logical_and.reduce([fit.modulation > STRONG * np.quantile(fit.modulation, 0.9) for fit in fits])
     finest = int(np.argmax([_speed(fit.turns, strong, name) for fit in fits]))
-    # A lag of several pixels tells slow phases better, and wraps fast ones.
+    # A lag of several pixels measures slow phases better, and wraps fast ones.
     ratios = np.array([_ratio(fit.turns, fits[finest].turns, strong, name) for fit in fits])
     ratios[finest] = 1.0
     places = np.flatnonzero(strong)
     places = places[:: max(1, len(places) // PIXELS)]
-    few = [fit.turns.ravel()[places] for fit in fits]
+    samples = [fit.turns.ravel()[places] for fit in fits]
     best, best_share = tuple(float(size_px * (k + 1) / len(fits)) for k in range(len(fits)))[::-1], np.inf
     for count in range(len(fits), MOST_FRINGES + 1):
-        wanted = count * ratios
-        fringes = np.rint(wanted)
-        if fringes.min() < 1.0 or len(set(fringes)) < len(fits) or np.abs(fringes / wanted - 1.0).max() >= RATIO_SLACK:
+        exact = count * ratios
+        fringes = np.rint(exact)
+        if fringes.min() < 1.0 or len(set(fringes)) < len(fits) or np.abs(fringes / exact - 1.0).max() >= RATIO_SLACK:
             continue  # no whole numbers, all different, are near
-        axis = AxisConvention(name, size_px, tuple(float(size_px / one) for one in fringes), tuple(steps_deg))
-        share = float(np.median(by_periods(few, axis)[1])) / chance_misfit(axis)
+        axis = AxisConvention(
+            name, size_px, tuple(float(size_px / fringe_count) for fringe_count in fringes), tuple(steps_deg)
+        )
+        share = float(np.median(by_periods(samples, axis)[1])) / chance_misfit(axis)
         if share < 0.9 * best_share:
             best, best_share = axis.periods_px, share
     return best
 
 
 def _differences(turns: NDArray[Any], strong: NDArray[np.bool_], name: str, lag: int) -> NDArray[np.float64]:
-    """Return by how much phases differ over ``lag`` px along the direction, wrapped, NaN where they are weak."""
-    values, known = (turns, strong) if name == "x" else (turns.T, strong.T)
+    """Return the wrapped phase differences over ``lag`` px along the direction, NaN where they are weak."""
+    values, valid = (turns, strong) if name == "x" else (turns.T, strong.T)
     step = (values[:, lag:] - values[:, :-lag]).astype(np.float64)
     step -= np.rint(step)
-    return np.where(known[:, lag:] & known[:, :-lag], step, np.nan)
+    return np.where(valid[:, lag:] & valid[:, :-lag], step, np.nan)
 
 
 def _speed(turns: NDArray[Any], strong: NDArray[np.bool_], name: str) -> float:
     step = np.abs(_differences(turns, strong, name, LAGS_PX[0]))
-    known = step[np.isfinite(step)]
-    return float(np.median(known)) if known.size else 0.0
+    finite = step[np.isfinite(step)]
+    return float(np.median(finite)) if finite.size else 0.0
 
 
 def _ratio(slow: NDArray[Any], fast: NDArray[Any], strong: NDArray[np.bool_], name: str) -> float:
-    """Return how fast one phase runs over how fast another does: the longest lag whose whole turns the shorter one
-    tells."""
-    ratio, near = 1.0, None
+    """Return the speed of one phase over that of another.
+
+    The longest lag counts at which the shorter one tells the whole turns.
+    """
+    ratio, shorter = 1.0, None
     for lag in LAGS_PX:
-        of_slow, of_fast = (_differences(one, strong, name, lag) for one in (slow, fast))
-        if near is not None:
-            # What a quarter of the lag told says how many whole turns were wrapped away.
+        slow_step, fast_step = (_differences(turns, strong, name, lag) for turns in (slow, fast))
+        if shorter is not None:
+            # The step over a quarter of the lag says how many whole turns were wrapped.
             length = LAGS_PX[1] // LAGS_PX[0]
-            for step, before in ((of_slow, near[0]), (of_fast, near[1])):
+            for step, before in ((slow_step, shorter[0]), (fast_step, shorter[1])):
                 expected = length * before[:, : step.shape[1]]
                 step += np.rint(expected - step)
-        near = of_slow, of_fast
-        usable = np.isfinite(of_slow) & np.isfinite(of_fast) & (np.abs(of_fast) > LEAST_RUN_TURNS * lag)
+        shorter = slow_step, fast_step
+        usable = np.isfinite(slow_step) & np.isfinite(fast_step) & (np.abs(fast_step) > LEAST_RUN_TURNS * lag)
         if np.count_nonzero(usable) > 100:
-            ratio = float(np.median(of_slow[usable] / of_fast[usable]))
+            ratio = float(np.median(slow_step[usable] / fast_step[usable]))
     return max(ratio, 1e-4)
 
 
@@ -198,28 +197,28 @@ MOST_PIXELS = 400_000
 BY_LOOKS = "what each image looks like"
 MOST_TRIED = 10
 SURE, NEARLY = 0.9, 0.3
-"""Share explained from which on no hypotheses are tried whose looks agree less by the second number than the best
-one's."""
+"""From this explained share on, hypotheses are skipped whose appearance agrees less than the best one's by the second
+number."""
 ROUNDS = 3
 EVERY = 4
 GUESSED_PX = (1024.0, 768.0)
 GOOD, FAIR = 0.75, 0.5
-"""Share of the images' variation that is explained by what is surely right; below the second one nothing is known."""
+"""Explained share of the images' variation above which a hypothesis is surely right, and below which none is known."""
 APART = 1.5
-"""Ratio of what is left unexplained from which on one hypothesis stands out before another one."""
+"""Ratio of the unexplained shares from which on one hypothesis stands out before another one."""
 LEAST_LEFT = 0.01
-"""Noise and blur leave so much unexplained at least."""
+"""Least unexplained share, by noise and blur."""
 MOST_RIVALS = 4
 PER_WRONG = 0.2
 COLOURED = 1.06
 LEAST_ALIKE, LEAST_SPREAD = 0.5, 4.0
-"""Least correlation of the channels of a picture that shows one pattern, and least deviation of their grey values that
-tells."""
+"""Least correlation of the channels of a picture that shows one pattern, and least standard deviation of grey values
+for a correlation."""
 PROJECTORS_PX = (
     (608, 684), (640, 480), (640, 360), (800, 600), (854, 480), (848, 480), (912, 1140), (1024, 768), (1280, 800), (1280, 720), (1280, 1024),
     (1366, 768), (1400, 1050), (1440, 900), (1600, 1200), (1824, 1140), (1920, 1080), (1920, 1200), (2560, 1600), (3840, 2160),
 )  # fmt: skip
-"""Sizes that projectors have; of equal widths the commonest one first."""
+"""Usual sizes of projectors; of equal widths the commonest first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,19 +239,18 @@ class TriedSequence:
 
     @property
     def words(self) -> list[str]:
-        """Words of a description for each image."""
-        return [one.word for one in self.description.order or ()]
+        """The image roles, in the words of a description."""
+        return [shown.word for shown in self.description.order or ()]
 
     @property
     def rank(self) -> float:
-        """The share, less what is taken off for each contradiction."""
+        """The explained share, less ``PER_WRONG`` for each contradiction."""
         return self.explained - PER_WRONG * self.contradictions
 
     @property
     def standing(self) -> tuple[int, int, bool]:
-        """Order of sequences that explain as much: by contradictions, by what could have been one, and by whether it is
-        known."""
-        # Words that could have been contradicted and were not, less those that nothing tells.
+        """Order of sequences with equal shares: by contradictions, by confirmed words, by whether the program is known."""
+        # Words that could have been contradicted and were not, less those that no test covers.
         evidence = self._count(Outcome.FITS) - self._count(Outcome.UNCHECKED)
         return -self.contradictions - bool(self.notes), evidence, self.program != BY_LOOKS
 
@@ -262,7 +260,7 @@ class TriedSequence:
         return self._count(Outcome.WRONG)
 
     def _count(self, outcome: Outcome) -> int:
-        return sum(one.outcome is outcome for one in self.tested)
+        return sum(assumption.outcome is outcome for assumption in self.tested)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,7 +271,7 @@ class _ReducedPictures:
     _read: dict[tuple[Frame, str], NDArray[Any]] = field(default_factory=dict)
 
     def of(self, frames: Sequence[Frame], channel: str) -> tuple[NDArray[Any], tuple[int, int]]:
-        """Return the images (n, h, w) of one camera, and the width and height that they had. Raises ForeignError."""
+        """Return the images (n, h, w) of one camera, and the width and height before reduction. Raises ForeignError."""
         pictures = Pictures.of(frames, channel)
         height_px, width_px = pictures.shape[1:]
         factor = math.ceil(math.sqrt(height_px * width_px / MOST_PIXELS))
@@ -281,124 +279,135 @@ class _ReducedPictures:
         for k, frame in enumerate(frames):
             if (frame, channel) not in self._read:
                 self.progress(f"reading {frame.name}")
-                whole = pictures[k][: small_px[1] * factor, : small_px[0] * factor]
-                self._read[frame, channel] = cv2.resize(whole, small_px, interpolation=cv2.INTER_AREA)
+                image = pictures[k][: small_px[1] * factor, : small_px[0] * factor]
+                self._read[frame, channel] = cv2.resize(image, small_px, interpolation=cv2.INTER_AREA)
         return np.stack([self._read[frame, channel] for frame in frames]), (width_px, height_px)
 
 
 def guess_sequence(folder: Path, progress: Progress) -> tuple[TriedSequence, ...]:
-    """Return what the images below ``folder`` show: one sequence, or the best two where none stands out.
+    """Return the sequence that the images below ``folder`` show, or the best two if none stands out.
 
-    Raises ForeignError where nothing is known that they could show.
+    Raises ForeignError if no known sequence explains them.
     """
-    named, table, pictures = camera_files(folder), cameras_in(folder), _ReducedPictures(progress)
-    found: list[TriedSequence] = []
-    refused: ForeignError | None = None
-    for cameras in [named] if len(named) == 2 else _ways(folder, table, named["left"]):
-        if found and max(one.rank for one in found) >= GOOD:
-            break  # another way to share the images only where this one makes no sense
+    cameras_by_name, table, pictures = camera_files(folder), cameras_in(folder), _ReducedPictures(progress)
+    candidates: list[TriedSequence] = []
+    rejection: ForeignError | None = None
+    for cameras in [cameras_by_name] if len(cameras_by_name) == 2 else _ways(folder, table, cameras_by_name["left"]):
+        if candidates and max(candidate.rank for candidate in candidates) >= GOOD:
+            break  # share the images in another way only where this one makes no sense
         try:
-            found += _candidates(folder, cameras, pictures)
+            candidates += _candidates(folder, cameras, pictures)
         except ForeignError as error:
-            refused = refused or error
-    found.sort(key=lambda one: -one.rank)
-    if not found or found[0].rank < FAIR:
-        told = (
-            f"; the nearest, {joined(found[0].words)}, explains {100 * found[0].explained:.0f} % of them"
-            if found
+            rejection = rejection or error
+    candidates.sort(key=lambda candidate: -candidate.rank)
+    if not candidates or candidates[0].rank < FAIR:
+        nearest = (
+            f"; the nearest, {joined(candidates[0].words)}, explains {100 * candidates[0].explained:.0f} % of them"
+            if candidates
             else ""
         )
-        raise refused or ForeignError(
-            f"{folder}: its images are no sequence that is known{told}; name what each shows in a description "
+        raise rejection or ForeignError(
+            f"{folder}: its images are no sequence that is known{nearest}; name what each shows in a description "
             "(docs/foreign.md)"
         )
-    left = max(1.0 - found[0].rank, LEAST_LEFT)
-    # Several readings may explain as much: a sine of few steps and a code of fine stripes look alike.
-    rivals = [one for one in found if 1.0 - one.rank < APART * left][:MOST_RIVALS]
-    # Rays know what no image tells: which camera is left, and which way fringes run.
+    unexplained = max(1.0 - candidates[0].rank, LEAST_LEFT)
+    # Several readings may explain equal shares: a sine of few steps and a code of fine stripes look alike.
+    rivals = [candidate for candidate in candidates if 1.0 - candidate.rank < APART * unexplained][:MOST_RIVALS]
+    # Only rays tell which camera is left, and in which direction the fringes run.
     if table:
         progress("trying the cameras")
-        rivals = [_on_rig(one, table, pictures) for one in rivals]
-    # Of what explains as much, that which more tests could have contradicted.
-    best = max(one.standing for one in rivals)
-    return tuple([one for one in rivals if one.standing == best][:2])
+        rivals = [_on_rig(candidate, table, pictures) for candidate in rivals]
+    # Of equal shares take the one that more tests could have contradicted.
+    best = max(candidate.standing for candidate in rivals)
+    return tuple([candidate for candidate in rivals if candidate.standing == best][:2])
 
 
 def _ways(folder: Path, table: Mapping[str, Any], camera: ImageFiles) -> list[dict[str, ImageFiles]]:
-    """Return the ways in which files of one name may be those of one camera, or of two, the likeliest first."""
-    two = "calibration" in table
+    """Return the assignments of files of one name to one camera or to two, the likeliest first."""
+    is_stereo = "calibration" in table
     if "files" in table:
         with suppress(ForeignError):
-            two = not camera_numbers(folder, Table("cameras.", table), of_projector=True).has_projector
+            is_stereo = not camera_numbers(folder, Table("cameras.", table), of_projector=True).has_projector
     alone = {"left": camera}
-    return [*in_halves(camera), *taken_in_turns(camera), alone] if two else [alone, *taken_in_turns(camera)]
+    return [*in_halves(camera), *taken_in_turns(camera), alone] if is_stereo else [alone, *taken_in_turns(camera)]
 
 
 def _candidates(folder: Path, cameras: Mapping[str, ImageFiles], pictures: _ReducedPictures) -> list[TriedSequence]:
-    """Return what the left camera's images may show, each order once."""
+    """Return the tried hypotheses about the images of the left camera, the best one of each order."""
     channel = _channel(cameras["left"].frames)
-    files = {side: replace(one, frames=tuple(of_channel(one.frames, channel))) for side, one in cameras.items()}
+    files = {
+        side: replace(camera, frames=tuple(of_channel(camera.frames, channel))) for side, camera in cameras.items()
+    }
     images, _ = pictures.of(files["left"].frames, channel)
     places = _different(images) if channel == EACH else list(range(len(images)))
     looks = look_at(images[places])
-    agreed = sorted(((agreement(looks, one.shown), one) for one in _all_hypotheses(looks)), key=lambda two: -two[0])
+    ranked = sorted(
+        ((agreement(looks, hypothesis.shown), hypothesis) for hypothesis in _all_hypotheses(looks)),
+        key=lambda pair: -pair[0],
+    )
     best: dict[tuple[ShownImage, ...], TriedSequence] = {}
-    # Looks alone are often wrong about the finest stripes: what looks nearly as well is tried, too.
-    for agrees, sequence in agreed[:MOST_TRIED]:
-        if agrees < agreed[0][0] - NEARLY and max((one.rank for one in best.values()), default=0.0) > SURE:
+    # Appearance alone is often wrong about the finest stripes: try those that agree nearly as well, too.
+    for agreement_, sequence in ranked[:MOST_TRIED]:
+        if agreement_ < ranked[0][0] - NEARLY and max((rival.rank for rival in best.values()), default=0.0) > SURE:
             break
         pictures.progress(f"trying {sequence.program}")
         with suppress(ForeignError):  # steps that tell no phase, stripes that number nothing: no candidate
             axes = _conventions(sequence, images[places])
             order = [ShownImage(Shows.OTHER)] * len(images)
-            for place, one in zip(places, sequence.shown, strict=True):
-                order[place] = one
-            size_px = [int(one) for one in GUESSED_PX]
+            for place, shown in zip(places, sequence.shown, strict=True):
+                order[place] = shown
+            size_px = [int(size) for size in GUESSED_PX]
             for axis in axes:
                 size_px["xy".index(axis.name)] = round(axis.size_px)
             description = Description(
                 folder.name, folder, files, tuple(order), channel, None, (size_px[0], size_px[1]), axes, Table("cameras.", {})
             )  # fmt: skip
-            tried = _explained(TriedSequence(sequence.program, images, description), places, pictures)
-            if sequence.shown not in best or tried.rank > best[sequence.shown].rank:
-                best[sequence.shown] = tried
+            candidate = _explained(TriedSequence(sequence.program, images, description), places, pictures)
+            if sequence.shown not in best or candidate.rank > best[sequence.shown].rank:
+                best[sequence.shown] = candidate
     return list(best.values())
 
 
 def _all_hypotheses(looks: Looks) -> Iterator[ProjectedSequence]:
-    seen = set()
-    for one in hypotheses(len(looks.mean)):
-        if one.shown not in seen:
-            seen.add(one.shown)
-            yield one
+    orders = set()
+    for hypothesis in hypotheses(len(looks.mean)):
+        if hypothesis.shown not in orders:
+            orders.add(hypothesis.shown)
+            yield hypothesis
     with suppress(ForeignError):
         yield ProjectedSequence(BY_LOOKS, shown=numbered(words_by_looks(looks), "images.order"))
 
 
 def _channel(files: Sequence[Frame]) -> str:
-    """Return the channel that tells most, or that each is an image of its own: of the first picture, or of one in the
-    middle."""
+    """Return the channel with the most contrast, or ``EACH`` if each channel is an image of its own.
+
+    The first picture decides, or one in the middle.
+    """
     for frame in (files[0], files[len(files) // 2]):
         image = FrameReader().raw(frame)
         if image.ndim < 3 or image.shape[2] < len(CHANNEL_NUMBER):
             return "grey"
-        few = image[::4, ::4, :3]
-        if not _alike(np.moveaxis(few, 2, 0)):
+        thinned = image[::4, ::4, :3]
+        if not _alike(np.moveaxis(thinned, 2, 0)):
             return EACH
-    spread = few.std(axis=(0, 1))
+    spread = thinned.std(axis=(0, 1))
     return list(CHANNEL_NUMBER)[int(np.argmax(spread))] if spread.max() > COLOURED * spread.min() else "grey"
 
 
 def _alike(channels: NDArray[Any]) -> bool:
-    """Tell whether ``channels`` (3, h, w) show one pattern: light of one colour is reflected by all alike, but for what
-    each has been sent."""
-    few = channels.reshape(len(channels), -1).astype(np.float64)
-    return float(few.std(axis=1).min()) < LEAST_SPREAD or float(np.corrcoef(few).min()) >= LEAST_ALIKE
+    """Return whether ``channels`` (3, h, w) show one pattern.
+
+    All channels reflect light of one colour alike, unless each was sent a pattern of its own.
+    """
+    flat = channels.reshape(len(channels), -1).astype(np.float64)
+    return float(flat.std(axis=1).min()) < LEAST_SPREAD or float(np.corrcoef(flat).min()) >= LEAST_ALIKE
 
 
 def _different(images: NDArray[Any]) -> list[int]:
-    """Return the numbers of the channels (n, h, w), three of each picture, that are images of their own: of a grey
-    picture the first."""
+    """Return the indices of the channels (n, h, w), three of each picture, that are images of their own.
+
+    A grey picture has only its first.
+    """
     return [
         k
         for first in range(0, len(images), 3)
@@ -410,11 +419,11 @@ def _different(images: NDArray[Any]) -> list[int]:
 
 
 def _conventions(sequence: ProjectedSequence, images: NDArray[Any]) -> tuple[AxisConvention, ...]:
-    """Return the conventions by which ``images`` (n, h, w) are first read; tests say what fits instead.
+    """Return the conventions by which ``images`` (n, h, w) are first read; tests correct them later.
 
     Raises ForeignError.
     """
-    names = [name for name in "xy" if any(one.axis == name for one in sequence.shown)]
+    names = [name for name in "xy" if any(shown.axis == name for shown in sequence.shown)]
     axes = [_convention(name, sequence, images) for name in names]
     code_alone = [axis.stripe_px for axis in axes if not axis.periods_px]
     # Programs draw stripes of equal widths in both directions.
@@ -423,8 +432,8 @@ def _conventions(sequence: ProjectedSequence, images: NDArray[Any]) -> tuple[Axi
 
 def _convention(name: str, sequence: ProjectedSequence, images: NDArray[Any]) -> AxisConvention:
     size_px = GUESSED_PX["xy".index(name)]
-    mine = [one for one in sequence.shown if one.axis == name]
-    bits = sum(one.shows is Shows.GRAY for one in mine)
+    own_images = [shown for shown in sequence.shown if shown.axis == name]
+    bits = sum(shown.shows is Shows.GRAY for shown in own_images)
     stripe_px = 0.0
     if bits:
         size_px = float(2 ** max(round(np.log2(size_px)), bits))
@@ -433,10 +442,10 @@ def _convention(name: str, sequence: ProjectedSequence, images: NDArray[Any]) ->
     fringes = [
         [
             k
-            for k, one in enumerate(sequence.shown)
-            if one.axis == name and one.shows in FRINGES and one.period == period
+            for k, shown in enumerate(sequence.shown)
+            if shown.axis == name and shown.shows in FRINGES and shown.period == period
         ]
-        for period in sorted({one.period for one in mine if one.shows in FRINGES})
+        for period in sorted({shown.period for shown in own_images if shown.shows in FRINGES})
     ]
     if fringes and not fields["periods_px"]:
         fields["steps_deg"] = tuple(_steps(images[group]) for group in fringes)
@@ -449,15 +458,15 @@ def _convention(name: str, sequence: ProjectedSequence, images: NDArray[Any]) ->
 
 
 def _steps(images: NDArray[Any]) -> tuple[float, ...]:
-    """Return the steps of images (n, h, w) of one period: equal ones where they fit.
+    """Return the phase steps of images (n, h, w) of one period: equal ones where they fit.
 
-    Raises ForeignError where no steps do.
+    Raises ForeignError if no steps fit.
     """
     steps = equal_steps(len(images))
     if len(steps) < LEAST_STEPS:
         raise ForeignError(f"{len(images)} images tell no phase")
     if len(steps) == LEAST_STEPS:
-        return steps  # These fit anything.
+        return steps  # Three steps fit any images.
     stack = images[:, ::EVERY, ::EVERY].reshape(len(images), -1).astype(np.float64)
     swing = np.ptp(stack, axis=0)
     stack = stack[:, swing > 0.5 * float(np.quantile(swing, 0.9))]
@@ -469,21 +478,23 @@ def _steps(images: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _explained(candidate: TriedSequence, places: Sequence[int], pictures: _ReducedPictures) -> TriedSequence:
-    """Return a candidate that fits its images, and how much of those at ``places`` it explains. Raises ForeignError."""
+    """Return a candidate corrected by its tests, with the explained share of the images at ``places``. Raises ForeignError."""
     candidate, decoded = _fitted(candidate, pictures)
     shares, weights = explained_shares(candidate.description, decoded["left"])
-    kept = [k for k, word in enumerate(candidate.words) if word != "-"]
-    # What no role explains counts as not explained; images that vary little weigh little: of stripes finer than pixels
-    # nothing can be.
-    total = float((shares * weights).sum() / max(weights.sum() + 0.25 * (len(places) - len(kept)), 1e-9))
+    used = [k for k, word in enumerate(candidate.words) if word != "-"]
+    # Images without a role count as unexplained. Images that vary little have little weight: stripes finer than pixels
+    # cannot be explained.
+    total = float((shares * weights).sum() / max(weights.sum() + 0.25 * (len(places) - len(used)), 1e-9))
     by_image = np.full(len(candidate.images), np.nan)
-    by_image[kept] = shares
+    by_image[used] = shares
     return replace(candidate, explained=total, by_image=tuple(by_image.tolist()))
 
 
 def _fitted(candidate: TriedSequence, pictures: _ReducedPictures) -> tuple[TriedSequence, dict[str, DecodedCamera]]:
-    """Return the candidate with what fits in place of what its tests contradict, and its cameras: the left one alone
-    where nothing says how both stand. Raises ForeignError."""
+    """Return the candidate with the corrections of its tests, and its decoded cameras.
+
+    Without camera numbers the left camera alone is decoded. Raises ForeignError.
+    """
     for _ in range(ROUNDS):
         description = candidate.description
         with_rays = bool(description.cameras.content)
@@ -502,25 +513,24 @@ def _fitted(candidate: TriedSequence, pictures: _ReducedPictures) -> tuple[Tried
 
 
 def _image_set(frames: Sequence[Frame], description: Description, images: NDArray[Any]) -> ImageSet:
-    """Return those of ``images`` (n, h, w) that show something of the sequence."""
+    """Return those of ``images`` (n, h, w) that belong to the sequence."""
     shown = description.order or ()
-    kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
-    white = next(one for one in FULL_SCALES if float(images.max()) <= one)
-    return ImageSet(tuple(shown[k] for k in kept), tuple(frames[k] for k in kept), images[kept], white)
+    used = [k for k, role in enumerate(shown) if role.shows is not Shows.OTHER]
+    white = next(scale for scale in FULL_SCALES if float(images.max()) <= scale)
+    return ImageSet(tuple(shown[k] for k in used), tuple(frames[k] for k in used), images[used], white)
 
 
 def _with_instead(candidate: TriedSequence) -> TriedSequence:
-    """Return the candidate with what fits in place of what was contradicted: fields of its conventions, or the cameras
-    exchanged."""
+    """Return the candidate with corrected conventions, or with the cameras exchanged."""
     description = candidate.description
-    for one in candidate.tested:
-        if one.outcome is not Outcome.WRONG:
+    for assumption in candidate.tested:
+        if assumption.outcome is not Outcome.WRONG:
             continue
-        if one.subject == WHICH_IS_LEFT:
+        if assumption.subject == WHICH_IS_LEFT:
             description = replace(description, files=other_way_round(description.files))
-        for key, value in one.corrections.items():
-            # Of one camera's images a direction's own words are named; what rays say names the direction, too.
-            name, _, word = (key if "." in key else f"{one.subject.rpartition(': ')[2][0]}.{key}").partition(".")
+        for key, value in assumption.corrections.items():
+            # Tests of one camera name the word of a direction alone; tests by rays name the direction, too.
+            name, _, word = (key if "." in key else f"{assumption.subject.rpartition(': ')[2][0]}.{key}").partition(".")
             axis = description.axis(name)
             if axis is not None:
                 description = description.with_axis(replace(axis, **{word: value}))
@@ -531,30 +541,32 @@ def _with_instead(candidate: TriedSequence) -> TriedSequence:
 
 
 def _on_rig(candidate: TriedSequence, table: Mapping[str, Any], pictures: _ReducedPictures) -> TriedSequence:
-    """Return the candidate with the cameras of the folder, and with what their rays make of it."""
-    said = replace(candidate.description, cameras=Table("cameras.", table))
-    found: list[TriedSequence] = []
+    """Return the candidate with the cameras of the folder, corrected by their rays."""
+    described = replace(candidate.description, cameras=Table("cameras.", table))
+    fitted: list[TriedSequence] = []
     try:
-        left_px = pictures.of(said.files["left"].frames, said.channel)[1]
-        for description in _on_projectors(said, left_px) if len(said.files) == 1 else [said]:
-            found.append(_fitted(replace(candidate, description=description), pictures)[0])
-            if not found[-1].contradictions:
+        left_px = pictures.of(described.files["left"].frames, described.channel)[1]
+        for description in _on_projectors(described, left_px) if len(described.files) == 1 else [described]:
+            fitted.append(_fitted(replace(candidate, description=description), pictures)[0])
+            if not fitted[-1].contradictions:
                 break
     except ForeignError as error:
-        return replace(candidate, description=said, notes=(str(error),))
-    return min(found, key=lambda one: one.contradictions)
+        return replace(candidate, description=described, notes=(str(error),))
+    return min(fitted, key=lambda fit: fit.contradictions)
 
 
 def _on_projectors(description: Description, left_px: tuple[int, int]) -> Iterator[Description]:
-    """Yield the description with each size that the projector may have: the one its calibration states, else those by
-    its axis."""
+    """Yield the description with each possible size of the projector.
+
+    The size is the one that the calibration states, else those that fit the projector's axis.
+    """
     table = description.cameras
     stated_px = None
     if "files" in table.content:
         stated_px = camera_numbers(description.folder, table, of_projector=True).stated_px.get("right")
     sizes = [stated_px] if stated_px else []
     if not sizes:
-        # Any size will do to ask where the projector's axis is.
+        # Any size will do to find the projector's axis.
         right = read_rig(description, {"left": left_px, "right": description.projector_px}).rig.right
         width_px = 2.0 * right.lens.c_px[0] + 1.0
         nearest_px = min((width for width, _ in PROJECTORS_PX), key=lambda width: abs(width - width_px))
@@ -565,14 +577,14 @@ def _on_projectors(description: Description, left_px: tuple[int, int]) -> Iterat
 
 
 def _of_size(axis: AxisConvention, size_px: float) -> AxisConvention:
-    """Return the convention of the same images where the pattern is ``size_px`` long."""
+    """Return the convention of the same images on a pattern ``size_px`` long."""
     scale = size_px / axis.size_px
     if axis.bits:
-        # Beside fringes stripes divide the pattern; of a code alone they are whole powers of two of the projector's px.
-        whole_px = size_px / 2**axis.bits
-        if not axis.periods_px or whole_px != round(whole_px):
-            whole_px = max(2.0 ** (math.ceil(math.log2(size_px)) - axis.bits), 1.0)
-        scale = whole_px / axis.stripe_px
-    periods_px = axis.periods_px if axis.micro or axis.carriers else tuple(scale * one for one in axis.periods_px)
+        # Stripes beside fringes divide the pattern; those of a code alone are powers of two of the projector's px.
+        exact_px = size_px / 2**axis.bits
+        if not axis.periods_px or exact_px != round(exact_px):
+            exact_px = max(2.0 ** (math.ceil(math.log2(size_px)) - axis.bits), 1.0)
+        scale = exact_px / axis.stripe_px
+    periods_px = axis.periods_px if axis.micro or axis.carriers else tuple(scale * period for period in axis.periods_px)
     stripe_px, offset_px = scale * axis.stripe_px, scale * axis.code_offset_px
     return replace(axis, size_px=size_px, periods_px=periods_px, stripe_px=stripe_px, code_offset_px=offset_px)
