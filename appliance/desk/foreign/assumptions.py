@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.foreign.camera import DecodedCamera
-from appliance.desk.foreign.code import LEAST_BITS, numbered_stripes, stripe_numbers
-from appliance.desk.foreign.decode import Measured, by_periods, chance_misfit
+from appliance.desk.foreign.code import LEAST_BITS, number_stripes, stripe_numbers
+from appliance.desk.foreign.decode import AxisMeasurement, chance_misfit, place_by_periods
 from appliance.desk.foreign.description import AxisConvention, equal_steps, toml_value, word_for
 from appliance.desk.foreign.order import Shows
 from appliance.desk.foreign.phase import Floats, some_pixels, step_columns
@@ -201,7 +201,7 @@ def _check_code(
 
 
 def _check_phase_against_code(
-    measured: Measured,
+    measured: AxisMeasurement,
     bits: NDArray[np.bool_],
     usable: NDArray[np.bool_],
     both_usable: NDArray[np.bool_],
@@ -211,7 +211,7 @@ def _check_phase_against_code(
     assert measured.bits is not None
     period = axis.periods_px[axis.numbered]
     keys = [f"{axis.name}.{word}" for word in ("sign", "stripe_px", "start_deg")]
-    stripe_number, stripe = numbered_stripes(bits, measured.bits.left_out, axis)
+    stripe_number, stripe = number_stripes(bits, measured.bits.left_out, axis)
     number = stripe_number.astype(np.float32)
     changes = np.count_nonzero((np.diff(number, axis=1) != 0) & both_usable)
     # Two stripes are so wide in this image.
@@ -264,7 +264,7 @@ def _check_phase_against_code(
 # ------------------------------------------------------------------------------------------------ steps, periods
 
 
-def _check_steps(measured: Measured, axis: AxisConvention) -> list[ExaminedAssumption]:
+def _check_steps(measured: AxisMeasurement, axis: AxisConvention) -> list[ExaminedAssumption]:
     subject = f"{axis.name}.steps"
     places, results = _sample_places(some_pixels(measured.usable)), list[ExaminedAssumption]()
     for images, steps_deg in zip(measured.sines, axis.signed_deg, strict=False):
@@ -334,7 +334,7 @@ def measured_steps(stack: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple(float(step) for step in rounded)
 
 
-def _check_periods(measured: Measured, axis: AxisConvention, coordinate_px: Floats) -> list[ExaminedAssumption]:
+def _check_periods(measured: AxisMeasurement, axis: AxisConvention, coordinate_px: Floats) -> list[ExaminedAssumption]:
     subject = f"{axis.name}.period_px"
     places = _sample_places(measured.usable)
     if len(axis.periods_px) == 1 or not places.size:
@@ -352,7 +352,7 @@ def _check_periods(measured: Measured, axis: AxisConvention, coordinate_px: Floa
         """Return the coordinates at ``places`` by another convention, and the disagreement of their phases."""
         convention = replace(axis, **changed)
         sign = np.float32(convention.sign * axis.sign)
-        return by_periods([sign * phase.ravel()[places] for phase in measured.turns], convention)
+        return place_by_periods([sign * phase.ravel()[places] for phase in measured.turns], convention)
 
     def disagreement(changed: Mapping[str, Any]) -> float:
         return float(np.median(place_with(**changed)[1]))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.foreign.decode import DRAWN, Measured, PlacedAxis, Reason, measure, place
+from appliance.desk.foreign.decode import BORDER_ERROR, AxisCoordinates, AxisMeasurement, Reason, measure, place
 from appliance.desk.foreign.description import Description
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import Shows
@@ -39,8 +39,8 @@ class DecodedCamera:
     """One camera's images, decoded. Mappings are keyed ``x`` and ``y``; maps are (h, w)."""
 
     images: ImageSet
-    measured: Mapping[str, Measured]
-    placed: Mapping[str, PlacedAxis]
+    measured: Mapping[str, AxisMeasurement]
+    placed: Mapping[str, AxisCoordinates]
     grey: NDArray[np.uint8]
     """Picture of what the camera saw in even light: the bright image, else the mean of the sines, else the brightest of
     each pixel."""
@@ -58,11 +58,11 @@ def placed_again(camera: DecodedCamera, description: Description) -> DecodedCame
     return replace(camera, placed=_placed(camera.measured, description))
 
 
-def _placed(measured: Mapping[str, Measured], description: Description) -> dict[str, PlacedAxis]:
+def _placed(measured: Mapping[str, AxisMeasurement], description: Description) -> dict[str, AxisCoordinates]:
     return {axis.name: place(measured[axis.name], axis, description.extent_px(axis)) for axis in description.axes}
 
 
-def _picture(images: ImageSet, measured: Mapping[str, Measured]) -> NDArray[np.uint8]:
+def _picture(images: ImageSet, measured: Mapping[str, AxisMeasurement]) -> NDArray[np.uint8]:
     bright = images.image(Shows.BRIGHT)
     means = [one.mean for one in measured.values() if one.mean is not None]
     seen = bright if bright is not None else means[0] if means else np.maximum.reduce(list(images.images))
@@ -102,7 +102,7 @@ def clean_camera(camera: DecodedCamera) -> CleanCamera:
     return CleanCamera(camera.images, axes, camera.grey, modulation_dn, reason, decoded)
 
 
-def clean(placed: PlacedAxis) -> CoordinateMap:
+def clean(placed: AxisCoordinates) -> CoordinateMap:
     """Mask the edges of one direction and estimate its noise from neighbours: that of the light, over the modulation."""
     coordinate = placed.coordinate_px
     typical_px, step_px = _noise(coordinate), _usual_step(coordinate)
@@ -128,7 +128,7 @@ def clean(placed: PlacedAxis) -> CoordinateMap:
     known = noise[np.isfinite(kept)]
     sigma_px = noise * np.float32(typical_px / np.median(known) if known.size else typical_px)
     if placed.stripe_px:
-        drawn_px = max(DRAWN * placed.stripe_px, _ripple(kept, placed.stripe_px / step_px))
+        drawn_px = max(BORDER_ERROR * placed.stripe_px, _ripple(kept, placed.stripe_px / step_px))
         sigma_px = np.hypot(sigma_px, np.float32(drawn_px))
     if placed.bend_px:
         sigma_px = np.hypot(sigma_px, np.float32(placed.bend_px))

@@ -1,4 +1,4 @@
-"""Owns the description of a foreign set of images: which image is what, and by which convention it is to be read.
+"""Description of a set of foreign images: the role of each image, and the conventions by which they are read.
 
 Symbols of a direction: e = p + ½ is the distance of pattern coordinate p from the edge of the pattern, in px; its phase
 is φ = 2π e / period + begin. Step k shows A + B cos(φ + sign · step_k). Stripe number i of the code covers e from
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from appliance.base import parse_toml, read_text
-from appliance.desk.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order, words_in
+from appliance.desk.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, number_images, parse_order, words_in
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure import SIDES, Water
 
@@ -29,14 +29,14 @@ MOST_PERIODS = 16
 LEAST_PERIOD_PX, MOST_PX = 2.0, 65536.0
 EACH = "each"
 CHANNELS = ("grey", "red", "green", "blue", EACH)
-"""Channels of colour images; ``each``: a picture is three images, red, green and blue."""
+"""Channels of colour images; ``each``: a picture is three images, one for red, green and blue each."""
 HALVES = {
     "left beside right": ("left half", "right half"),
     "right beside left": ("right half", "left half"),
     "left above right": ("upper half", "lower half"),
     "right above left": ("lower half", "upper half"),
 }
-"""Words for pictures that show both cameras, with the left one's half and the right one's."""
+"""Words for pictures that show both cameras, with the half of the left camera and that of the right one."""
 
 
 WORDS: Mapping[str, tuple[str, Mapping[Any, str]]] = {
@@ -47,8 +47,7 @@ WORDS: Mapping[str, tuple[str, Mapping[Any, str]]] = {
     "fine_first": ("code_order", {False: "coarse-first", True: "fine-first"}),
     "inverted": ("code_inverted", {}),
 }
-"""Words of a direction for fields of its convention, and for their values, the usual one first, where these are called
-otherwise."""
+"""Keys of a direction by field of its convention, and the words for values, the usual one first, where they differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ class AxisConvention:
     periods_px: tuple[float, ...]
     """Fringe periods; empty: stripes of the code alone."""
     steps_deg: tuple[tuple[float, ...], ...]
-    """Phase steps of each period in the order of its images, as they are written.
+    """Phase steps of each period in the order of its images, without ``sign``.
 
     A period of one image shares mean and modulation with the first one (micro phase shifting).
     """
@@ -71,12 +70,12 @@ class AxisConvention:
     start_deg: float = 0.0
     """Phase at the edge of the pattern, of all periods."""
     starts_deg: tuple[float, ...] = ()
-    """Phase that each period has besides; empty: nothing."""
+    """Phase at that edge that each period has in addition; empty: none."""
     from_middle: bool = False
     """True if phases begin at the middle of column 0, half a px behind the edge."""
     carriers: tuple[int, ...] = ()
-    """Number of steps across, by period, of a carrier that multiplies its fringes (modulated phase shifting); 0 of a
-    period without one; empty: none has one."""
+    """Number of steps, by period, of a carrier across that multiplies the fringes (modulated phase shifting); 0: no
+    carrier; empty: no period has one."""
     bits: int = 0
     """Number of images of the code; 0: there is none."""
     stripe_px: float = 0.0
@@ -90,7 +89,7 @@ class AxisConvention:
     inverted: bool = False
     """True if a bright stripe is a bit that is not set."""
     wraps: bool = False
-    """True if what the code has before the pattern's edge is drawn at the other end (shifted code)."""
+    """True if stripes before the pattern's edge are drawn at the other end (shifted code)."""
 
     @property
     def begins_deg(self) -> tuple[float, ...]:
@@ -104,8 +103,7 @@ class AxisConvention:
 
     @property
     def numbered(self) -> int:
-        """Number of the period whose fringes the code numbers: the finest one, or the coarsest where stripes are wider
-        than that."""
+        """Index of the period whose fringes the code numbers: the finest, or the coarsest if stripes are wider."""
         return self.finest if self.stripe_px <= 1.01 * self.period_px else self.periods_px.index(max(self.periods_px))
 
     @property
@@ -121,13 +119,12 @@ class AxisConvention:
 
     @property
     def period_px(self) -> float:
-        """The period that makes the coordinate: the finest one, or the only one of several steps; of a code alone, its
-        stripe."""
+        """The period that makes the coordinate: the finest, or the only one with several steps; else the stripe."""
         return self.periods_px[0] if self.micro else min(self.periods_px, default=self.stripe_px)
 
     @property
     def finest(self) -> int:
-        """Number of that period."""
+        """Index of the period ``period_px``."""
         return self.periods_px.index(self.period_px)
 
     @property
@@ -138,41 +135,41 @@ class AxisConvention:
 
 @dataclass(frozen=True, slots=True)
 class ImageFiles:
-    """Places of one camera's images, relative to the description."""
+    """Files of one camera's images, relative to the description."""
 
     patterns: tuple[str, ...]
     """Names with wildcards, in order; each stands for its files in natural order (2 before 10)."""
-    words: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
     """The kind of image that each name stands for (``gray-x``); empty where ``order`` says it."""
     sides: str = ""
-    """Sides in whose turn the files of both cameras come, again and again, or one of ``HALVES``; empty: all are this
+    """Repeated order of sides in which the files of both cameras come, or one of ``HALVES``; empty: all are this
     camera's."""
     frames: tuple[Frame, ...] = ()
-    """The images themselves, in order, where a folder was looked through for them."""
+    """The images themselves, in order, where they were searched in a folder."""
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A foreign set of images, as somebody describes it."""
+    """A foreign set of images, as its image set description has it."""
 
     name: str
     folder: Path
-    """Folder that names are relative to."""
+    """Folder to which names are relative."""
     files: dict[str, ImageFiles]
-    """Files by side; ``right`` is not there where a projector takes its place."""
+    """Files by side; without ``right`` where a projector takes its place."""
     order: tuple[ShownImage, ...] | None
-    """Kinds of the images in order; ``None``: ``files`` says it by kind."""
+    """Image roles in order; ``None``: ``files`` gives them by kind."""
     channel: str
     white: float | None
     """Grey value of saturation; ``None``: it follows from the images."""
     projector_px: tuple[int, int]
     axes: tuple[AxisConvention, ...]
     cameras: Table
-    """Everything said about the cameras (``cameras.py`` reads it)."""
+    """The table of the cameras, which ``cameras.py`` reads."""
     water: Water | float | None = None
     """Water between cameras and object, or its refractive index relative to air; ``None``: it is air."""
     ports: tuple[Port, Port] | None = None
-    """Windows of both cameras."""
+    """Ports of both cameras."""
     near_mm: float | None = None
     far_mm: float | None = None
     max_sigma_mm: float | None = None
@@ -180,7 +177,7 @@ class Description:
 
     @property
     def one_direction(self) -> bool:
-        """True if only one pattern coordinate is there."""
+        """True if the patterns vary along one direction only."""
         return len(self.axes) == 1
 
     @property
@@ -189,8 +186,7 @@ class Description:
         return 1.0 if self.water is None else self.water if isinstance(self.water, float) else self.water.index
 
     def extent_px(self, axis: AxisConvention) -> tuple[float, float]:
-        """Return where the pattern begins and ends: of two cameras, what the code covers, whatever the projector's
-        size."""
+        """Return begin and end of the pattern: of two cameras, the range that the code covers."""
         return axis.covered_px if axis.bits and "right" in self.files else (0.0, axis.size_px)
 
     def axis(self, name: str) -> AxisConvention | None:
@@ -199,22 +195,22 @@ class Description:
 
     def with_axis(self, axis: AxisConvention) -> Description:
         """Return the description with another convention for that direction."""
-        return replace(self, axes=tuple(axis if one.name == axis.name else one for one in self.axes))
+        return replace(self, axes=tuple(axis if old.name == axis.name else old for old in self.axes))
 
 
 def word_for(field: str, value: Any) -> tuple[str, Any]:
-    """Return the word of a direction for a field of its convention, and what is written for ``value``."""
+    """Return the key of a direction for a field of its convention, and the written form of ``value``."""
     word, written = WORDS.get(field, (field, {}))
     return word, written.get(value, value)
 
 
 def toml_value(value: Any, digits: int = 8) -> str:
-    """Return a value as TOML has it; a list of one is that one."""
+    """Return a value as TOML text; a list of one element is that element."""
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, Sequence):
-        said = [toml_value(one, digits) for one in value]
-        return said[0] if len(said) == 1 else f"[{', '.join(said)}]"
+        elements = [toml_value(element, digits) for element in value]
+        return elements[0] if len(elements) == 1 else f"[{', '.join(elements)}]"
     return str(value).lower() if isinstance(value, bool) else f"{value:.{digits}g}"
 
 
@@ -224,7 +220,7 @@ def equal_steps(count: int) -> tuple[float, ...]:
 
 
 def load_description(path: Path) -> Description:
-    """Read and check a description. Raises ForeignError for whatever the file holds."""
+    """Read and check a description. Raises ForeignError."""
     try:
         text = read_text(path, MAX_BYTES)
     except OSError as error:
@@ -244,35 +240,35 @@ def parse_description(text: str, folder: Path, name: str, source: str) -> Descri
     except ValueError as error:
         raise ForeignError(f"{source}: {error}; correct that line (TOML 1.0)") from error
     try:
-        return _described(Table("", content), folder, name)
+        return _parse_top(Table("", content), folder, name)
     except ForeignError as error:
         raise ForeignError(f"{source}: {error}") from error
 
 
-def _described(top: Table, folder: Path, name: str) -> Description:
+def _parse_top(top: Table, folder: Path, name: str) -> Description:
     top.only("name", "images", "projector", "x", "y", "cameras", "water", "ports", "range")
     images = top.needed("images", "left", "right", "both", "sides", "order", "channel", "white")
     projector = top.needed("projector", "width_px", "height_px")
     size_px = (projector.whole("width_px", 2, int(MOST_PX)), projector.whole("height_px", 2, int(MOST_PX)))
     files = _files(images)
     order = _order(images, files)
-    # How many files a name stands for is not known yet: one of each kind stands for all.
-    shown = order or numbered(list(dict.fromkeys(files["left"].words)), "images.left")
+    # The number of files of a name is not known yet: one image of each kind stands for all.
+    shown = order or number_images(list(dict.fromkeys(files["left"].kinds)), "images.left")
     axes = []
     for axis_name, length in zip("xy", size_px, strict=True):
-        mine = [one for one in shown if one.axis == axis_name]
+        own_images = [image for image in shown if image.axis == axis_name]
         table = top.table(axis_name, *_FRINGES, *_CODE, *_OTHERS)
-        if mine and table is None:
+        if own_images and table is None:
             raise ForeignError(
-                f"[{axis_name}] is missing: {mine[0].word} is among the images; say how it is to be read"
+                f"[{axis_name}] is missing: {own_images[0].word} is among the images; say how it is to be read"
             )
-        if table is not None and not mine:
+        if table is not None and not own_images:
             raise ForeignError(f"[{axis_name}] is there, and no image of {axis_name}; name its images or take it out")
         if table is not None:
-            axes.append(_axis(table, axis_name, float(length), mine))
+            axes.append(_axis(table, axis_name, float(length), own_images))
     if not axes:
         raise ForeignError(
-            f"no image has stripes ({', '.join(sorted({one.word for one in shown}))}); name some, for example gray-x"
+            f"no image has stripes ({', '.join(sorted({image.word for image in shown}))}); name some, for example gray-x"
         )
     ranges = top.table("range", "near_mm", "far_mm", "max_sigma_mm") or Table("range.", {})
     near_mm, far_mm = (ranges.optional(key, 1.0, 1e6) for key in ("near_mm", "far_mm"))
@@ -294,10 +290,9 @@ def _names(table: Table, key: str) -> tuple[str, ...]:
 
 
 def _files(images: Table) -> dict[str, ImageFiles]:
-    """Return the files of each camera: named for each in order or by kind, or for both together, and how they share
-    them."""
+    """Return the files of each camera: named for each in order or by kind, or for both together."""
     if "both" not in images.content and "sides" not in images.content:
-        return {side: _of_one(images, side) for side in SIDES if side == "left" or side in images.content}
+        return {side: _files_of_side(images, side) for side in SIDES if side == "left" or side in images.content}
     if "left" in images.content or "right" in images.content:
         raise ForeignError("images.both and images.left, right: give names for both together, or for each")
     sides = images.text("sides", "left right")
@@ -309,20 +304,20 @@ def _files(images: Table) -> dict[str, ImageFiles]:
     return dict.fromkeys(SIDES, ImageFiles(_names(images, "both"), sides=sides))
 
 
-def _of_one(images: Table, side: str) -> ImageFiles:
+def _files_of_side(images: Table, side: str) -> ImageFiles:
     value = images.content.get(side)
     if not isinstance(value, dict):
         return ImageFiles(_names(images, side))
     if not value:
         raise images.wrong(side, "names of images", "name some")
     by_kind = {word: _names(Table(f"images.{side}.", value), word) for word in value}
-    words = tuple(word for word, names in by_kind.items() for _ in names)
-    return ImageFiles(tuple(name for names in by_kind.values() for name in names), words)
+    kinds = tuple(word for word, names in by_kind.items() for _ in names)
+    return ImageFiles(tuple(name for names in by_kind.values() for name in names), kinds)
 
 
 def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[ShownImage, ...] | None:
-    """Return what the images show in order; ``None`` where it is said by kind."""
-    kinds = {frozenset(one.words) for one in files.values()}
+    """Return the image roles in order; ``None`` if they are given by kind."""
+    kinds = {frozenset(side_files.kinds) for side_files in files.values()}
     if len(kinds) > 1:
         raise ForeignError(
             "images.left and images.right name other kinds of images, or one of them in order; name both alike"
@@ -337,16 +332,16 @@ def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[ShownImage, ...
 _FRINGES, _CODE = ("period_px", "fringes", "steps", "steps_deg"), ("gray", "stripe_px")
 _OTHERS = ("sign", "start_deg", "start_at", "code_offset_px", "code", "code_order", "code_inverted")
 _STRIPES = {"ordinary": (1.0, 0.0), "complementary": (0.5, 0.0), "shifted": (1.0, -0.5)}
-"""Width of a code's stripes and where they begin, in periods."""
+"""Width and offset of the stripes of a code, in periods."""
 
 
-def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> AxisConvention:
-    fringed = {one.period: one.shows for one in mine if one.shows in FRINGES}
-    has_code = any(one.shows is Shows.GRAY for one in mine)
-    for there, keys, what in ((fringed, _FRINGES, f"sine-{name}"), (has_code, _CODE, f"gray-{name}")):
-        if not there and (said := [key for key in keys if key in table.content]):
+def _axis(table: Table, name: str, size_px: float, own_images: list[ShownImage]) -> AxisConvention:
+    fringed = {image.period: image.shows for image in own_images if image.shows in FRINGES}
+    has_code = any(image.shows is Shows.GRAY for image in own_images)
+    for is_given, keys, role in ((fringed, _FRINGES, f"sine-{name}"), (has_code, _CODE, f"gray-{name}")):
+        if not is_given and (unused := [key for key in keys if key in table.content]):
             raise ForeignError(
-                f"{name}.{said[0]} is there, and no {what} is among the images; name them or take it out"
+                f"{name}.{unused[0]} is there, and no {role} is among the images; name them or take it out"
             )
     periods_px = _periods(table, size_px) if fringed else ()
     micro = Shows.MICRO in fringed.values()
@@ -412,25 +407,31 @@ def _periods(table: Table, size_px: float) -> tuple[float, ...]:
 
 
 def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], ...]:
-    """Return the steps of each period: one list is that of all, but of micro phase shifting that of the first, the
-    others having one."""
+    """Return the steps of each period: one list is that of all.
+
+    Of micro phase shifting it is that of the first period, and the others have one step.
+    """
     if "steps" in table.content and "steps_deg" in table.content:
         raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both there; give one of them")
-    said = table.content.get("steps_deg")
-    if said is None:
-        found = [equal_steps(count) for count in table.wholes("steps", LEAST_STEPS, MOST_STEPS)]
+    written = table.content.get("steps_deg")
+    if written is None:
+        steps_deg = [equal_steps(count) for count in table.wholes("steps", LEAST_STEPS, MOST_STEPS)]
     else:
-        lists = said if isinstance(said, list) and said and isinstance(said[0], list) else [said]
-        found = [Table(table.name, {"steps_deg": one}).numbers("steps_deg", -3600.0, 3600.0) for one in lists]
-    if not all(LEAST_STEPS <= len(one) <= MOST_STEPS for one in found):
+        lists = written if isinstance(written, list) and written and isinstance(written[0], list) else [written]
+        steps_deg = [
+            Table(table.name, {"steps_deg": step_list}).numbers("steps_deg", -3600.0, 3600.0) for step_list in lists
+        ]
+    if not all(LEAST_STEPS <= len(step_list) <= MOST_STEPS for step_list in steps_deg):
         raise table.wrong("steps_deg", f"{LEAST_STEPS} to {MOST_STEPS} steps", "name all of one period")
-    if micro and len(found) == 1:
-        return (found[0], *[(0.0,)] * (periods - 1))
-    if len(found) not in (1, periods) or micro:
+    if micro and len(steps_deg) == 1:
+        return (steps_deg[0], *[(0.0,)] * (periods - 1))
+    if len(steps_deg) not in (1, periods) or micro:
         raise table.wrong(
-            "steps" if said is None else "steps_deg", f"one for all, or one for each of {periods} periods", "correct it"
+            "steps" if written is None else "steps_deg",
+            f"one for all, or one for each of {periods} periods",
+            "correct it",
         )
-    return tuple(found * (periods if len(found) == 1 else 1))
+    return tuple(steps_deg * (periods if len(steps_deg) == 1 else 1))
 
 
 def _water(top: Table) -> Water | float | None:
@@ -440,8 +441,11 @@ def _water(top: Table) -> Water | float | None:
     index, temperature_c = water.optional("index", 1.0, 1.6), water.optional("temperature_c", -2.0, 40.0)
     if (index is None) == (temperature_c is None):
         raise ForeignError("water.index or water.temperature_c: give one of them; for air take [water] out")
-    rest = water.number("salinity_psu", 0.0, 45.0, 0.0), water.number("wavelength_nm", 380.0, 750.0, 530.0)
-    return index if temperature_c is None else Water(temperature_c, *rest)
+    salinity_and_wavelength = (
+        water.number("salinity_psu", 0.0, 45.0, 0.0),
+        water.number("wavelength_nm", 380.0, 750.0, 530.0),
+    )
+    return index if temperature_c is None else Water(temperature_c, *salinity_and_wavelength)
 
 
 def _ports(top: Table) -> tuple[Port, Port] | None:
@@ -450,7 +454,7 @@ def _ports(top: Table) -> tuple[Port, Port] | None:
         return None
     from appliance.measure import Port
 
-    found = []
+    normals = []
     for side in SIDES:
         normal = ports.numbers(f"{side}_normal", -1e6, 1e6, default=(0.0, 0.0, 1.0))
         length = math.hypot(*normal)
@@ -458,38 +462,38 @@ def _ports(top: Table) -> tuple[Port, Port] | None:
             allowed = "three numbers: a vector towards the water, in the camera's own frame"
             raise ports.wrong(f"{side}_normal", allowed, "correct it")
         x, y, z = normal
-        found.append((x / length, y / length, z / length))
+        normals.append((x / length, y / length, z / length))
     size = (
         ports.number("distance_mm", 0.0, 1000.0),
         ports.number("thickness_mm", 0.0, 100.0),
         ports.number("glass_index", 1.0, 3.0),
     )
-    return Port(found[0], *size), Port(found[1], *size)
+    return Port(normals[0], *size), Port(normals[1], *size)
 
 
-def counted(description: Description, images: tuple[ShownImage, ...]) -> Description:
-    """Return the description with the numbers of bits of the ``images`` that are really there.
+def with_counts(description: Description, images: tuple[ShownImage, ...]) -> Description:
+    """Return the description with the numbers of bits and carrier steps of ``images``, the images that exist.
 
     Raises ForeignError where a direction has other numbers of steps, bits or inverses than its convention allows.
     """
     axes = []
     for axis in description.axes:
-        mine = [one for one in images if one.axis == axis.name]
+        own_images = [image for image in images if image.axis == axis.name]
         carriers = []
         for period, steps in enumerate(axis.steps_deg):
-            fringes = [one for one in mine if one.shows in FRINGES and one.period == period]
+            fringes = [image for image in own_images if image.shows in FRINGES and image.period == period]
             modulated = bool(fringes) and fringes[0].shows is Shows.MODULATED
             carriers.append(max(LEAST_STEPS, len(fringes) // len(steps)) if modulated else 0)
-            wanted = len(steps) * max(1, carriers[-1])
+            needed = len(steps) * max(1, carriers[-1])
             if axis.micro:
-                wanted = 0 if period else sum(map(len, axis.steps_deg))
-            if len(fringes) != wanted:
+                needed = 0 if period else sum(map(len, axis.steps_deg))
+            if len(fringes) != needed:
                 word = fringes[0].word if fringes else f"sine-{axis.name}{period + 1 if period else ''}"
                 raise ForeignError(
-                    f"{len(fringes)} images are {word}, and {wanted} are needed for {axis.name} with {len(steps)} "
+                    f"{len(fringes)} images are {word}, and {needed} are needed for {axis.name} with {len(steps)} "
                     "steps; name as many"
                 )
-        bits, inverses = (sum(one.shows is shows for one in mine) for shows in (Shows.GRAY, Shows.INVERSE))
+        bits, inverses = (sum(image.shows is shows for image in own_images) for shows in (Shows.GRAY, Shows.INVERSE))
         if inverses not in (0, bits):
             raise ForeignError(
                 f"{bits} images are gray-{axis.name} and {inverses} ~gray-{axis.name}; each needs its inverse, or none"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from appliance.base import Progress
-from appliance.desk.foreign.description import Description, counted, load_description
+from appliance.desk.foreign.description import Description, load_description, with_counts
 from appliance.desk.foreign.problem import ForeignError
 
 if TYPE_CHECKING:  # brings NumPy
@@ -32,7 +32,7 @@ def check_import(path: Path, out: Path) -> None:
     said = load_description(path)
     from appliance.desk.foreign.images import first_of_side
 
-    description, images, _ = checked(path, said, {side: first_of_side(said, side) for side in said.files})
+    description, images, _ = check_images(path, said, {side: first_of_side(said, side) for side in said.files})
     if out.suffix:
         from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
 
@@ -70,7 +70,7 @@ def import_images(
     return import_described(source, out, progress, as_described=as_described, reasons=reasons)
 
 
-def checked(
+def check_images(
     path: Path, said: Description, sets: Mapping[str, ImageSet]
 ) -> tuple[Description, Mapping[str, ImageSet], ForeignRig]:
     """Return the description with its images counted, the images, and the cameras that took them.
@@ -79,7 +79,7 @@ def checked(
     """
     from appliance.desk.foreign.cameras import read_rig
 
-    description = counted(said, sets["left"].shown)
+    description = with_counts(said, sets["left"].shown)
     if "right" in sets and set(sets["right"].shown) != set(sets["left"].shown):
         raise ForeignError(f"{path}: left and right have other images; name the same for both")
     sizes_px = {side: (one.shape[1], one.shape[0]) for side, one in sets.items()}

@@ -43,12 +43,20 @@ from appliance.desk.foreign.camera import DecodedCamera, decode_camera
 from appliance.desk.foreign.camera_files import camera_numbers, cameras_in
 from appliance.desk.foreign.cameras import read_rig
 from appliance.desk.foreign.cross_checks import WHICH_IS_LEFT, examine
-from appliance.desk.foreign.decode import by_periods, chance_misfit
+from appliance.desk.foreign.decode import chance_misfit, place_by_periods
 from appliance.desk.foreign.description import EACH, LEAST_STEPS, AxisConvention, Description, ImageFiles, equal_steps
 from appliance.desk.foreign.files import camera_files, in_halves, other_way_round, taken_in_turns
 from appliance.desk.foreign.frames import Frame, FrameReader
 from appliance.desk.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures, of_channel
-from appliance.desk.foreign.order import FRINGES, ProjectedSequence, ShownImage, Shows, hypotheses, joined, numbered
+from appliance.desk.foreign.order import (
+    FRINGES,
+    ProjectedSequence,
+    ShownImage,
+    Shows,
+    hypotheses,
+    join_words,
+    number_images,
+)
 from appliance.desk.foreign.phase import Floats, fit_sine
 from appliance.desk.foreign.problem import ForeignError, Table
 
@@ -151,7 +159,7 @@ def periods_by_phases(
         axis = AxisConvention(
             name, size_px, tuple(float(size_px / fringe_count) for fringe_count in fringes), tuple(steps_deg)
         )
-        share = float(np.median(by_periods(samples, axis)[1])) / chance_misfit(axis)
+        share = float(np.median(place_by_periods(samples, axis)[1])) / chance_misfit(axis)
         if share < 0.9 * best_share:
             best, best_share = axis.periods_px, share
     return best
@@ -302,7 +310,7 @@ def guess_sequence(folder: Path, progress: Progress) -> tuple[TriedSequence, ...
     candidates.sort(key=lambda candidate: -candidate.rank)
     if not candidates or candidates[0].rank < FAIR:
         nearest = (
-            f"; the nearest, {joined(candidates[0].words)}, explains {100 * candidates[0].explained:.0f} % of them"
+            f"; the nearest, {join_words(candidates[0].words)}, explains {100 * candidates[0].explained:.0f} % of them"
             if candidates
             else ""
         )
@@ -375,7 +383,7 @@ def _all_hypotheses(looks: Looks) -> Iterator[ProjectedSequence]:
             orders.add(hypothesis.shown)
             yield hypothesis
     with suppress(ForeignError):
-        yield ProjectedSequence(BY_LOOKS, shown=numbered(words_by_looks(looks), "images.order"))
+        yield ProjectedSequence(BY_LOOKS, shown=number_images(words_by_looks(looks), "images.order"))
 
 
 def _channel(files: Sequence[Frame]) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.foreign.description import EACH, HALVES, Description
 from appliance.desk.foreign.frames import Frame, FrameReader, frame_head, frames_in, split_name
-from appliance.desk.foreign.order import ShownImage, Shows, numbered, words_in
+from appliance.desk.foreign.order import ShownImage, Shows, number_images, words_in
 from appliance.desk.foreign.problem import ForeignError
 from appliance.measure import SIDES
 
@@ -179,13 +179,13 @@ def named_files(description: Description, side: str) -> tuple[list[Frame], tuple
     key = f"images.{'both' if wanted.sides else side}"
     named = [
         (frame, word)
-        for pattern, word in zip_longest(wanted.patterns, wanted.words, fillvalue="")
+        for pattern, word in zip_longest(wanted.patterns, wanted.kinds, fillvalue="")
         for frame in matching(description.folder, pattern, f"{key}.{word}" if word else key)
     ]
     found = of_channel(of_side([frame for frame, _ in named], wanted.sides, side), description.channel)
     if description.order is None:
         # Each kind's own images, and three times as many where every channel is one.
-        return found, numbered([word for _, word in named for _ in range(len(found) // len(named))], key)
+        return found, number_images([word for _, word in named for _ in range(len(found) // len(named))], key)
     if len(found) != len(description.order):
         raise ForeignError(
             f"{key}: {len(found)} images ({found[0].name} to {found[-1].name}), and images.order names "

@@ -25,7 +25,7 @@ from appliance.desk.foreign.camera import clean_camera, decode_camera
 from appliance.desk.foreign.cross_checks import examine_images, examine_rays
 from appliance.desk.foreign.decode import Reason
 from appliance.desk.foreign.description import load_description
-from appliance.desk.foreign.first_look import checked
+from appliance.desk.foreign.first_look import check_images
 from appliance.desk.foreign.images import read_side
 from appliance.desk.foreign.own_form import own_sequence, settled_sequence, write_own
 from appliance.desk.foreign.points import ForeignCloud, ForeignScan, find_points
@@ -97,7 +97,7 @@ def read_foreign(path: Path, progress: Progress) -> ForeignScan:
     for side in said.files:
         progress(f"reading {side}")
         read[side] = read_side(said, side)
-    description, sets, rig = checked(path, said, read)
+    description, sets, rig = check_images(path, said, read)
     cameras, tested = {}, list[ExaminedAssumption]()
     for side, images in sets.items():
         progress(f"decoding {side}")

@@ -81,7 +81,7 @@ class ShownImage:
 
 def parse_order(text: str, key: str) -> tuple[ShownImage, ...]:
     """Return the images that ``text`` names, numbered by kind. Raises ForeignError, which names ``key``."""
-    return numbered(words_in(text, key), key)
+    return number_images(words_in(text, key), key)
 
 
 def words_in(text: str, key: str, most: int = MOST_IMAGES) -> list[str]:
@@ -111,7 +111,7 @@ def words_in(text: str, key: str, most: int = MOST_IMAGES) -> list[str]:
     return words
 
 
-def joined(words: Sequence[str]) -> str:
+def join_words(words: Sequence[str]) -> str:
     """Return words with repetitions written as such: ``gray-x*6``, ``(gray-x ~gray-x)*6``."""
     said: list[str] = []
     k = 0
@@ -130,7 +130,7 @@ def joined(words: Sequence[str]) -> str:
     return " ".join(said)
 
 
-def numbered(words: list[str], key: str) -> tuple[ShownImage, ...]:
+def number_images(words: list[str], key: str) -> tuple[ShownImage, ...]:
     """Return the images of single ``words``, bits and steps numbered in that order. Raises ForeignError."""
     counts: dict[tuple[Shows, str, int], int] = {}
     images = []

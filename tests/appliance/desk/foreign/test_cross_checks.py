@@ -17,7 +17,7 @@ from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome
 from appliance.desk.foreign.camera import DecodedCamera
 from appliance.desk.foreign.cameras import ForeignRig, read_rig
 from appliance.desk.foreign.cross_checks import POSE, TURN, examine_cameras
-from appliance.desk.foreign.decode import PlacedAxis
+from appliance.desk.foreign.decode import AxisCoordinates
 from appliance.desk.foreign.description import Description, parse_description
 from appliance.desk.foreign.images import ImageSet
 from tests.support.strangers import RAYS, Bench, View, lit, pair, photographs, with_projector
@@ -42,7 +42,9 @@ def seen(camera: View, projector: View) -> DecodedCamera:
     speckle = cv2.GaussianBlur(np.random.default_rng(1).normal(0.0, 1.0, SIZE[::-1]), (0, 0), 3.0)
     pattern = np.clip(125.0 + 400.0 * speckle, 0, 255).astype(np.uint8)
     grey = photographs(camera, projector, [pattern], 3)[0]
-    placed = {name: PlacedAxis(one, np.zeros(one.shape, np.uint8), np.ones_like(one)) for name, one in maps.items()}
+    placed = {
+        name: AxisCoordinates(one, np.zeros(one.shape, np.uint8), np.ones_like(one)) for name, one in maps.items()
+    }
     return DecodedCamera(ImageSet((), (), np.zeros((0, *grey.shape), np.uint8), 255.0), {}, placed, grey)
 
 

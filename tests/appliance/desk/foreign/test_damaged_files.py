@@ -17,7 +17,7 @@ from scipy.io import savemat
 
 from appliance.desk.foreign.camera_files import FORMATS, numbers_in
 from appliance.desk.foreign.cameras import read_rig
-from appliance.desk.foreign.description import counted, load_description, parse_description
+from appliance.desk.foreign.description import load_description, parse_description, with_counts
 from appliance.desk.foreign.problem import ForeignError
 from tests.appliance.desk.foreign.test_cameras import D1, HEAD, M1, OPENCV, SIZES, R, T
 from tests.support.damage import Parser, changed, damaged, toml_of
@@ -90,7 +90,7 @@ def read_description(data: bytes, folder: Path) -> None:
         assert axis.periods_px or axis.stripe_px > 0.0
     try:
         if said.order is not None:
-            counted(said, said.order)
+            with_counts(said, said.order)
         read_rig(said, SIZES)
     except ForeignError as error:
         raise ForeignError(f"set.toml: {error}") from error

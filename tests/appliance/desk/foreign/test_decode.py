@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.foreign.camera import DecodedCamera, clean, decode_camera
 from appliance.desk.foreign.decode import Reason
-from appliance.desk.foreign.description import counted, parse_description
+from appliance.desk.foreign.description import parse_description, with_counts
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.phase import TURN, fit_sine, unbend
 
@@ -29,7 +29,7 @@ def decoded(
     said = parse_description(text, Path(), "set", "set.toml")
     shown = said.order or ()
     stack = np.rint(20.0 + 200.0 * np.stack(images)).astype(np.uint8)
-    return decode_camera(ImageSet(shown, (), stack, white), counted(said, shown))
+    return decode_camera(ImageSet(shown, (), stack, white), with_counts(said, shown))
 
 
 def sine(edge_px: Lines, period_px: float, degrees: float = 0.0) -> Lines:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.desk.foreign.description import AxisConvention, Description, counted, parse_description
+from appliance.desk.foreign.description import AxisConvention, Description, parse_description, with_counts
 from appliance.desk.foreign.images import natural_key
 from appliance.desk.foreign.order import parse_order
 from appliance.desk.foreign.problem import ForeignError
@@ -111,7 +111,7 @@ TWO = ("bright dark gray-x*5 sine-x*4", "gray-x*4 sine-x*4 sine-x2*4")
 )  # fmt: skip
 def test_rarer_codes_have_a_word_each(changes: list[tuple[str, str]], wanted: dict[str, object]) -> None:
     description = parsed(*changes)
-    axis = counted(description, description.order or ()).axes[0]
+    axis = with_counts(description, description.order or ()).axes[0]
     assert {name: getattr(axis, name) for name in wanted} == wanted
 
 
@@ -124,13 +124,13 @@ def test_rarer_codes_have_a_word_each(changes: list[tuple[str, str]], wanted: di
 def test_codes_with_too_few_images_say_how_many(order: str, said: str) -> None:
     description = parsed(("bright dark gray-x*5 sine-x*4", order), ("period_px = 16", "fringes = [24, 1]"))
     with pytest.raises(ForeignError, match=said):
-        counted(description, description.order or ())
+        with_counts(description, description.order or ())
 
 
 def test_of_two_cameras_the_pattern_is_what_the_code_covers() -> None:
     both = parsed()
     alone = parsed(('right = "right/*.png"\n', ""))
-    extents = [one.extent_px(counted(one, one.order or ()).axes[0]) for one in (both, alone)]
+    extents = [one.extent_px(with_counts(one, one.order or ()).axes[0]) for one in (both, alone)]
     assert extents == [(0.0, 512.0), (0.0, 512.0)]
     both, alone = (replace(one, axes=(replace(one.axes[0], size_px=100.0, bits=5),)) for one in (both, alone))
     assert [both.extent_px(both.axes[0]), alone.extent_px(alone.axes[0])] == [(0.0, 512.0), (0.0, 100.0)]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.foreign import images as images_module
 from appliance.desk.foreign.description import Description, parse_description
-from appliance.desk.foreign.first_look import checked
+from appliance.desk.foreign.first_look import check_images
 from appliance.desk.foreign.images import first_of_side, read_side
 from appliance.desk.foreign.problem import ForeignError
 
@@ -101,7 +101,7 @@ def test_headers_alone_tell_that_one_camera_has_more_images(tmp_path: Path) -> N
     for right, wanted in (("[12]", "left and right have other images"), ("[0-2]", r"\[cameras.left\] is missing")):
         said = described(tmp_path, f'left.gray-x = "*.png"\nright.gray-x = "{right}.png"')
         with pytest.raises(ForeignError, match=wanted):
-            checked(Path("set.toml"), said, {side: first_of_side(said, side) for side in said.files})
+            check_images(Path("set.toml"), said, {side: first_of_side(said, side) for side in said.files})
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.desk.foreign.camera import clean, decode_camera
-from appliance.desk.foreign.decode import by_periods
+from appliance.desk.foreign.decode import place_by_periods
 from appliance.desk.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.desk.foreign.images import ImageSet, read_side
 from appliance.desk.foreign.order import parse_order
@@ -28,7 +28,7 @@ def test_phases_disagree_by_their_root_mean_square_however_many_there_are(count:
     for k, period in enumerate(periods):
         turns = np.asarray(edge_px / period + (off if k else 0.0), np.float32)
         fits.append(turns - np.floor(turns))
-    coordinate_px, misfit = by_periods(fits, axis)
+    coordinate_px, misfit = place_by_periods(fits, axis)
     assert float(misfit[0, 0]) == pytest.approx(off, abs=2e-3)
     assert float(coordinate_px[0, 0]) == pytest.approx(599.5, abs=0.1)
 

@@ -11,7 +11,7 @@ import pytest
 
 from appliance.cli.output import Exit
 from appliance.desk.foreign.cameras import NO_PORT, ForeignRig
-from appliance.desk.foreign.description import counted, parse_description
+from appliance.desk.foreign.description import parse_description, with_counts
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.own_form import calibration_of, own_frames, own_sequence
 from appliance.desk.foreign.points import ForeignScan
@@ -105,7 +105,7 @@ def test_the_reason_why_a_set_is_no_scan_of_our_form_is_named(
     said = parse_description(text, Path(), "own", "own.toml")
     assert said.order is not None
     images = ImageSet(said.order, (), np.zeros((len(said.order), 2, 2), np.uint8), 255.0)
-    found = own_sequence(counted(said, said.order), images)
+    found = own_sequence(with_counts(said, said.order), images)
     assert isinstance(found, str) == bool(reason)
     assert reason in str(found)
 
@@ -118,7 +118,7 @@ def test_a_set_keeps_the_order_of_its_steps_where_it_is_one_of_ours(shown: str, 
     said = parse_description(OWN.replace("steps = 4", f"steps_deg = {shown}"), Path(), "own", "own.toml")
     assert said.order is not None
     images = ImageSet(said.order, (), np.arange(len(said.order), dtype=np.uint8)[:, None, None], 255.0)
-    described = counted(said, said.order)
+    described = with_counts(said, said.order)
     sequence = own_sequence(described, images)
     assert isinstance(sequence, PatternSequence)
     assert sequence.steps == steps
@@ -135,7 +135,7 @@ def test_images_are_put_into_our_order() -> None:
     said = parse_description(text, Path(), "own", "own.toml")
     assert said.order is not None
     images = ImageSet(said.order, (), np.arange(len(said.order), dtype=np.uint8)[:, None, None], 255.0)
-    described = counted(said, said.order)
+    described = with_counts(said, said.order)
     sequence = own_sequence(described, images)
     assert not isinstance(sequence, str), sequence
     wanted = [1, 0, *range(2, 9), 11, 10, 9, 12, *range(19, 12, -1), 22, 21, 24, 23]

@@ -12,7 +12,7 @@ import pytest
 
 from appliance.desk.foreign.camera import DecodedCamera, clean_camera
 from appliance.desk.foreign.cameras import NO_PORT, ForeignRig
-from appliance.desk.foreign.decode import PlacedAxis, Reason
+from appliance.desk.foreign.decode import AxisCoordinates, Reason
 from appliance.desk.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.desk.foreign.first_look import check_import
 from appliance.desk.foreign.images import ImageSet
@@ -49,7 +49,7 @@ def seen(camera: HousedCamera, seed: int) -> DecodedCamera:
     placed = {}
     for k, name in enumerate("xy"):
         drawn_px = 500.0 + PROJECTOR_F_PX * place_mm[..., k] / DEPTH_MM + noise.normal(0.0, NOISE_PX, x.shape)
-        placed[name] = PlacedAxis(
+        placed[name] = AxisCoordinates(
             drawn_px.astype(np.float32), np.zeros(x.shape, np.uint8), np.full(x.shape, 100.0, np.float32)
         )
     return DecodedCamera(
@@ -146,7 +146,7 @@ def test_what_decoding_leaves_out_keeps_its_reason() -> None:
 
 
 def nothing_seen(camera: DecodedCamera) -> DecodedCamera:
-    def blind(one: PlacedAxis) -> PlacedAxis:
+    def blind(one: AxisCoordinates) -> AxisCoordinates:
         nowhere, weak = np.full_like(one.coordinate_px, np.nan), np.full_like(one.reason, Reason.WEAK)
         return replace(one, coordinate_px=nowhere, reason=weak)
 
