@@ -53,14 +53,14 @@ class UnpackArchive(Verb):
 
 
 def _told(verb: Verb, report: ArchiveReport) -> Exit:
-    held = sum(one.size_bytes for one in report.scans if one.done is not None)
-    there = sum(one.there_bytes for one in report.scans)
+    held = sum(one.size_bytes for one in report.scans if one.outcome is not None)
+    there = sum(one.target_bytes for one in report.scans)
     scans: list[dict[str, Any]] = []
     for one in report.scans:
-        done = "failed" if one.done is None else one.done.value
+        done = "failed" if one.outcome is None else one.outcome.value
         scans.append({"scan": one.scan, "done": done, "reason": one.reason, "bytes": one.size_bytes})
-        if one.done is not None:
-            scans[-1]["bytes_there"] = one.there_bytes
+        if one.outcome is not None:
+            scans[-1]["bytes_there"] = one.target_bytes
     sizes = f"{held / MB:.1f} MB are {there / MB:.1f} MB there" if held else "nothing to do"
     verb.tell(
         {
@@ -74,11 +74,11 @@ def _told(verb: Verb, report: ArchiveReport) -> Exit:
         },
         [
             *(f"{other.path}  DIFFERS: {_kept(other.copy)}" for other in report.different),
-            *(f"{one.scan}  failed: {one.reason}" for one in report.scans if one.done is None),
+            *(f"{one.scan}  failed: {one.reason}" for one in report.scans if one.outcome is None),
             f"{', '.join(f'{number} {name}' for name, number in report.counts.items())}; {sizes}",
         ],
     )
-    return Exit.OK if report.whole else Exit.FAILED
+    return Exit.OK if report.is_complete else Exit.FAILED
 
 
 def _kept(copy: Path | None) -> str:

@@ -24,7 +24,7 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError
 
 if TYPE_CHECKING:
-    from appliance.store import Wish
+    from appliance.store import ScanOptions
 
 NAME = "{}"
 """Stands for the scan's name in ``--out``."""
@@ -80,7 +80,7 @@ class MakeCloud(WithObjects):
 
     # ------------------------------------------------------------------------------------- scans
 
-    def _of_scans(self, wish: Wish) -> Exit:
+    def _of_scans(self, wish: ScanOptions) -> Exit:
         of_objects = {
             "--spacing": self.spacing != SPACING_MM,
             "--scans": self.single_scans,
@@ -107,7 +107,7 @@ class MakeCloud(WithObjects):
                 self.tell(report)
         return Exit.DAMAGED if any(report.get("salvaged") for report in reports) else Exit.OK
 
-    def _works(self, wish: Wish) -> Mapping[Path, _Work]:
+    def _works(self, wish: ScanOptions) -> Mapping[Path, _Work]:
         """Return what is to be done for each file. Raises UsageError, UnknownScan, ScanError before any work."""
         from appliance.desk import has_triangles
 
@@ -134,7 +134,7 @@ class MakeCloud(WithObjects):
                 works[out], words[out] = work, word
         return works
 
-    def _work(self, wish: Wish, word: str, meshed: bool, suffix: str) -> tuple[str, _Work]:
+    def _work(self, wish: ScanOptions, word: str, meshed: bool, suffix: str) -> tuple[str, _Work]:
         """Return the name of what ``word`` means and how its file is made. Raises UsageError, UnknownScan,
         ScanError."""
         from appliance.store import IncompleteRecording
@@ -164,7 +164,7 @@ class MakeCloud(WithObjects):
 
     # ------------------------------------------------------------------------------------- objects
 
-    def _of_object(self, wish: Wish, name: str) -> Exit:
+    def _of_object(self, wish: ScanOptions, name: str) -> Exit:
         outs = [Path(out) for out in self.out or (f"{name}{OWN}",)]
         self._check_files(outs)
         root, solved = self.solved(wish, name)

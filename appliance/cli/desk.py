@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from appliance.cli.arguments import number, option
 from appliance.cli.output import ProgressLine, UsageError, complain
 from appliance.cli.places import WithCalibration, root_of_rig, scan_folder
-from appliance.store import Library, LocalFileSystem, StorageError, Wish
+from appliance.store import Library, LocalFileSystem, ScanOptions, StorageError
 
 if TYPE_CHECKING:  # brings NumPy
     from appliance.desk import StoredObject
@@ -40,7 +40,7 @@ class WithObjects(WithCalibration):
         metavar="MM",
     )
 
-    def solved(self, wish: Wish, name: str) -> tuple[Path, StoredObject]:
+    def solved(self, wish: ScanOptions, name: str) -> tuple[Path, StoredObject]:
         """Return the storage root and a solved object, and say which scans are in none of its files, since they were
         added later. Raises ObjectError, before anything that computes is loaded where there is none."""
         from appliance.desk import ADDED_SINCE, solved_object
@@ -57,12 +57,12 @@ def object_named(word: str) -> str | None:
     return word.removeprefix(OBJECT) if word.startswith(OBJECT) else None
 
 
-def scan_in(wish: Wish, scan: str) -> Path:
+def scan_in(wish: ScanOptions, scan: str) -> Path:
     """Return the folder of ``scan``, its number or its folder, whatever is in it. Raises UnknownScan, UsageError."""
     return scan_folder(scan) or Library(library_root(wish)).entry(scan).folder
 
 
-def library_root(wish: Wish) -> Path:
+def library_root(wish: ScanOptions) -> Path:
     """Return the storage root in which numbers of scans are looked up. Raises ConfigError, UsageError."""
     return wish.root or root_of_rig(wish.rig)
 
@@ -74,7 +74,7 @@ def place_of(listed: Path, scan: str) -> str:
 
 @contextmanager
 def opened_scans(
-    wish: Wish, scans: Sequence[str], share: float = 1.0, check: Callable[[], None] = lambda: None
+    wish: ScanOptions, scans: Sequence[str], share: float = 1.0, check: Callable[[], None] = lambda: None
 ) -> Iterator[tuple[Sequence[SourceScan], ProgressLine]]:
     """Open ``scans``, by their numbers or folders, whose frames are whole: every byte is compared with its checksum.
 

@@ -15,7 +15,7 @@ from appliance.cli.places import WithRoot
 from appliance.store import LocalFileSystem, ScanError
 
 if TYPE_CHECKING:
-    from appliance.store import SourceScan, Wish
+    from appliance.store import ScanOptions, SourceScan
 
 SHOWN_HARMONICS = 6
 LEVELS = 255.0
@@ -54,7 +54,7 @@ class MeasureInstrument(WithRoot):
                 case _:
                     return self._exposures(sources, wish, progress)
 
-    def _noise(self, source: SourceScan, wish: Wish, progress: ProgressLine) -> Exit:
+    def _noise(self, source: SourceScan, wish: ScanOptions, progress: ProgressLine) -> Exit:
         from appliance.calibrate import NoiseError
         from appliance.desk import noise_of_scan, noise_to_store
         from appliance.measure import NOISE, of_side
@@ -89,7 +89,7 @@ class MeasureInstrument(WithRoot):
         self.tell(report, [table(("", *report), rows), *([] if path is None else [f"written: {path}"])])
         return Exit.OK
 
-    def _response(self, source: SourceScan, wish: Wish, progress: ProgressLine) -> Exit:
+    def _response(self, source: SourceScan, wish: ScanOptions, progress: ProgressLine) -> Exit:
         from appliance.calibrate import ResponseError
         from appliance.desk import response_of_scan
         from appliance.measure import RESPONSE
@@ -117,7 +117,7 @@ class MeasureInstrument(WithRoot):
         )
         return Exit.OK
 
-    def _exposures(self, sources: Sequence[SourceScan], wish: Wish, progress: ProgressLine) -> Exit:
+    def _exposures(self, sources: Sequence[SourceScan], wish: ScanOptions, progress: ProgressLine) -> Exit:
         from appliance.desk import exposure_found
         from appliance.store import SourceScan
 

@@ -12,7 +12,7 @@ from appliance.cli.output import UsageError
 from appliance.store import standing_root
 
 if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither loads neither
-    from appliance.store import Rig, Wish
+    from appliance.store import Rig, ScanOptions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,12 +61,12 @@ class WithRoot(WithRig):
             raise UsageError(f"--root {self.root}: is a file; give a folder, which is made if it is not there")
         return self.root.absolute()
 
-    def wish(self) -> Wish:
+    def wish(self) -> ScanOptions:
         """Return what was asked for beside a scan. Reads a rig file only where one was given. Raises ConfigError,
         UsageError."""
-        from appliance.store import Wish
+        from appliance.store import ScanOptions
 
-        return Wish(
+        return ScanOptions(
             # Not the packaged rig file instead: a scan brings its own, and a default would pass for somebody's wish.
             rig=None if self.rig is None else self.read_rig(),
             root=None if self.root is None else given_root(self.root),
@@ -83,7 +83,7 @@ class WithCalibration(WithRoot):
     current: bool = switch("--current", "the one in use under the storage root", either="calibration")
     foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
 
-    def wish(self) -> Wish:
+    def wish(self) -> ScanOptions:
         """Return the wish of ``WithRoot`` with the choice of a calibration. Raises ConfigError, CalibrationError,
         UsageError."""
         measuring(self.calibration)

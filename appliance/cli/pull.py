@@ -51,7 +51,7 @@ class Pull(Verb):
         took_s = time.monotonic() - begun_s
         *lines, last = done.lines()
         self.tell({**done.report(), "s": took_s}, [*lines, f"{last} in {time_text(took_s)}"])
-        return Exit.OK if done.whole else Exit.FAILED
+        return Exit.OK if done.is_complete else Exit.FAILED
 
 
 class _Said:

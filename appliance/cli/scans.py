@@ -17,7 +17,7 @@ from appliance.cli.output import Exit, ProgressLine, UsageError, shown, table
 from appliance.cli.places import WithRoot, scan_folder
 from appliance.instrument import ASHORE
 from appliance.measure import SIDES, FaultCode
-from appliance.store import Label, Library, LibraryFolder, ScanEntry, hold_lock, verified
+from appliance.store import Label, Library, LibraryFolder, ScanEntry, hold_lock, verified_entry
 
 SHELVES = tuple(one.value for one in LibraryFolder)
 COLUMNS = ("SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE")
@@ -130,7 +130,7 @@ class VerifyScans(OfScans):
         with ProgressLine() as progress:
             for k, folder in enumerate(folders):
                 progress(f"verifying {folder.name}", k / len(folders))
-                checked.append(verified(folder))
+                checked.append(verified_entry(folder))
         damaged = sum(not entry.ok for entry in checked)
         lines = [f"{one.scan_id}  {'ok' if one.ok else 'DAMAGED: ' + '; '.join(one.problems)}" for one in checked]
         self.tell(
@@ -218,7 +218,7 @@ def _brief(entry: ScanEntry) -> dict[str, Any]:
     points = None if record is None else record.cloud.get("points")
     return {
         "scan": entry.scan_id,
-        "shelf": entry.shelf.value,
+        "shelf": entry.folder_kind.value,
         "folder": str(entry.folder),
         "ok": entry.ok,
         "problems": list(entry.problems),
@@ -239,8 +239,8 @@ def _brief(entry: ScanEntry) -> dict[str, Any]:
 def _state(entry: ScanEntry) -> str:
     if entry.problems:
         return "DAMAGED"
-    if entry.shelf is not LibraryFolder.SCANS or entry.manifest is None:
-        return entry.shelf.value
+    if entry.folder_kind is not LibraryFolder.SCANS or entry.manifest is None:
+        return entry.folder_kind.value
     return "recovered" if entry.manifest.recovered else "saved"
 
 

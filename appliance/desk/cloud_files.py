@@ -27,11 +27,11 @@ from appliance.desk.rescue import rescue_recording
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh, mesh_of_scan
 from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
-from appliance.store import Chosen, IncompleteRecording, Salvaged, SourceScan, Wish
+from appliance.store import ChosenCalibration, IncompleteRecording, SalvagedScan, ScanOptions, SourceScan
 
 
 def write_cloud(
-    folders: Sequence[Path], out: Path, wish: Wish, progress: Progress, *, own: bool, mesh: bool
+    folders: Sequence[Path], out: Path, wish: ScanOptions, progress: Progress, *, own: bool, mesh: bool
 ) -> dict[str, Any]:
     """Write the cloud of a stored scan, of two of the same scene as one, or of a recording that broke, and return the
     report of it.
@@ -46,7 +46,7 @@ def write_cloud(
         source = SourceScan.open(folder, wish, recording.scan)
         return rescue_recording(recording, source, source.calibration_for(wish), out, progress)
     if own and len(folders) == 1:
-        salvaged = Salvaged.of(folder)
+        salvaged = SalvagedScan.of(folder)
         source = SourceScan.open(folder, wish, salvaged.scan)
         return reconstruct_scan(source, source.calibration_for(wish), out, progress, salvaged)
     sources = [SourceScan.open(one, wish, whole=True) for one in folders]
@@ -63,7 +63,7 @@ class ObjectFiles:
         self,
         root: Path,
         solved: StoredObject,
-        wish: Wish,
+        wish: ScanOptions,
         progress: Progress,
         spacing_mm: float,
         close_holes_mm: float,
@@ -95,7 +95,9 @@ class ObjectFiles:
         return lambda: write_mesh(out, triangles, self._about)
 
 
-def _export(source: SourceScan, chosen: Chosen, out: Path, progress: Progress, *, mesh: bool) -> dict[str, Any]:
+def _export(
+    source: SourceScan, chosen: ChosenCalibration, out: Path, progress: Progress, *, mesh: bool
+) -> dict[str, Any]:
     """Write the points of a stored scan, or with ``mesh`` its triangles, to ``out``; the suffix says how.
 
     Raises ExportError for a suffix that is not allowed, MissingLibraryError, ScanError, StorageError.

@@ -28,7 +28,7 @@ from appliance.desk.surface.fusion import FusedCloud, PlacedScan, fuse
 from appliance.desk.surface.nominal import Nominal, nominal_of_mesh, read_nominal
 from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
 from appliance.measure import Rigid, rotation_matrix, rotation_vector
-from appliance.store import SourceScan, Wish
+from appliance.store import ScanOptions, SourceScan
 
 PAGE = ".html"
 SURE = 2.0
@@ -142,7 +142,7 @@ def compare_stored(
     root: Path,
     what: Path | StoredObject,
     nominal: Path | StoredObject,
-    wish: Wish,
+    wish: ScanOptions,
     progress: Progress,
     *,
     spacing_mm: float,
@@ -165,7 +165,9 @@ def compare_stored(
     return StoredComparison(compare(surface, reference, limit_mm, begin, errors), about, stored)
 
 
-def _surface_of_scan(folder: Path, wish: Wish, progress: Progress, spacing_mm: float) -> tuple[FusedCloud, About]:
+def _surface_of_scan(
+    folder: Path, wish: ScanOptions, progress: Progress, spacing_mm: float
+) -> tuple[FusedCloud, About]:
     progress(f"comparing checksums of {folder.name}")
     source = SourceScan.open(folder, wish, whole=True)
     made = organised_scan(source, source.calibration_for(wish), progress)
@@ -175,7 +177,7 @@ def _surface_of_scan(folder: Path, wish: Wish, progress: Progress, spacing_mm: f
 
 
 def _nominal_surface(
-    root: Path, nominal: Path | StoredObject, wish: Wish, progress: Progress, spacing_mm: float
+    root: Path, nominal: Path | StoredObject, wish: ScanOptions, progress: Progress, spacing_mm: float
 ) -> NominalSurface:
     if isinstance(nominal, Path):
         return NominalSurface(nominal.name, read_nominal(nominal))

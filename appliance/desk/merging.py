@@ -10,7 +10,7 @@ from appliance.base import Progress
 from appliance.measure import Calibration, Cloud, Verdict, Water
 from appliance.store import (
     FRAME_FILES,
-    Chosen,
+    ChosenCalibration,
     Instrument,
     LocalFileSystem,
     Rig,
@@ -23,7 +23,7 @@ from appliance.store import (
 
 
 def merge_scans(
-    sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path, progress: Progress
+    sources: tuple[SourceScan, SourceScan], chosen: ChosenCalibration, out: Path, progress: Progress
 ) -> dict[str, Any]:
     """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to
     ``out``.

@@ -15,7 +15,7 @@ from appliance.desk.objects import surface_of
 from appliance.desk.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict, when
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.measure import rotation_vector
-from appliance.store import Wish
+from appliance.store import ScanOptions
 
 SHOWN_DIGITS = 12
 _UNCHECKED = "in no loop: nothing checks it; one more scan across both would"
@@ -46,7 +46,9 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
     )
 
 
-def report_of_object(root: Path, solved: StoredObject, wish: Wish, progress: Progress, spacing_mm: float) -> Report:
+def report_of_object(
+    root: Path, solved: StoredObject, wish: ScanOptions, progress: Progress, spacing_mm: float
+) -> Report:
     """Return the page's content for a solved object, with its surface, a point about every ``spacing_mm``.
 
     Raises ScanError, CalibrationError.

@@ -18,7 +18,7 @@ from appliance.desk.scripting import open_dive
 from appliance.desk.surface.deviation import LIMIT_MM
 from appliance.desk.surface.fusion import SPACING_MM, FusedCloud, PlacedScan
 from appliance.measure import Rigid
-from appliance.store import Wish
+from appliance.store import ScanOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class ObjectOfDive:
 
     root: Path
     name: str
-    wish: Wish
+    wish: ScanOptions
 
     @property
     def stored(self) -> StoredObject:

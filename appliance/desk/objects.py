@@ -33,7 +33,7 @@ from appliance.desk.registration.joint import JointErrors, joint_errors
 from appliance.desk.registration.solve import Compared, Solved, middle_of, solve
 from appliance.desk.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
 from appliance.measure import Calibration, OrganisedCloud, ReadyScan, matrix3, ready
-from appliance.store import FRAME_FILES, Chosen, ScanError, SourceScan, StoredScan, Wish, hold_lock
+from appliance.store import FRAME_FILES, ChosenCalibration, ScanError, ScanOptions, SourceScan, StoredScan, hold_lock
 
 CLEAR_FACTOR = 4.0
 """Variance factor from which on the pairs contradict each other by more than they state."""
@@ -83,7 +83,7 @@ def add_to_object(root: Path, name: str, named: Sequence[Path], taken: Sequence[
     return objects.update_object(root, name, more)
 
 
-def clouds_of(root: Path, stored_object: StoredObject, wish: Wish, progress: Progress) -> Iterator[MemberCloud]:
+def clouds_of(root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress) -> Iterator[MemberCloud]:
     """Yield every scan's cloud, from the object's folder or made again from the frames and kept there; one is held at a
     time.
 
@@ -95,7 +95,7 @@ def clouds_of(root: Path, stored_object: StoredObject, wish: Wish, progress: Pro
         yield _cloud_of(root, stored_object.name, member, wish)
 
 
-def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCloud:
+def _cloud_of(root: Path, name: str, member: MemberScan, wish: ScanOptions) -> MemberCloud:
     folder = root / member.folder
     now = member_of(root, folder)
     if now.frames_sha256 != member.frames_sha256:
@@ -116,7 +116,7 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCl
     return MemberCloud(member, cloud, calibration, index, verdicts, source.scan.manifest.record.wall_time)
 
 
-def _made(source: SourceScan, chosen: Chosen) -> dict[str, NDArray[Any]]:
+def _made(source: SourceScan, chosen: ChosenCalibration) -> dict[str, NDArray[Any]]:
     made = organised_scan(source, chosen, silent)
     verdicts = np.array([f"{fault.code.value}: {fault.detail}" for fault in made.faults], dtype=np.str_)
     cloud = made.cloud
@@ -141,7 +141,7 @@ def light_of(calibration: Calibration) -> NDArray[np.float64]:
 
 
 def solve_object(
-    root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, *, with_shared_error: bool = False
+    root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress, *, with_shared_error: bool = False
 ) -> StoredObject:
     """Find where every scan of an object lies, write it down, and return the object as it is stored then; what was added
     meanwhile stays, without a place.
@@ -291,7 +291,9 @@ def _warnings(
     return tuple(found)
 
 
-def placed_scans(root: Path, stored_object: StoredObject, wish: Wish, progress: Progress) -> Iterator[PlacedScan]:
+def placed_scans(
+    root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress
+) -> Iterator[PlacedScan]:
     """Yield the scans that have a place, each with how certain it is beside its neighbours; the shared depth error is
     taken out of their points where the places say so.
 
@@ -330,7 +332,7 @@ def _beside_others(places: Places, scan: str) -> float:
 
 
 def surface_of(
-    root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, spacing_mm: float
+    root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress, spacing_mm: float
 ) -> FusedCloud:
     """Return one surface of all scans that have a place, a point about every ``spacing_mm``, with sigma in the object's
     frame.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.base import Progress
 from appliance.desk.reconstruct import work_through
 from appliance.measure import Fault, OrganisedCloud, Water, organised
-from appliance.store import Chosen, SourceScan
+from appliance.store import ChosenCalibration, SourceScan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +43,7 @@ class OrganisedScan:
         return self.cloud.sigma_mm[self.cloud.mask]
 
 
-def organised_scan(source: SourceScan, chosen: Chosen, progress: Progress) -> OrganisedScan:
+def organised_scan(source: SourceScan, chosen: ChosenCalibration, progress: Progress) -> OrganisedScan:
     """Return the full cloud of a stored scan, of both exposures where it has two, on the grid of its left image.
 
     Raises ScanError, also where no points are left.

@@ -11,12 +11,12 @@ from appliance.measure import (
     Calibration,
 )
 from appliance.store import (
-    Chosen,
+    ChosenCalibration,
     Instrument,
     LocalFileSystem,
     ReprocessedScan,
     Rig,
-    Salvaged,
+    SalvagedScan,
     SourceScan,
     StoredScan,
     encode_ply,
@@ -27,10 +27,10 @@ from appliance.store import (
 
 def reconstruct_scan(
     source: SourceScan,
-    chosen: Chosen,
+    chosen: ChosenCalibration,
     out: Path,
     progress: Progress,
-    salvaged: Salvaged | None = None,
+    salvaged: SalvagedScan | None = None,
 ) -> dict[str, Any]:
     """Make the cloud of a stored scan from its raw frames, written as PLY to ``out``.
 
@@ -44,7 +44,7 @@ def reconstruct_scan(
     worked = work_through(scan, rig, calibration, progress, salvaged)
     progress("writing")
     header, body = encode_ply(worked.cloud, "; ".join(notes) or None)
-    before = scan.told_of_cloud(header, body)  # compared before it may be written over
+    before = scan.compare_cloud(header, body)  # compared before it may be written over
     LocalFileSystem().replace_file(out, header, body)
     s = worked.cloud.summary
     return {
@@ -73,7 +73,7 @@ def work_through(
     rig: Rig,
     calibration: Calibration,
     progress: Progress,
-    salvaged: Salvaged | None = None,
+    salvaged: SalvagedScan | None = None,
 ) -> ReprocessedScan:
     """Reconstruct and judge a scan, one sequence or both. Raises ScanError, also where no points are left."""
     record = scan.manifest.record

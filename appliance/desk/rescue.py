@@ -7,7 +7,15 @@ from typing import Any
 
 from appliance.base import Progress
 from appliance.measure import UNCHECKED, NoPoint, first_direction_cloud
-from appliance.store import Chosen, IncompleteRecording, Instrument, LocalFileSystem, ScanError, SourceScan, encode_ply
+from appliance.store import (
+    ChosenCalibration,
+    IncompleteRecording,
+    Instrument,
+    LocalFileSystem,
+    ScanError,
+    SourceScan,
+    encode_ply,
+)
 
 FEWEST_POINTS = 100
 
@@ -15,7 +23,7 @@ FEWEST_POINTS = 100
 def rescue_recording(
     recording: IncompleteRecording,
     source: SourceScan,
-    chosen: Chosen,
+    chosen: ChosenCalibration,
     out: Path,
     progress: Progress,
 ) -> dict[str, Any]:

@@ -34,15 +34,15 @@ from appliance.measure import (
     encode_calibration,
 )
 from appliance.store import (
-    Chosen,
+    ChosenCalibration,
     Library,
     LocalFileSystem,
     Manifest,
     ScanEntry,
     ScanError,
+    ScanOptions,
     SourceScan,
     StoredScan,
-    Wish,
     load_rig,
     standing_root,
 )
@@ -53,7 +53,7 @@ class ScanOfDive:
     """One stored scan; nothing of it is read until it is asked for."""
 
     folder: Path
-    wish: Wish = field(default_factory=Wish)
+    wish: ScanOptions = field(default_factory=ScanOptions)
 
     @property
     def name(self) -> str:
@@ -141,7 +141,7 @@ class ScanOfDive:
             wish = replace(wish, calibration=Path(calibration), current=False)
         source = SourceScan.open(self.folder, wish, whole=True)
         if isinstance(calibration, Calibration):
-            chosen = Chosen(calibration, "the one that was handed in")
+            chosen = ChosenCalibration(calibration, "the one that was handed in")
             source.refuse_misfit(calibration, chosen.whose, foreign=wish.foreign)
         else:
             chosen = source.calibration_for(wish)
@@ -176,7 +176,7 @@ class Dive:
     """The scans under one storage root, in the order of their numbers."""
 
     root: Path
-    wish: Wish = field(default_factory=Wish)
+    wish: ScanOptions = field(default_factory=ScanOptions)
 
     def scans(self) -> list[ScanOfDive]:
         """Return all scans that were kept, whole or not; ``entries`` says what is wrong with one."""
@@ -276,5 +276,5 @@ def export(
             assert_never(unknown)
 
 
-def _wish(rig: Path | str | None, root: Path | None, *, current: bool = False, foreign: bool = False) -> Wish:
-    return Wish(rig=None if rig is None else load_rig(Path(rig)), root=root, current=current, foreign=foreign)
+def _wish(rig: Path | str | None, root: Path | None, *, current: bool = False, foreign: bool = False) -> ScanOptions:
+    return ScanOptions(rig=None if rig is None else load_rig(Path(rig)), root=root, current=current, foreign=foreign)

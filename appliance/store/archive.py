@@ -1,5 +1,4 @@
-"""Owns how scans come into an archive and out of it: whole or not at all, compared byte for byte, and no source goes
-before that.
+"""Packing scans into an archive and unpacking them: whole or not at all, and compared byte for byte.
 
 An archive is a storage root like any other, with the frames of its scans packed (``appliance.store.packed``):
 
@@ -7,8 +6,8 @@ An archive is a storage root like any other, with the frames of its scans packed
     <archive>/scans/.000123.packing   being written; the next call removes it
     <source>/scans/.000123.archived   a source that was compared and is being removed; the next call goes on with it
 
-Nothing that is there is replaced, in an archive or in a root that is unpacked into: people work in both. One process
-writes to each (``appliance.store.lock``).
+No existing file is replaced, in an archive or in a root that is unpacked into: people work in both. A source is removed
+only after its copy was compared. One process writes to each (``appliance.store.lock``).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from appliance.store import manifest as form
 from appliance.store import packed
 from appliance.store import scan as stored
 from appliance.store.atomic import Bytes, FileSystem, LocalFileSystem, Stamp, StorageError, checked_stamp
-from appliance.store.library import Library, LibraryFolder, ScanEntry, shelves_of
+from appliance.store.library import Library, LibraryFolder, ScanEntry, folder_kinds
 from appliance.store.lock import hold_lock
 from appliance.store.names import CALIBRATION_FILE, OBJECTS, scan_number
 from appliance.store.packed import PackedError, packed_path
@@ -36,7 +35,7 @@ _BESIDE = (CALIBRATION_FILE.parent.name, OBJECTS)
 """Folders of a storage root whose JSON files go with its scans."""
 
 
-class Copied(Enum):
+class CopyOutcome(Enum):
     """Outcomes for one scan that was to be written."""
 
     WRITTEN = "written"
@@ -44,19 +43,19 @@ class Copied(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class CopiedScan:
+class ScanCopy:
     """Outcome for one scan."""
 
     scan: str
     """Name of its folder."""
-    done: Copied | None
-    """``None``: it failed."""
+    outcome: CopyOutcome | None
+    """``None``: the scan failed."""
     reason: str | None
-    """Reason of a failure; ``None``: there is none."""
+    """Reason of the failure; ``None``: the scan did not fail."""
     size_bytes: int
-    """Bytes of it at its source."""
-    there_bytes: int = 0
-    """Bytes of it where it was written."""
+    """Size at its source."""
+    target_bytes: int = 0
+    """Size where it was written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,112 +63,111 @@ class BesideFile:
     """A calibration's or object's file that is another one in the source and in the target."""
 
     path: str
-    """Its path below both storage roots; the target's own was left alone."""
+    """Its path below both storage roots; the target's file was left alone."""
     copy: Path | None
-    """The source's, in the target; ``None`` where that name has other content, too."""
+    """The source's file in the target; ``None`` where that name has other content, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArchiveReport:
     """Outcome of packing or unpacking a storage root."""
 
-    scans: tuple[CopiedScan, ...]
+    scans: tuple[ScanCopy, ...]
     different: tuple[BesideFile, ...]
 
     @property
-    def whole(self) -> bool:
-        """True if nothing failed."""
-        return all(one.done is not None for one in self.scans) and all(one.copy is not None for one in self.different)
+    def is_complete(self) -> bool:
+        """True if no scan and no other file failed."""
+        return all(scan.outcome is not None for scan in self.scans) and all(
+            scan.copy is not None for scan in self.different
+        )
 
     @property
     def counts(self) -> dict[str, int]:
         """Number of scans by outcome, in words."""
-        done = [None if one.done is None else one.done.value for one in self.scans]
-        return {**{what.value: done.count(what.value) for what in Copied}, "failed": done.count(None)}
+        outcomes = [None if scan.outcome is None else scan.outcome.value for scan in self.scans]
+        return {**{kind.value: outcomes.count(kind.value) for kind in CopyOutcome}, "failed": outcomes.count(None)}
 
 
 def pack_archive(source: Path, archive: Path, *, every: bool, remove: bool, progress: Progress) -> ArchiveReport:
-    """Pack the scans of the storage root ``source`` into ``archive``, which is made; a scan that cannot be used does
-    not keep the others from it.
+    """Pack the scans of the storage root ``source`` into ``archive``, which is made.
 
-    ``every``: the rejected ones, too. ``remove``: each leaves ``source`` once its copy was compared with it. Raises
-    StorageError, MissingLibraryError.
+    A scan that cannot be used is reported and the others are packed. ``every``: rejected scans, too. ``remove``: each
+    scan is removed from ``source`` after its copy was compared with it. Raises StorageError, MissingLibraryError.
     """
-    shelves, fs = shelves_of(every=every), LocalFileSystem()
+    kinds, fs = folder_kinds(every=every), LocalFileSystem()
     fs.make_folders(archive)
-    with ExitStack() as held:
-        held.enter_context(hold_lock(archive))
-        make_shelves(fs, archive, shelves)
-        left: dict[str, str] = {}
+    with ExitStack() as locks:
+        locks.enter_context(hold_lock(archive))
+        make_scan_folders(fs, archive, kinds)
+        reasons: dict[str, str] = {}
         if remove:
-            # No instrument may write there meanwhile; without removals it may, since only finished scans are read.
-            held.enter_context(hold_lock(source))
-            left = finish_removals(fs, source, shelves)
+            # Removals need the source's lock. Without them an instrument may write there: only finished scans are read.
+            locks.enter_context(hold_lock(source))
+            reasons = finish_removals(fs, source, kinds)
         different = copy_beside(fs, source, archive)
 
-        def pack(folder: Path, target: Path) -> Copied:
-            done = pack_scan(fs, folder, target)
+        def pack(folder: Path, target: Path) -> CopyOutcome:
+            outcome = pack_scan(fs, folder, target)
             if remove:
                 remove_source(fs, folder, target)
-            return done
+            return outcome
 
-        stay = [CopiedScan(name, None, reason, 0) for name, reason in left.items()]
+        unremoved = [ScanCopy(name, None, reason, 0) for name, reason in reasons.items()]
         packed_now = _each(Library(source).folders(every=every), pack, archive, progress)
-        return ArchiveReport((*stay, *packed_now), tuple(different))
+        return ArchiveReport((*unremoved, *packed_now), tuple(different))
 
 
 def unpack_archive(archive: Path, out: Path, scans: Sequence[str], progress: Progress) -> ArchiveReport:
-    """Unpack ``scans`` of an archive by their numbers, all where none is named, into the storage root ``out``, which is
-    made; one that cannot be used does not keep the others from it.
+    """Unpack ``scans`` of an archive, by default all, into the storage root ``out``, which is made.
 
-    Raises UnknownScan, StorageError, MissingLibraryError.
+    ``scans`` are numbers. One that cannot be used is reported and the others are unpacked. Raises UnknownScan,
+    StorageError, MissingLibraryError.
     """
     library, fs = Library(archive), LocalFileSystem()
     folders = [library.entry(scan).folder for scan in scans] or library.folders(every=True)
     fs.make_folders(out)
     with hold_lock(out):
-        make_shelves(fs, out, shelves_of(every=True))
+        make_scan_folders(fs, out, folder_kinds(every=True))
         different = copy_beside(fs, archive, out)
         return ArchiveReport(tuple(_each(folders, partial(unpack_scan, fs), out, progress)), tuple(different))
 
 
 def _each(
-    folders: Sequence[Path], work: Callable[[Path, Path], Copied], out: Path, progress: Progress
-) -> Iterator[CopiedScan]:
+    folders: Sequence[Path], work: Callable[[Path, Path], CopyOutcome], out: Path, progress: Progress
+) -> Iterator[ScanCopy]:
     for k, folder in enumerate(folders):
         progress(folder.name, k / len(folders))
-        size = _size(folder)  # before: a source may be gone afterwards
+        size = _size(folder)  # before the work, which may remove the source
         target = out / folder.parent.name / folder.name
         try:
-            done = work(folder, target)
+            outcome = work(folder, target)
         except ScanError as error:
-            yield CopiedScan(folder.name, None, str(error), size)
+            yield ScanCopy(folder.name, None, str(error), size)
         else:
-            yield CopiedScan(folder.name, done, None, size, _size(target))
+            yield ScanCopy(folder.name, outcome, None, size, _size(target))
 
 
 def _size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
 
 
-def make_shelves(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> None:
-    """Make the folders that scans come into, and remove what an interrupted call left half written. Raises
-    StorageError.
+def make_scan_folders(fs: FileSystem, root: Path, kinds: Iterable[LibraryFolder]) -> None:
+    """Make the folders for scans, and remove the drafts of an interrupted call. Raises StorageError.
 
-    Under the lock of ``root`` alone: what another call has half written is no leftover.
+    Call it only under the lock of ``root``: another call's draft is no leftover.
     """
-    for folder in (root, *(root / shelf.value for shelf in shelves)):
+    for folder in (root, *(root / kind.value for kind in kinds)):
         fs.make_folders(folder)
         for draft in _hidden(folder, _DRAFT):
             fs.remove_folder(draft)
 
 
 def copy_beside(fs: FileSystem, source: Path, target: Path) -> list[BesideFile]:
-    """Copy calibrations and objects from one storage root to another, and return what is another one there. Raises
-    StorageError.
+    """Copy calibrations and objects from one storage root to another, and return the files that differ.
 
-    Nothing is replaced: the target's calibration stays in use, and what was worked out in it stays; the source's file
-    lies beside it.
+    No file is replaced: the target keeps its calibration and its results; the source's file is written beside it.
+    Raises StorageError.
     """
     different = []
     for name in _BESIDE:
@@ -183,18 +181,18 @@ def copy_beside(fs: FileSystem, source: Path, target: Path) -> list[BesideFile]:
     return different
 
 
-def pack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
-    """Pack the scan in ``source`` as ``target``, which is compared with it before it gets its name.
+def pack_scan(fs: FileSystem, source: Path, target: Path) -> CopyOutcome:
+    """Pack the scan in ``source`` as ``target``, and compare both before ``target`` gets its name.
 
     Raises ScanError for a damaged source or where ``target`` is another scan, StorageError, MissingLibraryError.
     """
     manifest = StoredScan.manifest_of(source)
     if target.exists():
-        return _present(fs, source, target)
+        return _compare_present(fs, source, target)
     wrong = stored.wrong_files(source, manifest, checksums=True)
     if wrong:
         # A damaged scan stays where it is: packed, it would look like one that was compared.
-        raise ScanError(f"{source}: {_told(wrong)}; not packed: bring it back from a copy first")
+        raise ScanError(f"{source}: {_problem_list(wrong)}; not packed: bring it back from a copy first")
     draft = _draft(target)
     parts: dict[str, Iterable[Bytes]] = {}
     for path in _files(source):
@@ -203,17 +201,17 @@ def pack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
         else:
             parts[path.name] = (path.read_bytes(),)
     _write(fs, draft, parts)
-    return _published(fs, source, draft, target)
+    return _publish(fs, source, draft, target)
 
 
-def unpack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
+def unpack_scan(fs: FileSystem, source: Path, target: Path) -> CopyOutcome:
     """Unpack the scan in ``source`` as ``target``: the folder that was packed, byte for byte.
 
     Raises ScanError for damaged frames or where ``target`` is another scan, StorageError, MissingLibraryError.
     """
     StoredScan.manifest_of(source)
     if target.exists():
-        return _present(fs, source, target)
+        return _compare_present(fs, source, target)
     draft = _draft(target)
     parts: dict[str, Iterable[Bytes]] = {}
     for path in _files(source):
@@ -223,14 +221,14 @@ def unpack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
         else:
             parts[path.name] = (path.read_bytes(),)
     _write(fs, draft, parts)
-    return _published(fs, source, draft, target)
+    return _publish(fs, source, draft, target)
 
 
 def problems_of(folder: Path) -> dict[str, str]:
-    """Return what is wrong with a scan, by file, every frame decoded and its bytes compared with the checksum of before
-    it was packed.
+    """Return the problems of a scan by file, after every frame was decoded.
 
-    Raises ScanError without a readable manifest, MissingLibraryError.
+    The decoded bytes are compared with the checksums from before packing. Raises ScanError without a readable manifest,
+    MissingLibraryError.
     """
     manifest = StoredScan.manifest_of(folder)
     wrong = stored.wrong_files(folder, manifest, checksums=True)
@@ -247,35 +245,33 @@ def problems_of(folder: Path) -> dict[str, str]:
     return wrong
 
 
-def verified(folder: Path) -> ScanEntry:
-    """Return one scan by its folder, every byte of it read and packed frames decoded; its problems name the damaged
-    frames where it is known which they are.
+def verified_entry(folder: Path) -> ScanEntry:
+    """Return the entry of a scan's folder after reading every byte and decoding packed frames.
 
-    Raises MissingLibraryError.
+    Its problems name the damaged frames where these are known. Raises MissingLibraryError.
     """
     entry = ScanEntry.of(folder, checksums=True)
     if entry.manifest is not None and any(folder.glob("*.jls")):
-        wrong = (f"{name}: {what}" for name, what in problems_of(folder).items())
+        wrong = (f"{name}: {problem}" for name, problem in problems_of(folder).items())
         entry = replace(entry, problems=tuple(dict.fromkeys((*entry.problems, *wrong))))
     if entry.ok or entry.manifest is None:
         return entry
     from appliance.store.damage import damaged_frames
 
-    # The checksum of the file said that something is wrong; the CRC of each frame says in which image (ADR 0033).
-    frames = {one.file: str(one) for one in damaged_frames(folder, entry.manifest)}
+    # The checksum of a file tells that it is damaged; the CRC of each frame tells which image is (ADR 0033).
+    frames = {damage.file: str(damage) for damage in damaged_frames(folder, entry.manifest)}
     return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
 
 
 def remove_source(fs: FileSystem, source: Path, copy: Path) -> None:
-    """Remove the scan in ``source`` after everything in it was found in ``copy``, byte for byte; frames are decoded for
-    it.
+    """Remove the scan in ``source`` after it was compared with ``copy``, byte for byte and frames decoded.
 
-    Raises ScanError, and nothing is removed, where anything differs; StorageError.
+    Raises ScanError where a file differs, and then removes none; StorageError.
     """
     compared = _refuse_difference(source, copy)
     leaving = source.with_name(f".{source.name}.{_LEAVING}")
-    # Under its new name it is in no list, so that half of it is never taken for a scan; what is left is removed by the
-    # next call.
+    # Under its new name it is in no list, so that half of it is never taken for a scan. The next call finishes an
+    # interrupted removal.
     fs.move_folder(source, leaving)
     with StorageError.naming("cannot list", leaving):
         now = sorted(path.name for path in leaving.iterdir())
@@ -285,14 +281,14 @@ def remove_source(fs: FileSystem, source: Path, copy: Path) -> None:
     fs.remove_folder(leaving)
 
 
-def finish_removals(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> dict[str, str]:
-    """Remove what is left of sources whose removal was interrupted: they were compared before. Raises StorageError.
+def finish_removals(fs: FileSystem, root: Path, kinds: Iterable[LibraryFolder]) -> dict[str, str]:
+    """Finish interrupted removals of sources; those were compared before. Raises StorageError.
 
-    Returns what is left alone, by folder, and why: something in it that no call has ever packed.
+    Return the folders that are left alone and why: they hold a file that no call has ever packed.
     """
     left = {}
-    for shelf in shelves:
-        for folder in _hidden(root / shelf.value, _LEAVING):
+    for kind in kinds:
+        for folder in _hidden(root / kind.value, _LEAVING):
             try:
                 _files(folder)
             except ScanError as error:
@@ -302,10 +298,11 @@ def finish_removals(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]
     return left
 
 
-def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
-    """Return ALREADY where ``target`` is the scan of ``source``; a label or another file that it lacks is added.
+def _compare_present(fs: FileSystem, source: Path, target: Path) -> CopyOutcome:
+    """Return ALREADY where ``target`` is the scan of ``source``.
 
-    Raises ScanError, also where such a file is another one at both ends, and StorageError.
+    Add a label or another file that it lacks. Raises ScanError, also where such a file differs at both ends, and
+    StorageError.
     """
     ours, theirs = (folder / form.MANIFEST_FILE for folder in (source, target))
     with StorageError.naming("cannot compare", target):
@@ -315,10 +312,10 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
     manifest = StoredScan.manifest_of(source)
     wrong = stored.wrong_files(target, manifest, checksums=False)
     if wrong:
-        raise ScanError(f"{target}: {_told(wrong)}; move it away, and call again")
-    other = []
+        raise ScanError(f"{target}: {_problem_list(wrong)}; move it away, and call again")
+    different = []
     for path in _files(source):
-        # Names and notes are written after the dive, also after the scan was packed, and in an archive as well.
+        # Labels are written after the dive, also after the scan was packed, and in an archive as well.
         if (
             path.name not in manifest.files
             and not path.name.endswith(packed.SUFFIX)
@@ -326,34 +323,34 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
         ):
             with StorageError.naming("cannot copy", path):
                 content, copy = path.read_bytes(), target / path.name
-                there = copy.read_bytes() if copy.exists() else None
-            if there is None:
+                present = copy.read_bytes() if copy.exists() else None
+            if present is None:
                 fs.replace_file(copy, content)
-            elif there != content:
-                other.append(path.name)
-    if other:
+            elif present != content:
+                different.append(path.name)
+    if different:
         raise ScanError(
-            f"{', '.join(other)} DIFFERS at both ends, and was left alone ({source}, {target}); make it the same at "
+            f"{', '.join(different)} DIFFERS at both ends, and was left alone ({source}, {target}); make it the same at "
             "both, or move away "
             "the one that is not wanted"
         )
-    return Copied.ALREADY
+    return CopyOutcome.ALREADY
 
 
-def _published(fs: FileSystem, source: Path, draft: Path, target: Path) -> Copied:
+def _publish(fs: FileSystem, source: Path, draft: Path, target: Path) -> CopyOutcome:
     try:
         _refuse_difference(source, draft)
     except ScanError:
         fs.remove_folder(draft)
         raise
     fs.move_folder(draft, target)
-    return Copied.WRITTEN
+    return CopyOutcome.WRITTEN
 
 
 def _refuse_difference(source: Path, copy: Path) -> list[Path]:
-    """Return the files of ``source``.
+    """Compare every file of ``source`` with that of ``copy``, and return the files of ``source``.
 
-    Raises ScanError where one has not the same bytes in ``copy``, frames as they decode.
+    Frames are compared as they decode. Raises ScanError where the bytes differ.
     """
     files = _files(source)
     for path in files:
@@ -376,11 +373,11 @@ def _write(fs: FileSystem, draft: Path, parts: dict[str, Iterable[Bytes]]) -> No
     with StorageError.naming("cannot make", draft):
         fs.make_folder(draft)
     try:
-        # The manifest last, as in every folder of a scan: without it, nobody takes the folder for one.
-        for name in sorted(parts, key=lambda one: (one == form.MANIFEST_FILE, one)):
+        # The manifest last, as in every folder of a scan: without it the folder does not count as one.
+        for name in sorted(parts, key=lambda file_name: (file_name == form.MANIFEST_FILE, file_name)):
             fs.write_new(draft / name, parts[name])
     except BaseException:
-        with suppress(StorageError):  # half a copy on a full disk helps nobody; what stays is removed by the next call
+        with suppress(StorageError):  # free the full disk of half a copy; if a file stays, the next call removes it
             for name in parts:
                 fs.discard(draft / name)
             fs.discard(draft)
@@ -407,22 +404,27 @@ def _draft(target: Path) -> Path:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return all that is in a scan's folder. Raises ScanError where anything is no file: it would not be packed."""
+    """Return all files of a scan's folder.
+
+    Raises ScanError where an entry is no file: it would not be packed.
+    """
     with StorageError.naming("cannot list", folder):
-        found = sorted(folder.iterdir())
-        other = [path.name for path in found if not path.is_file()]
-    if other:
+        paths = sorted(folder.iterdir())
+        non_files = [path.name for path in paths if not path.is_file()]
+    if non_files:
         raise ScanError(
-            f"{folder}: {', '.join(other)}: no file, and only files are packed; move it out, and call again"
+            f"{folder}: {', '.join(non_files)}: no file, and only files are packed; move it out, and call again"
         )
-    return found
+    return paths
 
 
 def _hidden(folder: Path, ending: str) -> list[Path]:
     if not folder.is_dir():
         return []
-    return sorted(one for one in folder.glob(f".*.{ending}") if scan_number(one.name[1 : -len(ending) - 1]) is not None)
+    return sorted(
+        path for path in folder.glob(f".*.{ending}") if scan_number(path.name[1 : -len(ending) - 1]) is not None
+    )
 
 
-def _told(wrong: dict[str, str]) -> str:
-    return "; ".join(f"{name}: {what}" for name, what in sorted(wrong.items()))
+def _problem_list(wrong: dict[str, str]) -> str:
+    return "; ".join(f"{name}: {problem}" for name, problem in sorted(wrong.items()))

@@ -1,10 +1,10 @@
-"""Owns the order of system calls after which data survives the loss of power, and never less than all of it.
+"""Writing files and folders so that they survive the loss of power.
 
 A file: write, fsync, rename, fsync the folder. A folder: all its files so, fsync it, rename, fsync its parents. A
-failed fsync means that the kernel may have dropped the data: nothing is retried on the same file, it is written anew.
+failed fsync means that the kernel may have dropped the data: the same file is not tried again, but written anew.
 
-What changes the disk goes through the few calls that a ``FileSystem`` begins with, so that a test can make the n-th of
-them fail, for every n. Reading needs no port: a read that fails is a damaged file and is treated as one.
+All changes of the disk go through the few calls that a ``FileSystem`` begins with, so that a test can make the n-th of
+them fail, for every n. Reading needs no such calls: a read that fails is a damaged file and is treated as one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _REMEDIES = {
 
 
 class StorageError(Exception):
-    """The disk refused. ``path`` and the reason are in the text, and what to do."""
+    """Error of a failed call to the disk; the text has the ``path``, the reason and the remedy."""
 
     def __init__(self, what: str, path: Path, reason: str, remedy: str = "free space or replace the disk") -> None:
         super().__init__(f"{what} {path}: {reason}; {remedy}")
@@ -52,14 +52,14 @@ class StorageError(Exception):
 
     @classmethod
     def of(cls, what: str, path: Path, error: OSError) -> Self:
-        """Return the error that says ``what`` was tried on ``path``, with the remedy of its number (errno.h)."""
+        """Return the error of a failed call on ``path``, with the remedy for its number (errno.h)."""
         remedy = _REMEDIES.get(error.errno or 0, "free space or replace the disk")
         return cls(what, path, error.strerror or str(error), remedy)
 
     @classmethod
     @contextmanager
     def naming(cls, what: str, path: Path) -> Iterator[None]:
-        """Turns OSError into StorageError that names ``what`` was tried on ``path``."""
+        """Turn an OSError of the block into a StorageError that names the call and its ``path``."""
         try:
             yield
         except OSError as error:
@@ -67,18 +67,18 @@ class StorageError(Exception):
 
     @property
     def is_full(self) -> bool:
-        """True if the disk refused for want of space, or of a quota."""
+        """True if the disk or a quota is full."""
         return isinstance(self.__cause__, OSError) and self.__cause__.errno in (errno.ENOSPC, errno.EDQUOT)
 
     @property
     def is_read_only(self) -> bool:
-        """True if the disk takes no changes at all, as after a mount for reading only."""
+        """True if the file system accepts no changes, as after a mount for reading only."""
         return isinstance(self.__cause__, OSError) and self.__cause__.errno == errno.EROFS
 
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """Length of a file in bytes and its sha256 (hex), as they must be."""
+    """Required length of a file in bytes and its sha256 (hex)."""
 
     length: int
     sha256: str
@@ -91,15 +91,17 @@ class WritableFile(Protocol):
         """Append all of ``data``. Raises OSError."""
 
     def sync(self) -> None:
-        """Return when everything written would survive the loss of power. Raises OSError."""
+        """Return when all written bytes would survive the loss of power. Raises OSError."""
 
     def close(self) -> None:
-        """Raises OSError; the descriptor is gone in any case."""
+        """Close the descriptor, also where this fails. Raises OSError."""
 
 
 class FileSystem(ABC):
-    """The calls that change a disk, each of which raises OSError on failure, and what keeps its promises by their
-    order, which raises StorageError."""
+    """The calls that change a disk, and the durable operations that are made of them.
+
+    The abstract calls raise OSError; the operations raise StorageError.
+    """
 
     @abstractmethod
     def make_folder(self, path: Path) -> None:
@@ -115,7 +117,7 @@ class FileSystem(ABC):
 
     @abstractmethod
     def sync_folder(self, path: Path) -> None:
-        """Return when the folder's names would survive the loss of power."""
+        """Return when the folder's names are durable."""
 
     @abstractmethod
     def remove(self, path: Path) -> None:
@@ -126,9 +128,10 @@ class FileSystem(ABC):
         """Return the space left for an unprivileged process."""
 
     def write_new(self, path: Path, parts: Iterable[Bytes]) -> Stamp:
-        """Write a file that does not exist yet; its content is durable on return, its name only with its folder.
+        """Write a file that does not exist yet.
 
-        Raises StorageError; the file may then exist in part and must not be used.
+        Its content is durable on return, its name only with its folder. Raises StorageError; the file may then exist in
+        part and must not be used.
         """
         digest = hashlib.sha256()
         length = 0
@@ -142,8 +145,7 @@ class FileSystem(ABC):
                         block = view[start : start + _BLOCK]
                         file.write(block)
                         digest.update(block)
-                # Data before names: a name that is durable before its content would be an empty or half file after a
-                # loss of power.
+                # Data before names: if the name were durable first, a loss of power could leave an empty or half file.
                 file.sync()
             except BaseException:
                 _close_after_failure(file)
@@ -152,28 +154,24 @@ class FileSystem(ABC):
         return Stamp(length, digest.hexdigest())
 
     def replace_file(self, path: Path, *parts: Bytes) -> Stamp:
-        """Replace (or make) a file: afterwards, and at any instant before, ``path`` is the old or the new one, whole.
-
-        ``parts`` follow each other in it.
+        """Replace (or make) a file with ``parts``: at any instant ``path`` is all of the old or the new file.
 
         Raises StorageError.
         """
         return self.replace_parts(path, parts)
 
     def replace_parts(self, path: Path, parts: Iterable[Bytes]) -> Stamp:
-        """Replace (or make) a file as ``replace_file`` does, whose parts are made one after the other.
+        """Replace (or make) a file as ``replace_file`` does, but compute each part only when it is written.
 
         Raises StorageError.
         """
         draft = draft_of(path)
-        # An interrupted attempt left its draft; it is in the way of the exclusive creation below.
+        # An interrupted attempt may have left its draft, with which the exclusive creation below would fail.
         self.discard(draft)
         try:
             stamp = self.write_new(draft, parts)
         except StorageError:
-            with suppress(
-                StorageError
-            ):  # half a file on a full disk helps nobody; if it stays, the next attempt removes it
+            with suppress(StorageError):  # free the full disk of half a file; if it stays, the next attempt removes it
                 self.discard(draft)
             raise
         with StorageError.naming("cannot replace", path):
@@ -184,10 +182,10 @@ class FileSystem(ABC):
         return stamp
 
     def replace_by(self, path: Path, write: Callable[[Path], None]) -> None:
-        """Replace (or make) a file by what ``write`` leaves at the name that it is given: as ``replace_file``, for
-        libraries that open their files themselves.
+        """Replace (or make) a file as ``replace_file`` does, with ``write`` to create its draft.
 
-        Raises StorageError, and whatever ``write`` raises but OSError; no draft is left then.
+        This serves libraries that open their files themselves. Raises StorageError, and all that ``write`` raises but
+        OSError; no draft is left then.
         """
         draft = draft_of(path)
         self.discard(draft)
@@ -206,7 +204,7 @@ class FileSystem(ABC):
             raise
 
     def discard(self, path: Path) -> None:
-        """Remove what an earlier, failed attempt left. Raises StorageError."""
+        """Remove the file of an earlier, failed attempt. Raises StorageError."""
         if path.exists():
             with StorageError.naming("cannot remove the unfinished", path):
                 self.remove(path)
@@ -217,8 +215,8 @@ class FileSystem(ABC):
         Raises StorageError; where only the last fsync failed, the folder already has its new name.
         """
         with StorageError.naming("cannot publish", target):
-            # First the names inside of the folder, then its own new name, then that the old name is gone. In any other
-            # order a loss of power could leave a published folder that lacks files.
+            # First the names in the folder, then its new name, then the removal of its old name. In any other order a
+            # loss of power could leave a published folder that lacks files.
             self.sync_folder(source)
             self.rename(source, target)
             self.sync_folder(target.parent)
@@ -230,29 +228,28 @@ class FileSystem(ABC):
 
         Raises StorageError.
         """
-        # Each new folder is an entry in the one above it, which must be durable, too: from above to below.
-        for one in reversed([one for one in (folder, *folder.parents) if not one.is_dir()]):
-            with StorageError.naming("cannot make", one):
+        # Each new folder is an entry in the one above it, which must be durable first: from above to below.
+        for missing in reversed([missing for missing in (folder, *folder.parents) if not missing.is_dir()]):
+            with StorageError.naming("cannot make", missing):
                 with suppress(FileExistsError):  # another process was first
-                    self.make_folder(one)
-                self.sync_folder(one.parent)
+                    self.make_folder(missing)
+                self.sync_folder(missing.parent)
 
     def add_beside(self, path: Path, data: bytes) -> tuple[Path | None, bool]:
-        """Write a file that comes from elsewhere, and replace nothing: where ``path`` has other content, under a name
-        with a checksum.
+        """Write a file that comes from elsewhere, and replace none.
 
-        Returns the file that has the content now, and whether it was written; ``None`` where that name has other
-        content, too. Raises StorageError.
+        Where ``path`` has other content, the new file's name gets a checksum. Return the file that has the content now,
+        and whether it was written; ``None`` where that name has other content, too. Raises StorageError.
         """
-        other = path.with_name(f"{path.stem}.{hashlib.sha256(data).hexdigest()[:CHECKSUM_DIGITS]}{path.suffix}")
-        for copy in (path, other):
+        renamed = path.with_name(f"{path.stem}.{hashlib.sha256(data).hexdigest()[:CHECKSUM_DIGITS]}{path.suffix}")
+        for copy in (path, renamed):
             with StorageError.naming("cannot read", copy):
-                there = copy.read_bytes() if copy.exists() else None
-            if there is None:
+                content = copy.read_bytes() if copy.exists() else None
+            if content is None:
                 self.make_folders(copy.parent)
                 self.replace_file(copy, data)
                 return copy, True
-            if there == data:
+            if content == data:
                 return copy, False
         return None, False
 
@@ -266,7 +263,7 @@ class FileSystem(ABC):
 
 
 def _close_after_failure(file: WritableFile) -> None:
-    # close() may report the same failure once more; the first one is what the caller is told.
+    # close() may report the same failure once more; the caller needs the first one.
     with suppress(OSError):
         file.close()
 
@@ -292,10 +289,10 @@ class _LocalFile:
         self._descriptor = descriptor
 
     def write(self, data: Bytes) -> None:
-        rest = memoryview(data).cast("B")
+        unwritten = memoryview(data).cast("B")
         # write(2) may write less than asked, for example when a signal comes.
-        while rest:
-            rest = rest[os.write(self._descriptor, rest) :]
+        while unwritten:
+            unwritten = unwritten[os.write(self._descriptor, unwritten) :]
 
     def sync(self) -> None:
         os.fsync(self._descriptor)
@@ -305,11 +302,10 @@ class _LocalFile:
 
 
 class _LocalFileAnew(_LocalFile):
-    """Written over what is there."""
+    """A file that is written over its old content."""
 
     def sync(self) -> None:
-        # The piece of the room may be longer than what was written into it; its rest is cut off before the content
-        # counts as durable.
+        # The reserved file may be longer than the new content; it is cut before the content counts as durable.
         os.ftruncate(self._descriptor, os.lseek(self._descriptor, 0, os.SEEK_CUR))
         super().sync()
 
@@ -342,9 +338,9 @@ class LocalFileSystem(FileSystem):
             path.unlink()
 
     def allocate(self, path: Path, length_bytes: int) -> None:
-        """Make one file of that length, all of whose blocks are taken; it must not exist. What is in it means nothing.
+        """Make a file of that length with all its blocks allocated; it must not exist.
 
-        Raises OSError.
+        Its content is undefined. Raises OSError.
         """
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         try:
@@ -354,14 +350,14 @@ class LocalFileSystem(FileSystem):
             os.close(descriptor)
 
     def reopen(self, path: Path) -> WritableFile:
-        """Write an existing file anew from its start, into the blocks it has; ``sync`` cuts it to what was written.
+        """Open an existing file to write it anew into its blocks; ``sync`` cuts it to the written length.
 
         Raises OSError.
         """
         return _LocalFileAnew(os.open(path, os.O_WRONLY | os.O_CLOEXEC))
 
     def append(self, path: Path) -> WritableFile:
-        """Go on behind the end of an existing file. Raises OSError."""
+        """Open an existing file to write behind its end. Raises OSError."""
         return _LocalFile(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC))
 
     def free_bytes(self, path: Path) -> int:

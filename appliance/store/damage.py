@@ -1,19 +1,17 @@
-"""Owns which of a scan's frames are damaged, found by their own checksums.
+"""Finding the damaged frames of a scan by their checksums, and salvaging the scan.
 
-It also owns what can still be made of a scan with damaged frames: the others say what the lost one was, and the cloud
-says so.
-
-Per camera and sequence, one of each of these can be missed:
+Salvaging computes lost frames from the others, and the cloud says so. In each camera and sequence one frame of each of
+these kinds may be lost:
 
     one of the four sine images of a direction   I(k) = I(k+1) + I(k-1) - I(k+2): the sum of opposite steps of 90° is the same
                                                  for both pairs. It is the three-step phase of the other images; its variance
-                                                 is up to three times that of four steps, and so counted; what harmonics of
-                                                 the projector then leave in it is measured as ripple, as ever.
+                                                 is up to three times that of four steps, and so counted; the harmonics that
+                                                 the projector then leaves in it are measured as ripple, as ever.
     the bright or the dark image                 the mean of those Gray images in which the pixel is lit, or is not
 
-A Gray image cannot be missed: it alone tells which of several fringes a pixel sees, and the point would be wrong by
-whole fringes. Of two exposures, one that is whole is a scan by itself. What a salvaged cloud shows may be looked at; it
-never calibrates and is never evaluated, since movement and flickering light show in what is made up here.
+A lost Gray image cannot be salvaged: it alone tells which of several fringes a pixel sees, and the point would be wrong
+by whole fringes. Of two exposures, one that is undamaged is a scan by itself. A salvaged cloud is for looking at only;
+it never calibrates and is never evaluated, since movement and flickering light show in the computed frames.
 """
 
 from __future__ import annotations
@@ -55,24 +53,25 @@ HEADER_BYTES = 128
 Frames = NDArray[np.uint8]
 SATURATED = 255
 CLEARLY = 0.9
-"""Share of the way from a pixel's darkest to its brightest Gray image: beyond, it is lit in that image, and is not at
-the border of a stripe; likewise from the other end."""
+"""Position between a pixel's darkest (0) and brightest (1) Gray image: above it, the pixel is lit in that image and not
+at the border of a stripe; below one minus it, it is dark.
+"""
 THREE_STEP_VARIANCE = 3.0
-"""Variance of a phase from three of four steps, at most, over that of four: 6 σ² in the difference that the lost step
-is in, not 2 σ²."""
+"""Largest variance of a phase from three of four steps, relative to that from four: the difference with the lost step
+has 6 σ² instead of 2 σ²."""
 MOST_NAMED = 6
-"""Frames, in one line."""
+"""Largest number of frames that are named in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class DamagedFrames:
-    """One file of frames that is not what was recorded."""
+    """One file of frames with damage."""
 
     file: str
     problem: str
     """Kind of the damage in words: missing, too short, damaged."""
     frames: tuple[int, ...]
-    """Numbers of the damaged ones; all others are whole."""
+    """Numbers of the damaged frames."""
     names: tuple[str, ...]
     """Names of the damaged frames' patterns."""
 
@@ -84,21 +83,21 @@ class DamagedFrames:
 
 
 def damaged_frames(folder: Path, manifest: Manifest) -> tuple[DamagedFrames, ...]:
-    """Compare every byte of the frames with its checksum; empty where all are whole."""
+    """Compare all files of frames with their checksums, and return the damaged ones."""
     wrong = stored.wrong_files(folder, manifest, checksums=True)
     names = manifest.record.sequence.patterns
-    found = []
+    damages = []
     for file in FRAME_FILES:
         if file in wrong:
             frames = _which(folder, manifest, file)
-            found.append(DamagedFrames(file, wrong[file], frames, tuple(names[k] for k in frames)))
-    return tuple(found)
+            damages.append(DamagedFrames(file, wrong[file], frames, tuple(names[k] for k in frames)))
+    return tuple(damages)
 
 
 def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[np.uint8]:
-    """Return the frames of a damaged ``file``, (n, h, w) uint8; what is missing at its end is 0. Raises ScanError.
+    """Return the frames of a damaged ``file``, (n, h, w) uint8, 0 at a missing end. Raises ScanError.
 
-    A header that is damaged is made up from that of the other files of frames: all cameras have the same size.
+    A damaged header is replaced by that of another file of frames: all cameras have the same size.
     """
     count = len(manifest.record.sequence.patterns)
     shape = _shape(folder, manifest, count)
@@ -111,7 +110,7 @@ def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[n
     pixels = count * shape[0] * shape[1]
     frames = np.zeros(pixels, np.uint8)
     try:
-        # The header has a fixed length, so that pixels can be found also behind a damaged one.
+        # The header has a fixed length, so that pixels are found behind a damaged one, too.
         raw = np.frombuffer((folder / file).read_bytes(), np.uint8)[HEADER_BYTES:]
     except FileNotFoundError:
         raw = frames[:0]
@@ -131,7 +130,7 @@ def _unpacked(path: Path, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
     if (index.count, index.height_px, index.width_px) != shape:
         return frames
     for k in range(shape[0]):
-        # Each frame is a stream of its own: a damaged one takes no other with it.
+        # Each frame is a stream of its own: damage in one does not affect the others.
         with suppress(PackedError, OSError):
             frames[k] = index.frame(k)
     return frames
@@ -139,16 +138,18 @@ def _unpacked(path: Path, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
 
 def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...]:
     count = len(manifest.record.sequence.patterns)
-    known = manifest.frame_crc32.get(file, ())
-    if len(known) != count or _shape(folder, manifest, count) is None:
+    recorded = manifest.frame_crc32.get(file, ())
+    if len(recorded) != count or _shape(folder, manifest, count) is None:
         return tuple(range(count))
-    found = frame_checks(frames_as_they_are(folder, manifest, file))
-    return tuple(k for k in range(count) if found[k] != known[k])
+    computed = frame_checks(frames_as_they_are(folder, manifest, file))
+    return tuple(k for k in range(count) if computed[k] != recorded[k])
 
 
 def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | None:
-    """Return the height and width of the frames, as the first header says that can be read and fits its file's recorded
-    length."""
+    """Return the height and width of the frames.
+
+    They are from the first header that can be read and fits its file's recorded length.
+    """
     for file in FRAME_FILES:
         if file not in manifest.files:
             continue
@@ -171,30 +172,33 @@ def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | No
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Salvaged:
+class SalvagedScan:
     """A scan whose lost frames were made up from the others."""
 
     scan: StoredScan
     notes: tuple[str, ...]
-    """The words for what was lost and what stands in its place; empty: nothing was damaged."""
+    """Sentences that name the lost frames and their substitutes; empty: no frame was damaged."""
     variance: Mapping[str, float]
-    """Factor by side with which the variance of grey values is to be multiplied, at most."""
+    """Largest factor, by side, by which the variance of grey values grows."""
 
     def noise(self, noise: StereoNoise) -> StereoNoise:
-        """Return the noise that points of this scan are to be expected to have, from that of a whole one."""
+        """Return the expected noise of this scan's points, from the ``noise`` of an undamaged scan."""
         return StereoNoise(*(_times(of_side(noise, side), self.variance[side]) for side in SIDES))
 
     @classmethod
-    def of(cls, folder: Path) -> Salvaged:
-        """Open a scan, damaged or not. Raises ScanError that names what cannot be done without."""
+    def of(cls, folder: Path) -> SalvagedScan:
+        """Open a scan and compute its lost frames from the others.
+
+        Raises ScanError where these do not suffice.
+        """
         manifest = StoredScan.manifest_of(folder)
         damaged = damaged_frames(folder, manifest)
         if not damaged:
             return cls(StoredScan.load(folder, only_raw=True), (), dict.fromkeys(SIDES, 1.0))
         second = manifest.record.second
-        of_second = [one for one in damaged if one.file in SECOND_FILES]
-        of_first = [one for one in damaged if one.file not in SECOND_FILES]
-        notes = [f"damaged: {one}" for one in damaged]
+        of_second = [damage for damage in damaged if damage.file in SECOND_FILES]
+        of_first = [damage for damage in damaged if damage.file not in SECOND_FILES]
+        notes = [f"damaged: {damage}" for damage in damaged]
         if second is not None and of_first and not of_second:
             alone = replace(manifest.record, exposure=second.exposure, second=None)
             frames = {side: frames_as_they_are(folder, manifest, second_frames_file(side)) for side in SIDES}
@@ -209,14 +213,14 @@ class Salvaged:
         frames, variance = {}, dict.fromkeys(SIDES, 1.0)
         for side in SIDES:
             frames[side] = frames_as_they_are(folder, manifest, frames_file(side))
-            lost = next((one for one in of_first if one.file == frames_file(side)), None)
-            if lost is not None:
-                variance[side] = _make_up(frames[side], sequence, lost.frames, f"{folder}: {lost}", notes)
+            loss = next((damage for damage in of_first if damage.file == frames_file(side)), None)
+            if loss is not None:
+                variance[side] = _make_up(frames[side], sequence, loss.frames, f"{folder}: {loss}", notes)
         return cls(StoredScan(folder, manifest, frames), tuple(notes), variance)
 
 
 def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], what: str, notes: list[str]) -> float:
-    """Fill in the ``lost`` of one camera's frames, in place; the factor of variance that this costs."""
+    """Compute the ``lost`` frames of one camera in place, and return the factor of variance."""
     gray = [k for direction in Direction for k in sequence.axis(direction).gray]
     variance = 1.0
     for k in lost:
@@ -229,41 +233,45 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
             )
         if pattern.kind is Kind.SINE:
             steps = sequence.axis(pattern.direction).sine
-            if any(other in lost for other in steps if other != k):
+            if any(step in lost for step in steps if step != k):
                 raise ScanError(
                     f"{what}: two of the four sine images of a direction are lost; bring the folder back from a copy"
                 )
-            # In the order after, opposite, before: I(k) = I(k+1) + I(k−1) − I(k+2), indices modulo 4.
-            frames[k] = _sine(*(frames[steps[(pattern.index + by) % PHASE_STEPS]] for by in (1, 2, 3)))
+            # The steps after, opposite and before: I(k) = I(k+1) + I(k−1) − I(k+2), indices modulo 4.
+            frames[k] = _sine(*(frames[steps[(pattern.index + offset) % PHASE_STEPS]] for offset in (1, 2, 3)))
             variance = THREE_STEP_VARIANCE
             notes.append(f"{pattern.name} was made up from the other three steps")
     if sequence.bright in lost and sequence.dark in lost:
         raise ScanError(f"{what}: bright and dark image are both lost; bring the folder back from a copy")
-    for k, lit in ((sequence.bright, True), (sequence.dark, False)):
+    for k, is_bright in ((sequence.bright, True), (sequence.dark, False)):
         if k in lost:
-            frames[k] = _reference(frames[gray], lit=lit)
+            frames[k] = _reference(frames[gray], is_bright=is_bright)
             notes.append(f"{sequence.patterns[k].name} was made up from the Gray images")
     return variance
 
 
 def _sine(after: Frames, opposite: Frames, before: Frames) -> Frames:
-    """Return the lost step, from the other three; ``SATURATED``, which makes no point, where it is out of range or
-    they are."""
-    # Signed and wider: the sum of two bytes less a third lies between −255 and 510.
-    made: NDArray[np.int16] = after.astype(np.int16) + before - opposite
-    useless = (made < 0) | (made > SATURATED) | (np.maximum(np.maximum(after, before), opposite) == SATURATED)
-    made[useless] = SATURATED
-    return made.astype(np.uint8)
+    """Return the lost sine step, computed from the other three.
+
+    It is ``SATURATED``, which makes no point, where it is out of range or one of the three is saturated.
+    """
+    # Signed and wider than a byte: the result lies between −255 and 510.
+    frame: NDArray[np.int16] = after.astype(np.int16) + before - opposite
+    invalid = (frame < 0) | (frame > SATURATED) | (np.maximum(np.maximum(after, before), opposite) == SATURATED)
+    frame[invalid] = SATURATED
+    return frame.astype(np.uint8)
 
 
-def _reference(gray: Frames, *, lit: bool) -> Frames:
-    """Return the bright (``lit``) or the dark image, from the Gray images (n, h, w), each pixel of which is lit in
-    some."""
+def _reference(gray: Frames, *, is_bright: bool) -> Frames:
+    """Return the bright or the dark image, computed from the Gray images (n, h, w).
+
+    Each pixel must be bright in one of them at least.
+    """
     low, high = gray.min(axis=0).astype(np.float32), gray.max(axis=0).astype(np.float32)
-    share = CLEARLY if lit else 1.0 - CLEARLY
+    share = CLEARLY if is_bright else 1.0 - CLEARLY
     border = low + np.float32(share) * (high - low)
     # Images in which a stripe's border crosses the pixel are neither bright nor dark.
-    used = gray >= border if lit else gray <= border
+    used = gray >= border if is_bright else gray <= border
     total = np.where(used, gray, 0).sum(axis=0, dtype=np.float32)
     mean: NDArray[np.float32] = np.rint(total / used.sum(axis=0))
     return mean.astype(np.uint8)

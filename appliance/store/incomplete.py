@@ -1,11 +1,11 @@
-"""Owns incomplete recordings: the first frames of scans that broke off, kept apart from the scans and counted nowhere.
+"""Incomplete scans: the first frames of scans that broke off, kept apart from the scans.
 
     <root>/incomplete/000001    frames_left.npy, frames_right.npy, calibration.json, rig.toml, incomplete.json
-    <root>/incomplete/.000002   being written; what a loss of power left of it is taken away when the next one is kept
+    <root>/incomplete/.000002   being written; its remains after a loss of power go when the next one is kept
 
-Numbers are of their own. The folder has no ``manifest.json``, so that nothing takes it for a scan; ``incomplete.json``
-has the same content, with the frames that are missing and why. No finished recording is ever deleted; when there are
-``MOST``, no more are kept.
+They have their own numbers. The folder has no ``manifest.json``, so that it is never taken for a scan;
+``incomplete.json`` has the same content, and the missing frames and the reason. No finished one is ever deleted; beyond
+``MOST`` no more are kept.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
 INCOMPLETE_FOLDER = "incomplete"
 MOST = 50
-"""Most recordings that are kept: 2.7 GB. Such a rig has another trouble than lost scans."""
+"""Largest number of recordings that are kept, some 2.7 GB: a rig with more has a fault to repair first."""
 INCOMPLETE_OF = {"kind": "incomplete recording"}
-"""Kind of the file, which tells it from a scan's manifest."""
+"""Kind of the file, which distinguishes it from a scan's manifest."""
 _NAME = re.compile(r"\.?([0-9]{6})")
 _OTHER_BYTES = 1_000_000
 
@@ -78,11 +78,11 @@ class IncompleteRecording:
         reason: str,
         reserve_bytes: int,
     ) -> Path:
-        """Make the first frames of a sequence durable, all or nothing, and return their folder.
+        """Make the first frames of a sequence durable, all or none, and return their folder.
 
         ``frames``: by side, (n, h, w) uint8, those of both sides of the same patterns. Raises ValueError for frames
         that are a whole sequence or of different number, and where ``MOST`` are kept already; StorageError, also where
-        the disk would then have no room for a scan above ``reserve_bytes``. Nothing is left then.
+        the disk would then have no room for a scan above ``reserve_bytes``. No file is left then.
         """
         patterns = record.sequence.patterns
         shapes = {frames[side].shape for side in SIDES}
@@ -91,33 +91,33 @@ class IncompleteRecording:
         (count, height_px, width_px) = shapes.pop()
         if not 0 < count < len(patterns):
             raise ValueError(f"{count} of {len(patterns)} frames are no incomplete recording")
-        shelf = root / INCOMPLETE_FOLDER
-        taken = _sweep(fs, shelf)
-        if len(taken) >= MOST:
-            raise ValueError(f"{shelf} has {MOST} recordings already; look at them, and move them elsewhere")
+        folder = root / INCOMPLETE_FOLDER
+        numbers = _sweep(fs, folder)
+        if len(numbers) >= MOST:
+            raise ValueError(f"{folder} has {MOST} recordings already; look at them, and move them elsewhere")
         needed = 2 * count * height_px * width_px + _OTHER_BYTES
-        # A scan that may come is worth more than one that broke.
+        # Space for the next scan has priority over an incomplete one.
         with StorageError.naming("cannot ask for the room on", root):
             left = fs.free_bytes(root) - needed - size_bytes(len(patterns), width_px, height_px) - reserve_bytes
         if left < 0:
-            raise StorageError("cannot keep", shelf, "there would be no room for the next scan")
-        number = f"{max(taken, default=0) + 1:06d}"
-        draft = shelf / f".{number}"
+            raise StorageError("cannot keep", folder, "there would be no room for the next scan")
+        number = f"{max(numbers, default=0) + 1:06d}"
+        draft = folder / f".{number}"
         try:
             _write(fs, draft, number, frames, record, origin, reason)
-            fs.move_folder(draft, shelf / number)
+            fs.move_folder(draft, folder / number)
         except (StorageError, ValueError):
             with suppress(StorageError):
                 _remove(fs, draft)
             raise
-        return shelf / number
+        return folder / number
 
     @staticmethod
     def find(root: Path, recording: str) -> Path:
         """Return the folder of a recording by its number. Raises ScanError."""
         number = recording.zfill(6)
         folder = root / INCOMPLETE_FOLDER / number
-        # The whole word: the last part of a path may be a number, too.
+        # Only a number, no path: the last part of a path may be a number, too.
         if not recording or scan_number(number) is None or not folder.is_dir():
             raise ScanError(
                 f"no incomplete recording {recording!r} under {root / INCOMPLETE_FOLDER}; give its number or its folder"
@@ -168,25 +168,25 @@ def _write(
     manifest = BrokenManifest(
         number, Stage.RAW, Decision.UNDECIDED, record, files, reason, frame_crc32=checks, missing=missing
     )
-    # Last, and the folder's name after it: a folder without a dot is whole.
+    # The manifest last, and then the folder's name: a folder without a dot is complete.
     fs.replace_file(
         draft / form.INCOMPLETE_MANIFEST_FILE, INCOMPLETE.encode(form.with_known_times(manifest), INCOMPLETE_OF)
     )
 
 
-def _sweep(fs: FileSystem, shelf: Path) -> list[int]:
-    """Make the shelf where it is missing, take away what was not finished, and return the numbers that are taken."""
-    fs.make_folders(shelf)
-    with StorageError.naming("cannot list", shelf):
-        named = [(path, found) for path in shelf.iterdir() if (found := _NAME.fullmatch(path.name)) and path.is_dir()]
+def _sweep(fs: FileSystem, folder: Path) -> list[int]:
+    """Make the folder if it is missing, remove unfinished recordings, and return the numbers in use."""
+    fs.make_folders(folder)
+    with StorageError.naming("cannot list", folder):
+        named = [(path, match) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name)) and path.is_dir()]
     for path, _ in named:
         if path.name.startswith("."):
             _remove(fs, path)
-    return [int(found[1]) for path, found in named if not path.name.startswith(".")]
+    return [int(match[1]) for path, match in named if not path.name.startswith(".")]
 
 
 def _remove(fs: FileSystem, draft: Path) -> None:
-    """Remove what is half written."""
+    """Remove a half-written folder."""
     if draft.is_dir():
         for path in draft.iterdir():
             fs.discard(path)

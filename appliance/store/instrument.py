@@ -1,7 +1,4 @@
-"""Owns what is known of the instrument: its calibration or the drawing's, its water, its cameras' noise, its projector.
-
-A calibration read from its file.
-"""
+"""The instrument as its files describe it: calibration, water, camera noise and projector response."""
 
 from __future__ import annotations
 
@@ -62,13 +59,13 @@ log = logging.getLogger("kingfisher")
 
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 NOISE_FILE = CALIBRATION_FILE.with_name("noise.json")
-"""Places of what was measured of the instrument, relative to the storage root."""
+"""Files with measurements of the instrument, relative to the storage root."""
 ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
 
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """The instrument of a rig file: what its files below the storage root, and the rig file itself, say of it."""
+    """The instrument of a rig file, with the files below its storage root."""
 
     rig: Rig
 
@@ -98,33 +95,36 @@ class Instrument:
         return self.calibration_file.with_name("kept")
 
     def calibration(self) -> tuple[Calibration, tuple[Fault, ...]]:
-        """Return the instrument's calibration.
+        """Return the instrument's calibration, and its faults.
 
-        Where the file in use is damaged, missing, of another instrument or of other cameras: the one before that is
-        kept and fits, else the design's; either with the condition UNCALIBRATED, whose detail says which, and whose
-        device is the camera that was exchanged (``cameras``: both).
+        Where the file in use is missing, the nominal calibration is returned. Where it is damaged, of another
+        instrument or of other cameras, the latest kept one that fits is, else the nominal one; then with the condition
+        UNCALIBRATED, whose detail says which, and whose device is the camera that was exchanged (``cameras``: both).
         """
         calibration, problem = self._usable(self.calibration_file)
         if problem is None:
             return calibration or self.design(), ()
         calibration, detail = None, problem.reason
-        # Their names begin with a number that only grows, so that the latest that fits is found first.
-        for kept in sorted(self.kept_folder.glob("*.json"), reverse=True):
-            found, unfit = self._usable(kept)
-            # After a camera was exchanged, one that does not say which cameras it is of is most likely of those that
-            # left.
-            if found is not None and unfit is None and (found.camera_serials is not None or not problem.exchanged):
-                calibration, detail = found, f"{detail}; {kept.name}, which was in use before, is used"
+        # Names begin with a number that only grows, so that the latest one that fits comes first.
+        for path in sorted(self.kept_folder.glob("*.json"), reverse=True):
+            candidate, misfit = self._usable(path)
+            # After a camera was exchanged, a calibration without serial numbers is most likely of the former cameras.
+            if (
+                candidate is not None
+                and misfit is None
+                and (candidate.camera_serials is not None or not problem.exchanged)
+            ):
+                calibration, detail = candidate, f"{detail}; {path.name}, which was in use before, is used"
                 break
         log.warning("uncalibrated: %s", detail)
         device = None
         if problem.exchanged:
-            # Named for the diver's sake: the alert then says which camera was exchanged.
+            # The alert tells the diver which camera was exchanged.
             device = f"camera.{problem.exchanged[0]}" if len(problem.exchanged) == 1 else "cameras"
         return calibration or self.design(), (Fault(FaultCode.UNCALIBRATED, detail, device=device),)
 
     def _usable(self, path: Path) -> tuple[Calibration | None, Misfit | None]:
-        """Return a file's calibration, and why this instrument cannot measure with it."""
+        """Return a file's calibration, and the reason why this instrument cannot measure with it."""
         try:
             calibration = self.with_volume(load_calibration(path))
         except CalibrationError as error:
@@ -134,8 +134,10 @@ class Instrument:
         return calibration, owner_misfit(calibration, self.owner)
 
     def response(self) -> Response | None:
-        """Return the projector's response as it was measured; ``None`` where it was not, or cannot be used (which is
-        logged)."""
+        """Return the projector's measured response.
+
+        ``None`` if it was not measured or cannot be used (logged).
+        """
         path = self.response_file
         try:
             stored = RESPONSE.load(path)
@@ -154,7 +156,7 @@ class Instrument:
             )
             return None
         if stored.trigger_delay_us not in (None, self.rig.board.trigger_delay_us):
-            # Bit planes: what begins at another moment of the frame sees other bits, and another response.
+            # Bit planes: an exposure that begins at another moment of the frame sees other bits, and another response.
             log.warning(
                 "patterns are drawn without compensation: response %s was measured with board.trigger_delay_us = %d, "
                 "not %d; "
@@ -175,7 +177,7 @@ class Instrument:
         return stored.response
 
     def design(self) -> Calibration:
-        """Return the calibration that the drawing in the rig file stands for."""
+        """Return the nominal calibration of the rig file."""
         d = self.rig.design
         design = Design(
             d.principal_distance_mm,
@@ -201,8 +203,8 @@ class Instrument:
         return Water(self.rig.water.temperature_c, self.rig.water.salinity_psu, self.rig.water.wavelength_nm)
 
     def noise(self, exposure: Exposure | None = None) -> StereoNoise:
-        """Return the noise of both cameras, by default at the gain the rig file sets, else at ``exposure``'s."""
-        # Steps of exposure set both cameras to the same gain; what the right one's differs by in the rig file is kept.
+        """Return the noise of both cameras at the gain of ``exposure``, by default at the rig file's."""
+        # An exposure sets the gain of both cameras; the right one keeps its difference in the rig file.
         more_db = 0.0 if exposure is None else exposure.gain_db - self.rig.camera.left.gain_db
 
         def of(camera: CameraRig) -> CameraNoise:
@@ -213,11 +215,10 @@ class Instrument:
         return StereoNoise(of(self.rig.camera.left), of(self.rig.camera.right))
 
     def with_measured_noise(self) -> Rig:
-        """Return the rig with the cameras' noise as it was measured in place of their data sheets'; the rig itself
-        where it was not, or the file cannot be used, which is logged.
+        """Return the rig with the cameras' measured noise instead of that of their data sheets.
 
-        A scan carries its rig file as it was understood, so that whoever makes its points again expects the same
-        errors.
+        Return the rig itself where the noise was not measured or its file cannot be used, which is logged. A scan
+        carries its rig file with this noise, so that reprocessing expects the same errors.
         """
         path = self.noise_file
         try:
@@ -227,8 +228,8 @@ class Instrument:
             return self.rig
         if stored is None:
             return self.rig
-        cameras, known = self.rig.camera, stored.cameras
-        if (stored.rig_serial, known.left.serial, known.right.serial) != (
+        cameras, measured_cameras = self.rig.camera, stored.cameras
+        if (stored.rig_serial, measured_cameras.left.serial, measured_cameras.right.serial) != (
             self.rig.rig.serial,
             cameras.left.serial,
             cameras.right.serial,
@@ -239,25 +240,29 @@ class Instrument:
                 "measure its own, or remove the file",
                 path,
                 stored.rig_serial,
-                known.left.serial,
-                known.right.serial,
+                measured_cameras.left.serial,
+                measured_cameras.right.serial,
                 self.rig.rig.serial,
                 cameras.left.serial,
                 cameras.right.serial,
             )
             return self.rig
 
-        def measured(camera: CameraRig, found: CameraFigures) -> CameraRig:
+        def measured(camera: CameraRig, figures: CameraFigures) -> CameraRig:
             return replace(
                 camera,
-                full_well_e=found.full_well_e,
-                read_noise_e=found.read_noise_e,
-                black_level_dn=found.black_level_dn,
+                full_well_e=figures.full_well_e,
+                read_noise_e=figures.read_noise_e,
+                black_level_dn=figures.black_level_dn,
             )
 
         log.info("the cameras' noise is that which was measured")
-        both = replace(cameras, left=measured(cameras.left, known.left), right=measured(cameras.right, known.right))
-        return replace(self.rig, camera=both)
+        updated = replace(
+            cameras,
+            left=measured(cameras.left, measured_cameras.left),
+            right=measured(cameras.right, measured_cameras.right),
+        )
+        return replace(self.rig, camera=updated)
 
     @property
     def exposure(self) -> Exposure:
@@ -266,23 +271,29 @@ class Instrument:
         return Exposure(round(1000.0 * left.exposure_ms), left.gain_db)
 
     def exposure_of_scan(self, record: ScanRecord) -> Exposure:
-        """Return the exposure that a stored scan was recorded with; the rig file's where the scan does not say."""
+        """Return the exposure that a stored scan was recorded with.
+
+        The rig file's where the scan does not say.
+        """
         return record.exposure or self.exposure
 
     def exposures_label(self, record: ScanRecord) -> str:
-        """Return the exposure as a label, ``8 ms``; of a pair ``3.2 ms, then 14 ms``."""
+        """Return the exposure as a label, ``8 ms``; of a bracket ``3.2 ms, then 14 ms``."""
         first = self.exposure_of_scan(record).label
         return first if record.second is None else f"{first}, then {record.second.exposure.label}"
 
     def settings(self, exposure: Exposure) -> AcquisitionSettings:
-        """Return how a sequence is taken with ``exposure``.
+        """Return the acquisition settings of a sequence with ``exposure``.
 
         Raises ValueError for a rig that has no time for any exposure.
         """
         return AcquisitionSettings(exposure, 1.0 / self.rig.projector.refresh_hz, self.noise(exposure), self.exposures)
 
     def settings_of_scan(self, record: ScanRecord) -> AcquisitionSettings:
-        """Return how a stored scan was taken. Raises ValueError for a rig that has no time for any exposure."""
+        """Return the acquisition settings of a stored scan.
+
+        Raises ValueError for a rig that has no time for any exposure.
+        """
         return self.settings(self.exposure_of_scan(record))
 
     @property
@@ -294,25 +305,24 @@ class Instrument:
         return ladder(self.rig.projector.refresh_hz, into_light_us(self.rig), self.rig.camera.left.gain_db, span)
 
     def _whole_sub_frames_ms(self) -> tuple[float, ...]:
-        """Return the exposures that a projector of sub-frames leaves; empty: its rig file names none."""
+        """Return the exposures of whole sub-frames; empty for a projector without sub-frames."""
         projector = self.rig.projector
         if projector.sub_frames == 1:
             return ()
         return tuple(round(k * projector.sub_frame_ms, 3) for k in range(1, projector.sub_frames + 1))
 
     def origin(self, calibration: Calibration) -> ScanOrigin:
-        """Return what a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
+        """Return the files that a new scan carries: the calibration in use and the rig file."""
         return ScanOrigin(encode_calibration(calibration), rig_text(self.rig).encode())
 
     def misfit(self, calibration: Calibration) -> str | None:
-        """Return why a calibration, in air or in water, is not of this instrument and its cameras; ``None`` where it
-        is."""
-        found = owner_misfit(calibration, self.owner)
-        return None if found is None else found.reason
+        """Return the reason why a calibration is not of this instrument and its cameras, or ``None``."""
+        mismatch = owner_misfit(calibration, self.owner)
+        return None if mismatch is None else mismatch.reason
 
     @property
     def owner(self) -> Owner:
-        """Serial numbers and image sizes that tell the instrument from others.
+        """Serial numbers and image sizes that identify the instrument.
 
         A camera with another serial number is never opened.
         """
@@ -321,15 +331,14 @@ class Instrument:
         return Owner(self.rig.rig.serial, sizes_px, (left.serial, right.serial))
 
     def with_volume(self, calibration: Calibration) -> Calibration:
-        """Return the calibration with the volume that the rig file states: the file is its home, a calibration only
-        carries it along."""
+        """Return the calibration with the working volume of the rig file instead of its own."""
         volume = self.volume
         if calibration.rig.volume == volume:
             return calibration
         return replace(calibration, rig=replace(calibration.rig, volume=volume))
 
     def of_another(self, calibration: Calibration) -> str | None:
-        """Return why a calibration is not of this instrument, whichever cameras it has now; ``None`` where it is."""
+        """Return the reason why a calibration is of another instrument, or ``None``; cameras do not count."""
         if calibration.rig_serial == self.rig.rig.serial:
             return None
         return f"the calibration is of instrument {calibration.rig_serial}; this one is {self.rig.rig.serial}"

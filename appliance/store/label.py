@@ -1,9 +1,9 @@
-"""Owns what a person calls a scan: a name and a note, in ``label.json`` beside the manifest.
+"""The label of a scan: name and note that a person gives it, in ``label.json`` beside the manifest.
 
     {"schema": 1, "name": "bollard 3", "note": "north side, before cleaning", "sha256": "…"}
 
-A file of its own: the manifest's bytes stay those of the dive, and a version that knows no labels reads the scan as
-before. It travels with the folder. A damaged label is no damage to the scan.
+It has its own file, so that the manifest's bytes stay those of the dive, and a version that knows no labels reads the
+scan as before. It travels with the folder. A damaged label is no damage to the scan.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from appliance.store.atomic import FileSystem
 
 LABEL_FILE = "label.json"
 _CONTROL = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
-"""Unicode's categories of what is no character to read: controls, formats, surrogates, unassigned ones, line ends."""
+"""Unicode's categories of unreadable characters: controls, formats, surrogates, unassigned ones, line ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +35,17 @@ class Label:
 
     @classmethod
     def checked(cls, which: Literal["name", "note"], text: str, what: str | None = None) -> str | None:
-        """Return a label's ``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is
-        left.
+        """Return a label's ``text`` in Unicode's composed form, stripped; ``None`` if it is empty.
 
         ``what`` names it in the message. Raises ContentError for control characters, among them line ends and those
         that turn the direction of writing, and for more characters than ``LONGEST`` allows.
         """
         what = what or which
         plain = unicodedata.normalize("NFC", text).strip()
-        for at, character in enumerate(plain):
+        for index, character in enumerate(plain):
             if unicodedata.category(character) in _CONTROL:
                 raise ContentError(
-                    what, f"character {at + 1} is U+{ord(character):04X}, a control character", remedy="leave it out"
+                    what, f"character {index + 1} is U+{ord(character):04X}, a control character", remedy="leave it out"
                 )
         if len(plain) > cls.LONGEST[which]:
             raise ContentError(what, f"{len(plain)} characters", str(cls.LONGEST[which]), "shorten it")
@@ -55,10 +54,10 @@ class Label:
     @classmethod
     def read(cls, folder: Path) -> Label:
         """Return the label of a scan's folder; an empty one where there is none. Raises ContentError."""
-        found = LABEL.load(folder / LABEL_FILE, name=LABEL_FILE) or NO_LABEL
+        label = LABEL.load(folder / LABEL_FILE, name=LABEL_FILE) or NO_LABEL
         return cls(
-            cls.checked("name", found.name or "", f"{LABEL_FILE}: name"),
-            cls.checked("note", found.note or "", f"{LABEL_FILE}: note"),
+            cls.checked("name", label.name or "", f"{LABEL_FILE}: name"),
+            cls.checked("note", label.note or "", f"{LABEL_FILE}: note"),
         )
 
     def write(self, fs: FileSystem, folder: Path) -> None:

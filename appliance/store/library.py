@@ -1,19 +1,18 @@
-"""Owns all scans of an instrument: new ones, published and rejected ones, and what a loss of power left behind.
+"""The library: all scans of an instrument, and their recovery after a loss of power.
 
     <root>/scans/000123       published
     <root>/scans/.000123      being written, or waiting for the diver's decision
-    <root>/rejected/000123    not wanted, kept all the same
-    <root>/set-aside/000123   incomplete after a loss of power
+    <root>/rejected/000123    rejected by the diver, kept all the same
+    <root>/set-aside/000123   unfinished after a loss of power
     <root>/trash/000123       put away at the desk; made when it is first needed
     <root>/next-id            see ``appliance.store.names``
     <root>/room               space for the next scan, see ``appliance.store.room``
 
-A scan may belong to an object; its manifest then has the object's number. A number is never given twice.
-``choices.json`` remembers the largest number. If that file is lost or from elsewhere, the manifests are read instead:
-the newest scan with a number has the largest one.
+A scan may belong to an object; its manifest then has the object's number. A number is never given twice:
+``choices.json`` remembers the largest one. If that file is lost or from elsewhere, the manifests are read instead: the
+newest scan with a number has the largest one.
 
-Nothing in here deletes a scan. One process writes (``appliance.store.lock``), from one thread at a time; any number
-may read.
+No scan is deleted here. One process writes (``appliance.store.lock``), from one thread at a time; any number may read.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scan
 
 
 LOOKED_AT = 500
-"""Largest number of manifests that are read for the largest number of an object, the newest ones: a start must not take
-longer with every dive."""
+"""Number of newest manifests that are read for the largest number of an object: the time of a start must not grow with
+every dive."""
 
 
 class LibraryFolder(Enum):
@@ -55,8 +54,8 @@ class LibraryFolder(Enum):
     TRASH = "trash"
 
 
-def shelves_of(*, every: bool) -> tuple[LibraryFolder, ...]:
-    """Return the shelves that are worked through: that of the scans, and with ``every`` that of the rejected ones."""
+def folder_kinds(*, every: bool) -> tuple[LibraryFolder, ...]:
+    """Return the kinds of folders to work through; with ``every`` that of rejected scans, too."""
     return (LibraryFolder.SCANS, LibraryFolder.REJECTED) if every else (LibraryFolder.SCANS,)
 
 
@@ -65,7 +64,7 @@ class ScanEntry:
     """One scan in the list. A damaged one is listed like the others, with its problems."""
 
     scan_id: str
-    shelf: LibraryFolder
+    folder_kind: LibraryFolder
     folder: Path
     manifest: Manifest | None
     problems: tuple[str, ...]
@@ -74,38 +73,38 @@ class ScanEntry:
 
     @property
     def ok(self) -> bool:
-        """True if nothing wrong was found."""
+        """True if the scan has no problems."""
         return not self.problems
 
     @classmethod
     def of(cls, folder: Path, *, checksums: bool) -> ScanEntry:
-        """Return one scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
+        """Return the entry of a scan's folder, in a library or copied elsewhere.
 
-        A folder outside of any library counts as one of published scans, and may have any name. A number as its name
-        must be the scan's own.
+        ``checksums``: every byte is read. A folder outside of any library counts as one of published scans, and may
+        have any name. A number as its name must be the scan's own.
         """
-        whole = folder.absolute()
-        shelf = next((one for one in LibraryFolder if one.value == whole.parent.name), LibraryFolder.SCANS)
+        path = folder.absolute()
+        folder_kind = next((kind for kind in LibraryFolder if kind.value == path.parent.name), LibraryFolder.SCANS)
         size_bytes = _size(folder)
         try:
             manifest = form.read(folder)
         except ContentError as error:
-            return cls(whole.name, shelf, folder, None, (str(error),), size_bytes)
+            return cls(path.name, folder_kind, folder, None, (str(error),), size_bytes)
         wrong = scan.wrong_files(folder, manifest, checksums=checksums)
-        found = [f"{name}: {what}" for name, what in wrong.items()]
-        if _numbered(whole) not in (None, manifest.scan_id):
-            found.append(f"its manifest is of scan {manifest.scan_id}")
+        problems = [f"{name}: {what}" for name, what in wrong.items()]
+        if _numbered(path) not in (None, manifest.scan_id):
+            problems.append(f"its manifest is of scan {manifest.scan_id}")
         label = NO_LABEL
         try:
             label = Label.read(folder)
         except ContentError as error:
-            if checksums:  # no damage to the scan: told where every byte is looked at
-                found.append(str(error))
-        return cls(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
+            if checksums:  # no damage to the scan: reported only where every byte is read
+                problems.append(str(error))
+        return cls(path.name, folder_kind, folder, manifest, tuple(problems), size_bytes, label)
 
     @property
     def preview_file(self) -> Path | None:
-        """The scan's picture; ``None`` where none was ever made, as of a scan that was kept without a cloud."""
+        """The scan's preview image; ``None`` where it has none, as a scan that was kept without a cloud."""
         if self.manifest is None or scan.PREVIEW_FILE not in self.manifest.files:
             return None
         return self.folder / scan.PREVIEW_FILE
@@ -113,7 +112,7 @@ class ScanEntry:
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Outcome of ``recover``: ids of scans published after all, put among the rejected, set aside, and what failed."""
+    """Result of ``recover``: the scans that were published, rejected or set aside, by id, and the errors."""
 
     recovered: tuple[str, ...] = ()
     rejected: tuple[str, ...] = ()
@@ -122,14 +121,14 @@ class Recovery:
 
 
 class UnknownScan(Exception):
-    """There is no scan of that number."""
+    """Error of a number that no scan has."""
 
 
 class Library:
-    """The scans under one root. Raises StorageError for whatever the disk refuses."""
+    """The scans below one storage root. Raises StorageError when a call to the disk fails."""
 
     def __init__(self, root: Path, fs: FileSystem | None = None) -> None:
-        """Remember where the scans are; nothing is touched until ``prepare`` or a reading method is called."""
+        """Set the storage root; the disk is not touched until ``prepare`` or a reading method is called."""
         self.root = root
         self._fs: FileSystem = fs or LocalFileSystem()
 
@@ -137,21 +136,24 @@ class Library:
 
     def prepare(self) -> None:
         """Make the folders that are missing, durably. Raises StorageError."""
-        for folder in (self.root, *(self._shelf(shelf) for shelf in LibraryFolder if shelf is not LibraryFolder.TRASH)):
+        for folder in (
+            self.root,
+            *(self._folder_of(folder_kind) for folder_kind in LibraryFolder if folder_kind is not LibraryFolder.TRASH),
+        ):
             self._fs.make_folders(folder)
 
     def begin(
         self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.ScanOrigin
     ) -> PendingScan:
-        """Make a scan's raw frames and their ``origin`` durable, hidden from the list, before anything is decided.
+        """Make a scan's raw frames and their ``origin`` durable, but do not list the scan yet.
 
-        ``frames``: by side, (n, h, w) uint8; not used after return. On failure nothing of this scan stays, the
-        frames are still the caller's, and ``begin`` may be called again. Raises StorageError, ValueError.
+        ``frames``: by side, (n, h, w) uint8; not used after return. On failure this scan leaves no file, the frames are
+        still the caller's, and ``begin`` may be called again. Raises StorageError, ValueError.
         """
-        # The number is durably gone before anything is written: whatever fails below, it is never given to another
-        # scan.
+        # The number is durably taken before the first file is written: after any failure below it is not given to
+        # another scan.
         scan_id = names.spell_id(names.take_number(self._fs, self.root, self._numbers()))
-        folder = self._shelf(LibraryFolder.SCANS) / f".{scan_id}"
+        folder = self._folder_of(LibraryFolder.SCANS) / f".{scan_id}"
         try:
             manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)
             with StorageError.naming("cannot make durable", folder):
@@ -160,29 +162,29 @@ class Library:
         except (StorageError, ValueError):
             with suppress(StorageError):
                 # The frames are still in memory and are tried again under a new number; half a folder would only take
-                # room.
+                # space.
                 scan.discard_raw(self._fs, folder)
             raise
         return PendingScan(self._fs, self.root, folder, manifest)
 
     def recover(self) -> Recovery:
-        """Look through what an earlier process left unfinished; call once at the start, before ``begin``.
+        """Recover the scans that an earlier process left unfinished; call once at the start, before ``begin``.
 
-        A folder whose manifest and checksums are right becomes a scan, marked as recovered. Any other is set aside.
-        Nothing is deleted, and one folder that cannot be moved does not keep the others from it.
+        A folder whose manifest and checksums are right becomes a scan, marked as recovered. Any other is set aside. No
+        file is deleted, and if one folder cannot be moved the others still are.
         """
-        done: dict[str, list[str]] = {"recovered": [], "rejected": [], "set_aside": [], "failed": []}
+        outcomes: dict[str, list[str]] = {"recovered": [], "rejected": [], "set_aside": [], "failed": []}
         # Hidden folders are scans that were not published before the power was lost.
         for folder in sorted(self._folders(LibraryFolder.SCANS, hidden=True)):
             scan_id = folder.name.removeprefix(".")
             try:
-                done[self._recover(folder, scan_id)].append(scan_id)
+                outcomes[self._recover(folder, scan_id)].append(scan_id)
             except StorageError as error:
-                done["failed"].append(str(error))
-        return Recovery(**{name: tuple(ids) for name, ids in done.items()})
+                outcomes["failed"].append(str(error))
+        return Recovery(**{name: tuple(ids) for name, ids in outcomes.items()})
 
     def _recover(self, folder: Path, scan_id: str) -> str:
-        manifest = self._salvaged(folder)
+        manifest = self._recovered_manifest(folder)
         if manifest is None:
             self._fs.move_folder(folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
@@ -190,22 +192,25 @@ class Library:
             if path.name not in manifest.files and path.name != form.MANIFEST_FILE:
                 with StorageError.naming(
                     "cannot rename", path
-                ):  # half of a cloud, or of a manifest: kept, but not trusted
+                ):  # half of a cloud or a manifest: kept, but not listed in the manifest
                     self._fs.rename(path, path.with_name(f"{path.name.removeprefix('.')}.partial"))
         # The manifest says "recovered" before the folder is published, not after: a second loss of power in between
         # finds the same state again.
         self._fs.replace_file(folder / form.MANIFEST_FILE, form.encode(manifest))
         rejected = manifest.decision is Decision.REJECTED
-        target = self._shelf(LibraryFolder.REJECTED if rejected else LibraryFolder.SCANS) / scan_id
-        # Only a copy made by hand can have the number; neither of both is overwritten.
+        target = self._folder_of(LibraryFolder.REJECTED if rejected else LibraryFolder.SCANS) / scan_id
+        # Only a copy made by hand can have the same number; neither of both is overwritten.
         if target.exists():
             self._fs.move_folder(folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
         self._fs.move_folder(folder, target)
         return "rejected" if rejected else "recovered"
 
-    def _salvaged(self, folder: Path) -> Manifest | None:
-        """Return the folder's manifest, marked, with the files that are right; ``None`` without whole raw frames."""
+    def _recovered_manifest(self, folder: Path) -> Manifest | None:
+        """Return the folder's manifest, marked as recovered and with intact files only.
+
+        ``None`` without all raw frames.
+        """
         try:
             manifest = form.read(folder)
         except ContentError:
@@ -215,28 +220,28 @@ class Library:
         if manifest.scan_id != folder.name.removeprefix(".") or any(name in wrong for name in scan.RAW_FILES):
             return None
         if any(name in wrong for name in scan.SECOND_FILES):
-            # One exposure is a scan, half of a second one is nothing.
+            # One exposure is a scan, half of a second one is useless.
             manifest = replace(manifest, record=replace(manifest.record, second=None))
             wrong |= dict.fromkeys(scan.SECOND_FILES, "of no use alone")
         files = {name: stamp for name, stamp in manifest.files.items() if name not in wrong}
         return replace(manifest, files=files, recovered=True)
 
     def trash(self, scan_id: str) -> Path:
-        """Put a scan away: it is no longer listed or shown, and keeps its number and every byte. Answers its folder.
+        """Move a scan to the trash, where it keeps its number and every byte, and return its new folder.
 
         Raises UnknownScan, ScanError for one that lies in the trash already or is set aside, StorageError.
         """
-        shelf, folder = self._find(scan_id)
-        if shelf is LibraryFolder.TRASH:
+        folder_kind, folder = self._find(scan_id)
+        if folder_kind is LibraryFolder.TRASH:
             raise scan.ScanError(f"scan {folder.name} is in the trash already; `kingfisher scans restore` takes it out")
-        if shelf is LibraryFolder.SET_ASIDE:
+        if folder_kind is LibraryFolder.SET_ASIDE:
             raise scan.ScanError(
                 f"scan {folder.name} is set aside: it is not whole, and in no list; nothing to put away"
             )
-        return self._moved(folder, self._shelf(LibraryFolder.TRASH) / folder.name)
+        return self._move(folder, self._folder_of(LibraryFolder.TRASH) / folder.name)
 
     def restore(self, scan_id: str) -> Path:
-        """Take a scan out of the trash, to where its manifest says that it belongs. Answers its folder.
+        """Move a scan out of the trash, to where its manifest says that it belongs, and return its new folder.
 
         Raises UnknownScan for one that is not in the trash, ScanError where another of its number lies there,
         StorageError.
@@ -247,9 +252,9 @@ class Library:
                 f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list trash --root {self.root}` "
                 "shows it"
             )
-        return self._moved(folder, self._shelf(_belongs(folder)) / folder.name)
+        return self._move(folder, self._folder_of(_kind_before_trash(folder)) / folder.name)
 
-    def _moved(self, folder: Path, target: Path) -> Path:
+    def _move(self, folder: Path, target: Path) -> Path:
         # The trash is made when it is first needed.
         self._fs.make_folders(target.parent)
         if target.exists():
@@ -258,7 +263,7 @@ class Library:
         return target
 
     def set_label(self, scan_id: str, label: Label) -> None:
-        """Give a scan a name and a note, durably; nothing else in its folder changes.
+        """Give a scan a label, durably; its other files do not change.
 
         Raises UnknownScan, StorageError.
         """
@@ -266,12 +271,12 @@ class Library:
 
     # ------------------------------------------------------------------------------------- reading
 
-    def entries(self, shelf: LibraryFolder = LibraryFolder.SCANS) -> list[ScanEntry]:
-        """Return all scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
-        return [ScanEntry.of(folder, checksums=False) for folder in self._sorted(shelf)]
+    def entries(self, folder_kind: LibraryFolder = LibraryFolder.SCANS) -> list[ScanEntry]:
+        """Return all scans in a kind of folder by number; lengths are checked, checksums are not (``verify``)."""
+        return [ScanEntry.of(folder, checksums=False) for folder in self._sorted(folder_kind)]
 
     def entry(self, scan_id: str) -> ScanEntry:
-        """Return one scan by its number, wherever it lies. Raises UnknownScan."""
+        """Return one scan by its number, in any folder. Raises UnknownScan."""
         return ScanEntry.of(self._find(scan_id)[1], checksums=False)
 
     def verify(self, scan_id: str) -> ScanEntry:
@@ -291,11 +296,11 @@ class Library:
         return [folder.name for folder in self._sorted(LibraryFolder.SCANS)]
 
     def last_id(self) -> str | None:
-        """Return the newest published scan."""
+        """Return the number of the newest published scan."""
         return next(reversed(self.ids()), None)
 
     def scans_left(self, scan_bytes: int, reserve_bytes: int) -> int | None:
-        """Estimate how many more scans of that size fit above the reserve; ``None`` where the disk does not tell."""
+        """Return how many more scans of that size fit above the reserve; ``None`` if the disk does not tell."""
         try:
             free = self._fs.free_bytes(self.root)
         except OSError:
@@ -304,46 +309,46 @@ class Library:
 
     # ------------------------------------------------------------------------------------- folders
 
-    def _shelf(self, shelf: LibraryFolder) -> Path:
-        return self.root / shelf.value
+    def _folder_of(self, folder_kind: LibraryFolder) -> Path:
+        return self.root / folder_kind.value
 
-    def _folders(self, shelf: LibraryFolder, *, hidden: bool = False) -> Iterator[Path]:
-        with StorageError.naming("cannot list", self._shelf(shelf)):
+    def _folders(self, folder_kind: LibraryFolder, *, hidden: bool = False) -> Iterator[Path]:
+        with StorageError.naming("cannot list", self._folder_of(folder_kind)):
             try:
-                children = list(self._shelf(shelf).iterdir())
+                children = list(self._folder_of(folder_kind).iterdir())
             except FileNotFoundError:
                 return
         for child in children:
             if child.name.startswith(".") == hidden and _numbered(child) is not None and child.is_dir():
                 yield child
 
-    def _sorted(self, shelf: LibraryFolder) -> list[Path]:
-        return sorted(self._folders(shelf), key=lambda folder: by_number(folder.name))
+    def _sorted(self, folder_kind: LibraryFolder) -> list[Path]:
+        return sorted(self._folders(folder_kind), key=lambda folder: by_number(folder.name))
 
     def _numbers(self) -> Iterator[int]:
-        for shelf in LibraryFolder:
+        for folder_kind in LibraryFolder:
             for hidden in (False, True):
-                yield from (_number(folder) for folder in self._folders(shelf, hidden=hidden))
+                yield from (_number(folder) for folder in self._folders(folder_kind, hidden=hidden))
 
-    def _free_name(self, shelf: LibraryFolder, scan_id: str) -> Path:
-        # Nothing that was set aside is ever overwritten by something else with its number.
+    def _free_name(self, folder_kind: LibraryFolder, scan_id: str) -> Path:
+        # A folder that was set aside is never overwritten by another one with its number.
         names = (scan_id, *(f"{scan_id}-{k}" for k in range(2, 1000)))
-        return next(path for name in names if not (path := self._shelf(shelf) / name).exists())
+        return next(path for name in names if not (path := self._folder_of(folder_kind) / name).exists())
 
     def _find(self, scan_id: str) -> tuple[LibraryFolder, Path]:
-        for shelf in LibraryFolder:
-            folder = self._find_on(shelf, scan_id)
+        for folder_kind in LibraryFolder:
+            folder = self._find_on(folder_kind, scan_id)
             if folder is not None:
-                return shelf, folder
+                return folder_kind, folder
         raise UnknownScan(
             f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows what there "
             "is"
         )
 
-    def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:
-        for folder in self._sorted(shelf):
-            # isascii: digits of other scripts are digits, too, and no folder has any. As texts: int() refuses thousands
-            # of them.
+    def _find_on(self, folder_kind: LibraryFolder, scan_id: str) -> Path | None:
+        for folder in self._sorted(folder_kind):
+            # isascii: no folder's name has digits of other scripts. Compared as texts: int() refuses thousands of
+            # digits.
             plain_number = (
                 scan_id.isascii() and scan_id.isdigit() and (scan_id.lstrip("0") or "0") == str(_number(folder))
             )
@@ -352,16 +357,16 @@ class Library:
         return None
 
     def largest_object(self) -> int:
-        """Return the largest number that one of the newest scans carries, wherever it lies; 0 where none does.
+        """Return the largest object number that one of the newest scans has, in any folder; 0 if none has one.
 
         Raises OSError.
         """
-        folders = [folder for shelf in LibraryFolder for folder in self._folders(shelf)]
+        folders = [folder for folder_kind in LibraryFolder for folder in self._folders(folder_kind)]
         for folder in sorted(folders, key=_number, reverse=True)[:LOOKED_AT]:
             try:
                 number = form.read(folder).record.object
             except ContentError:
-                continue  # damaged: the next older one tells
+                continue  # damaged: the next older one counts
             if number is not None:
                 return number
         return 0
@@ -375,19 +380,18 @@ class Library:
         ]
 
     def objects(self) -> list[int]:
-        """Return every number that a published scan carries, ascending."""
+        """Return the object numbers of all published scans, ascending."""
         entries = self.entries(LibraryFolder.SCANS)
-        found = {None if entry.manifest is None else entry.manifest.record.object for entry in entries}
-        return sorted(number for number in found if number is not None)
+        numbers = {None if entry.manifest is None else entry.manifest.record.object for entry in entries}
+        return sorted(number for number in numbers if number is not None)
 
     def folders(self, *, every: bool) -> list[Path]:
         """Return the folders of all published scans, and with ``every`` of the rejected ones, in order."""
-        return [folder for shelf in shelves_of(every=every) for folder in self._sorted(shelf)]
+        return [folder for folder_kind in folder_kinds(every=every) for folder in self._sorted(folder_kind)]
 
 
-def _belongs(folder: Path) -> LibraryFolder:
-    """Return the folder in which a scan lay before it came into the trash; a damaged one is listed, as a stored one
-    would be."""
+def _kind_before_trash(folder: Path) -> LibraryFolder:
+    """Return the kind of folder in which a scan lay before the trash; SCANS for a damaged one."""
     try:
         return LibraryFolder.REJECTED if form.read(folder).decision is Decision.REJECTED else LibraryFolder.SCANS
     except ContentError:
@@ -395,14 +399,14 @@ def _belongs(folder: Path) -> LibraryFolder:
 
 
 def _number(folder: Path) -> int:
-    found = _numbered(folder)
-    if found is None:
+    number = _numbered(folder)
+    if number is None:
         raise ValueError(f"{folder} is no scan's folder")
-    return int(found)
+    return int(number)
 
 
 def _numbered(folder: Path) -> str | None:
-    """Return the number in a folder's name, hidden or not; ``None`` where it is no scan's."""
+    """Return the number in a folder's name, hidden or not; ``None`` if it is no scan's."""
     return scan_number(folder.name.removeprefix("."))
 
 
@@ -410,7 +414,7 @@ def _size(folder: Path) -> int:
     try:
         return sum(path.stat().st_size for path in folder.iterdir())
     except OSError:
-        return 0  # the list goes on; what is wrong is among the entry's problems
+        return 0  # the list goes on; the fault is among the entry's problems
 
 
 class PendingScan:
@@ -434,22 +438,24 @@ class PendingScan:
         return self._folder
 
     def add_second(self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
-        """Make a second exposure's frames durable beside the first one's; ``record`` tells of both.
+        """Make a second exposure's frames durable beside the first one's; ``record`` describes both.
 
-        After a failure it is the scan it was; may be called again. Raises StorageError, ValueError.
+        On failure the scan keeps its first exposure alone, and the call may be repeated. Raises StorageError,
+        ValueError.
         """
         if not self._done:
             self._manifest = scan.add_second(self._fs, self._folder, self._manifest, frames, record)
 
     def publish(self, record: ScanRecord, cloud: PointCloud | None = None, preview_png: bytes | None = None) -> Path:
-        """Add cloud and preview and put the scan on the shelf; it survives the loss of power from the return on.
+        """Add cloud and preview and publish the scan; on return it is durable.
 
-        May be called again after StorageError; once done it only returns the folder. Raises StorageError, ValueError.
+        May be called again after StorageError; a published scan's folder is only returned. Raises StorageError,
+        ValueError.
         """
         return self._end(LibraryFolder.SCANS, Decision.KEPT, record, cloud, preview_png, "")
 
     def reject(self, reason: str, record: ScanRecord | None = None) -> Path:
-        """Put the scan among the rejected ones; nothing is deleted. Does nothing to one that is published.
+        """Move the scan to the rejected ones; no file is deleted. A published scan is left alone.
 
         Raises StorageError; may be called again then.
         """
@@ -457,7 +463,7 @@ class PendingScan:
 
     def _end(
         self,
-        shelf: LibraryFolder,
+        folder_kind: LibraryFolder,
         decision: Decision,
         record: ScanRecord,
         cloud: PointCloud | None,
@@ -468,7 +474,7 @@ class PendingScan:
             return self._folder
         # After a failure everything but the raw frames is written anew: a failed fsync may have dropped it.
         final = scan.finish_scan(self._fs, self._folder, self._manifest, decision, record, cloud, preview_png, reason)
-        target = self._root / shelf.value / self.scan_id
+        target = self._root / folder_kind.value / self.scan_id
         if self._folder != target:
             try:
                 self._fs.move_folder(self._folder, target)

@@ -1,4 +1,4 @@
-"""Owns the right to write under a storage root: one process at a time."""
+"""The lock of a storage root: one process at a time may write there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from appliance.store.atomic import StorageError
 
 FILE_NAME = "lock"
 _LOOK_S = 0.02
-"""Time in seconds between two looks at a lock that is waited for."""
+"""Time in seconds between two attempts to take the lock."""
 
 
 @contextmanager
@@ -47,11 +47,11 @@ def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
 
 
 def _take(descriptor: int, until_s: float) -> None:
-    never = threading.Event()  # set by nobody: its wait is a pause that Ctrl-C ends
+    never = threading.Event()  # it is never set: its wait is a pause that Ctrl-C ends
     while True:
         try:
-            # flock belongs to the open file: it ends with the process, also with a killed one. A file with a number in
-            # it would outlive it.
+            # flock belongs to the open file: it ends with the process, also with a killed one. A file with a process
+            # number would outlive it.
             return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() >= until_s:
@@ -60,14 +60,13 @@ def _take(descriptor: int, until_s: float) -> None:
 
 
 def holder(root: Path) -> str | None:
-    """Return the process that holds the lock of ``root``; ``None`` where nobody does. Changes nothing, and never
-    raises."""
+    """Return the process that holds the lock of ``root``, or ``None``; never raises."""
     try:
         descriptor = os.open(root / "run" / FILE_NAME, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
         return None
     try:
-        # A shared lock asks without shutting out another one who asks.
+        # A shared lock, so that several processes can ask at once.
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:
         return os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"

@@ -1,10 +1,7 @@
-"""Owns ``manifest.json``: the file that makes a folder a scan, and says what every other file in it must be.
+"""``manifest.json``, the file that makes a folder a scan, and the record of a scan in it.
 
-JSON with sorted keys; ``sha256`` is that of the compact form of everything else, so that a changed number is noticed.
-
-It also owns what is written down about a scan besides its pixels and points.
-
-Values only; ``appliance.store.manifest`` gives them their form on disk. ``None`` means not known.
+JSON with sorted keys; ``sha256`` is that of the compact form of all other keys, so that a changed number is noticed.
+``None`` means not known.
 """
 
 from __future__ import annotations
@@ -51,7 +48,7 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True)
 class SecondSequence:
-    """A second sequence of the same scene with another exposure, whose points were merged with the first one's."""
+    """The second sequence of a bracket, with another exposure; its points were merged with the first's."""
 
     exposure: Exposure
     recorded_ns: int
@@ -60,12 +57,15 @@ class SecondSequence:
     ledger: Mapping[str, Any] = field(default_factory=dict)
     """Account of the four witnesses, like ``ScanRecord.ledger``."""
     verdicts: tuple[Verdict, ...] = ()
-    """Verdicts on this sequence alone. What is said of both together is ``ScanRecord``'s verdict ``pair``."""
+    """Verdicts on this sequence alone. That on both together is ``ScanRecord``'s verdict ``pair``."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanRecord:
-    """Everything known about a scan but its files. Complete it with ``dataclasses.replace`` as more is known."""
+    """The metadata of a scan: all but its files.
+
+    Complete it with ``dataclasses.replace`` as more is known.
+    """
 
     sequence: SequenceInfo
     rig_hash: str
@@ -77,13 +77,15 @@ class ScanRecord:
     clock_trusted: bool
     """True if the wall time was set from outside since power-on. Order follows from the scan's id alone."""
     recorded_ns: int
-    """Host's monotonic time when the capture began: the key press, as the heartbeat that acted on it saw it."""
+    """Host's monotonic time when the capture began: that of the cycle that acted on the key press."""
     response_hash: str | None = None
-    """Hash of the projector's response that the patterns were drawn for; ``None``: codes, not light, were the sine."""
+    """Hash of the projector's response that the patterns were drawn for; ``None``: the codes are a sine,
+    not the light.
+    """
     exposure: Exposure | None = None
     """Exposure of the left camera; the right one's differs as the rig file says. ``None``: as the rig file has it."""
     object: int | None = None
-    """Number of the object that the diver said it belongs to; ``None``: of none."""
+    """Number of the object to which the diver assigned the scan; ``None``: to none."""
     water: Mapping[str, float | None] = field(default_factory=dict)
     """Water it was reconstructed in: ``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
@@ -96,47 +98,58 @@ class ScanRecord:
     """Numbers of the cloud: points, coverage_percent, …; empty without one."""
     stage_times_s: Mapping[str, float] = field(default_factory=dict)
     """Monotonic, from ``recorded_ns``: ``first_pattern`` is on the scene, ``recording``: the last frame is in memory,
-    ``coarse`` and ``full``: that cloud is ready to be shown, ``saved``: raw frames and ledger survive a loss of power.
-    ``pair``: the cloud of two exposures is ready; it includes the time the diver took to ask for it. ``coarse_cpu``,
-    ``full_cpu``, ``judged_cpu`` and ``overlap_cpu`` are the worker's CPU time for that step alone. What did not happen
-    is not there.
+    ``coarse`` and ``full``: that cloud is ready to be shown, ``saved``: raw frames and ledger are durable. ``pair``:
+    the cloud of two exposures is ready; it includes the time the diver took to request it. ``coarse_cpu``,
+    ``full_cpu``, ``judged_cpu`` and ``overlap_cpu`` are the worker's CPU time for that step alone. Steps that did
+    not happen have no time.
     """
 
     @property
     def grade(self) -> Grade | None:
-        """The grade as the diver read it; ``None``: nobody was shown one."""
-        kept = self._verdict(GRADE)
-        return None if kept is None else next((one for one in Grade if one.value == kept.text), None)
+        """The grade as the diver read it; ``None``: no grade was shown."""
+        verdict = self._verdict(GRADE)
+        return (
+            None
+            if verdict is None
+            else next((candidate for candidate in Grade if candidate.value == verdict.text), None)
+        )
 
     @property
     def held_against(self) -> tuple[FaultCode, ...]:
-        """Faults that were told of the scan, the one that takes most first; of a pair, but for the light that the other
-        sequence made up for."""
+        """Faults that were shown for the scan, the most severe cause first.
+
+        Of a bracket, without those of light that the other sequence made up for.
+        """
         pair = self._verdict("pair")
-        whole = pair is not None and pair.passed is True
-        verdicts = (*self.verdicts, *(self.second.verdicts if whole and self.second is not None else ()))
+        is_merged = pair is not None and pair.passed is True
+        verdicts = (*self.verdicts, *(self.second.verdicts if is_merged and self.second is not None else ()))
         names = [
-            name.removesuffix("_percent").upper() for one in verdicts if one.name == "causes" for name in one.numbers
+            name.removesuffix("_percent").upper()
+            for verdict in verdicts
+            if verdict.name == "causes"
+            for name in verdict.numbers
         ]
         # A failed verdict's text begins with its fault's name.
-        names += [one.text.partition(":")[0] for one in verdicts if one.passed is False]
+        names += [verdict.text.partition(":")[0] for verdict in verdicts if verdict.passed is False]
         codes = [FaultCode(name) for name in dict.fromkeys(names) if name in FaultCode.__members__]
-        return tuple(code for code in codes if not (whole and code in MADE_UP_FOR))
+        return tuple(code for code in codes if not (is_merged and code in MADE_UP_FOR))
 
     @property
     def compensated(self) -> bool:
-        """The scan moved, and that was taken out of its points."""
+        """True if the scan moved and the motion was compensated."""
         done = self._verdict("compensation")
         return done is not None and done.passed is True
 
     @property
     def gap_mm(self) -> float | None:
-        """Median ray gap; ``None`` where it is not known, as of a compensated scan: its rows come from the model, and
-        meet whatever is wrong."""
+        """Median ray gap; ``None`` where it is not known.
+
+        Nor is it known of a compensated scan: its rows come from the model, so that its rays always meet.
+        """
         return None if self.compensated else self.cloud.get("gap_mm")
 
     def _verdict(self, name: str) -> Verdict | None:
-        return next((one for one in self.verdicts if one.name == name), None)
+        return next((verdict for verdict in self.verdicts if verdict.name == name), None)
 
 
 MANIFEST_FILE = "manifest.json"
@@ -148,7 +161,7 @@ class Stage(Enum):
     """Stages that a scan goes through."""
 
     RAW = "raw"
-    """The frames are durable; nothing else was added."""
+    """The frames are durable; cloud and preview are not added yet."""
     COMPLETE = "complete"
     """Published or rejected by the diver's decision."""
 
@@ -163,7 +176,10 @@ class Decision(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """The whole manifest. ``files`` maps the name of every file but the manifest to its length and checksum."""
+    """The whole manifest.
+
+    ``files`` maps the name of every file but the manifest to its length and checksum.
+    """
 
     scan_id: str
     stage: Stage
@@ -175,8 +191,7 @@ class Manifest:
     recovered: bool = False
     """True if the scan was found unpublished at a start and published then."""
     frame_crc32: Mapping[str, tuple[str, ...]] = field(kw_only=True)
-    """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is
-    damaged."""
+    """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, to find the damaged ones."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the content as JSON holds it. Raises TypeError for a value that it cannot hold."""
@@ -184,14 +199,14 @@ class Manifest:
 
     @property
     def raw_only(self) -> bool:
-        """True if nothing was added to the frames."""
+        """True if the scan has only its raw frames."""
         return self.stage is Stage.RAW
 
 
 def refuse_names(manifest: Manifest) -> None:
-    """Raises ValueError where a manifest names something that no part of a path may be called."""
+    """Raise ValueError for a manifest with a name that cannot be a component of a path."""
     # Scans are copied around and come from strangers, too: a name must not lead out of the scan's folder, nor out of
-    # one that is named after the scan.
+    # a folder that is named after the scan.
     component(manifest.scan_id, "scan_id")
     for file_name in manifest.files:
         if not is_component(file_name) or file_name == MANIFEST_FILE:
@@ -203,13 +218,15 @@ AnyManifest = TypeVar("AnyManifest", bound=Manifest)
 
 
 def encode(manifest: Manifest) -> bytes:
-    """Return the file's bytes. Raises TypeError for a value JSON cannot hold; NaN and infinity become null: not
-    known."""
+    """Return the file's bytes, with null for NaN and infinity.
+
+    Raises TypeError for a value that JSON cannot hold.
+    """
     return MANIFEST.encode(with_known_times(manifest))
 
 
 def with_known_times(manifest: AnyManifest) -> AnyManifest:
-    """Return the manifest without times that are not known: they have no null in the schema."""
+    """Return the manifest without unknown times, since the schema has no null for them."""
     times_s = {name: s for name, s in manifest.record.stage_times_s.items() if math.isfinite(s)}
     return replace(manifest, record=replace(manifest.record, stage_times_s=times_s))
 
@@ -217,9 +234,9 @@ def with_known_times(manifest: AnyManifest) -> AnyManifest:
 def read(folder: Path) -> Manifest:
     """Return the manifest of a scan's folder. Raises ContentError."""
     path = folder / MANIFEST_FILE
-    found = MANIFEST.load(path, name=str(path))
-    if found is not None:
-        return found
+    manifest = MANIFEST.load(path, name=str(path))
+    if manifest is not None:
+        return manifest
     if (folder / INCOMPLETE_MANIFEST_FILE).exists():
         raise ContentError(
             str(folder),

@@ -1,13 +1,12 @@
-"""Owns which names become part of a path, wherever they come from: a manifest, an object, an archive, another root,
-another computer.
+"""Names that become part of a path, and the number of the next scan.
 
-What lies on a disk was not always written by this program. So a name is looked at where it is read, before anybody
-joins it to a folder: it is one component, neither hidden nor read as an option by other programs, and a folder of every
-file system can be called so.
+Names come from manifests, objects, archives, other storage roots and other computers, and are not always written by
+this program. So a name is checked where it is read, before it is joined to a folder: it is one component, neither
+hidden nor read as an option by other programs, and valid on every file system.
 
-It also owns the number of the next scan: it never repeats, not even when its file or the newest scans are gone.
-
-The file and the folders vote; the higher wins. The clock has no part in it."""
+The number of the next scan never repeats, not even when its file or the newest scans are gone: it is the higher of the
+file's and that after the folders'. The clock has no part in it.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +31,9 @@ def spell_id(number: int) -> str:
 
 
 def take_number(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
-    """Return a number that was never taken; durably gone on return. Raises StorageError."""
-    # The file alone would do; the folders' numbers are looked at, too, in case the file is lost or damaged. A number
-    # that was taken for a scan that failed is only in the file.
+    """Return a number that was never used; on return this is durable. Raises StorageError."""
+    # The file alone would do; the folders' numbers count in case it is lost or damaged. The number of a scan that
+    # failed is only in the file.
     number = max(1, _stored(root / NUMBER_FILE), max(used, default=0) + 1)
     if number > LARGEST_NUMBER:
         raise StorageError(
@@ -52,12 +51,12 @@ def _line(next_number: int) -> bytes:
 def _stored(path: Path) -> int:
     """Return the next number by the file; 1 when the file is missing or damaged."""
     try:
-        found = _LINE.fullmatch(path.read_bytes())
+        match = _LINE.fullmatch(path.read_bytes())
     except OSError:
         return 1
-    if found is None or int(found[2], 16) != zlib.crc32(found[1]):
+    if match is None or int(match[2], 16) != zlib.crc32(match[1]):
         return 1
-    return int(found[1])
+    return int(match[1])
 
 
 CALIBRATION_FILE, AIR_FILE = Path("calibration", "current.json"), Path("calibration", "air.json")
@@ -67,16 +66,16 @@ OBJECTS = "objects"
 MOST_CHARACTERS, MOST_BYTES = 100, 200
 """Longest name: file systems take 255 bytes, of which our own endings and drafts need some."""
 _RESERVED = frozenset('/\\:*?"<>|')
-"""Separators here and elsewhere, and what Windows refuses."""
+"""Path separators, and characters that Windows refuses."""
 _SCAN_FOLDER = re.compile(r"([0-9]{6,12})(-[0-9]{1,9})?")
 _OBJECT = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
 _KEPT = re.compile(r"[0-9]{4,9}-[A-Za-z0-9_-]{1,40}\.json")
 
 
 def component(name: str, what: str) -> str:
-    """Return ``name``, which is one component of a path.
+    """Return ``name`` if it is one component of a path, else raise ValueError.
 
-    ``what`` it is the name of is for the message. Raises ValueError.
+    ``what`` it is the name of is for the message.
     """
     if not is_component(name):
         raise ValueError(
@@ -107,12 +106,12 @@ def scan_number(folder: str) -> str | None:
 
     The ending of ``000007-2`` tells apart two of one number.
     """
-    found = _SCAN_FOLDER.fullmatch(folder)
-    return None if found is None else found[1]
+    match = _SCAN_FOLDER.fullmatch(folder)
+    return None if match is None else match[1]
 
 
 def by_number(folder: str) -> tuple[float, str]:
-    """Return what orders names of scans as they were taken, 1000000 after 999999; a name of another form comes last."""
+    """Return the sort key of a scan's name: 1000000 comes after 999999, names of another form last."""
     number = scan_number(folder)
     return (math.inf if number is None else int(number)), folder
 
@@ -123,5 +122,5 @@ def is_object(name: str) -> bool:
 
 
 def is_kept_calibration(name: str) -> bool:
-    """Return True if ``name`` is that of a kept calibration, and of nothing outside its folder."""
+    """Return True if ``name`` is the file name of a kept calibration, without any folder."""
     return _KEPT.fullmatch(name) is not None

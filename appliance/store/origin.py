@@ -1,5 +1,4 @@
-"""Owns what a scan was taken with: every scan carries its calibration and its rig file; another one is refused where it
-does not fit."""
+"""Calibration and rig file with which a stored scan is reconstructed: its own, or others that fit it."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from appliance.store.config import ConfigError, Rig, parse_rig
 from appliance.store.instrument import load_calibration
 from appliance.store.names import CALIBRATION_FILE
 from appliance.store.scan import CALIBRATION, RIG_FILE, ScanError, StoredScan
-from appliance.store.wish import Wish, root_of
+from appliance.store.wish import ScanOptions, root_of
 
 if TYPE_CHECKING:
     from appliance.store.config import Rig
@@ -39,10 +38,12 @@ class SourceScan:
         return self.root or self.rig.storage.root
 
     @classmethod
-    def open(cls, folder: Path, wish: Wish, scan: StoredScan | None = None, *, whole: bool = False) -> SourceScan:
+    def open(
+        cls, folder: Path, wish: ScanOptions, scan: StoredScan | None = None, *, whole: bool = False
+    ) -> SourceScan:
         """Open a scan and the rig it was taken with: ``--rig``, else its own.
 
-        ``scan``: what was opened of it already. ``whole``: every byte of its frames is compared with its checksum
+        ``scan``: the scan if it is open already. ``whole``: every byte of its frames is compared with its checksum
         first. Raises ScanError, also for a rig file that is damaged or whose cameras are of another size.
         """
         if whole:
@@ -65,61 +66,63 @@ class SourceScan:
             raise ScanError(f"{folder / RIG_FILE}: {error}; {remedy}") from error
 
     @staticmethod
-    def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
+    def instrument_of(scans: Sequence[SourceScan], wish: ScanOptions) -> Rig:
         """Return the instrument that all ``scans`` (one or more) are of, with its storage root.
 
         Raises ScanError for scans of several instruments.
         """
         rig = wish.rig or scans[0].rig
-        for one in scans:
-            # Not `rig_hash`: exposure and folders may differ from scan to scan, cameras and raster may not.
-            if one.rig.optical_hash != rig.optical_hash:
+        for source in scans:
+            # Not `rig_hash`: exposures and folders may differ between scans, cameras and raster may not.
+            if source.rig.optical_hash != rig.optical_hash:
                 raise ScanError(
-                    f"{one.scan.folder}: is of {_cameras(one.rig)}, not of {_cameras(rig)} as the others; "
+                    f"{source.scan.folder}: is of {_cameras(source.rig)}, not of {_cameras(rig)} as the others; "
                     "take scans of one instrument"
                 )
-        root = wish.root or next((one.root for one in scans if one.root is not None), None)
+        root = wish.root or next((source.root for source in scans if source.root is not None), None)
         return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
 
-    def calibration_for(self, wish: Wish) -> Chosen:
-        """Return the calibration for a self: the one asked for, else its own.
+    def calibration_for(self, wish: ScanOptions) -> ChosenCalibration:
+        """Return the calibration for this scan: the one in the options, else its own.
 
-        Raises CalibrationError for one that is missing or does not fit; the text says what to do.
+        Raises CalibrationError for one that is missing or does not fit; the text has the remedy.
         """
         if wish.calibration is not None:
-            chosen = Chosen(load_calibration(wish.calibration), f"--calibration {wish.calibration}")
+            chosen = ChosenCalibration(load_calibration(wish.calibration), f"--calibration {wish.calibration}")
         elif wish.current:
             path = self.storage_root / CALIBRATION_FILE
-            chosen = Chosen(load_calibration(path), str(path))
+            chosen = ChosenCalibration(load_calibration(path), str(path))
         else:
             chosen = _of_the_scan(self.scan)
         self.refuse_misfit(chosen.calibration, chosen.whose, foreign=wish.foreign)
         return chosen
 
     @staticmethod
-    def one_calibration(scans: Sequence[SourceScan], wish: Wish) -> Chosen:
-        """Return the calibration for several scans at once. Raises CalibrationError also where they were taken with
-        different ones."""
+    def one_calibration(scans: Sequence[SourceScan], wish: ScanOptions) -> ChosenCalibration:
+        """Return one calibration for several scans. Raises CalibrationError also where their own ones differ."""
         chosen = [scan.calibration_for(wish) for scan in scans]
-        other = next((k for k, one in enumerate(chosen) if one.calibration != chosen[0].calibration), None)
-        if other is None:
+        k_other = next((k for k, choice in enumerate(chosen) if choice.calibration != chosen[0].calibration), None)
+        if k_other is None:
             return chosen[0]
-        first, second = (chosen[k].calibration for k in (0, other))
+        first, second = (chosen[k].calibration for k in (0, k_other))
         raise CalibrationError(
             f"{scans[0].scan.folder} was taken with calibration {first.hash[:SHOWN_DIGITS]} of {first.made_at}, "
-            f"{scans[other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose one for all with "
+            f"{scans[k_other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose one for all with "
             "--calibration FILE, or the instrument's with --current"
         )
 
     def refuse_misfit(self, calibration: Calibration, whose: str, *, foreign: bool, start: bool = False) -> None:
-        """Raises CalibrationError where ``misfit`` has a reason. ``whose``: where the calibration is from, in words."""
+        """Raise CalibrationError where ``misfit`` returns a reason.
+
+        ``whose``: the source of the calibration, in words.
+        """
         problem = misfit(calibration, self, foreign=foreign, start=start)
         if problem is not None:
             raise CalibrationError(f"{whose}: {problem} ({self.scan.folder})")
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class ChosenCalibration:
     """The calibration a scan is reconstructed with."""
 
     calibration: Calibration
@@ -128,10 +131,10 @@ class Chosen:
 
 
 def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False, start: bool = False) -> str | None:
-    """Return why a scan cannot be measured with a calibration, and what to do; ``None`` where it can.
+    """Return the reason why a scan cannot be measured with a calibration, and the remedy, or ``None``.
 
     The images must have its size. Instrument and cameras must be those of the rig file too, unless ``foreign``.
-    ``start``: it is what a calibration begins with.
+    ``start``: the calibration is only the start of another one.
     """
     remedy = "give the one of the instrument that recorded it with --calibration FILE"
     for side in SIDES:
@@ -146,10 +149,10 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
     # The very calibration that the scan was taken with fits it by definition, whatever serial numbers say.
     if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
         return None
-    other = owner_misfit(calibration, _owner(scan))
-    if other is None:
+    mismatch = owner_misfit(calibration, _owner(scan))
+    if mismatch is None:
         return None
-    return f"{other.reason}; {remedy}" + ("" if start else f", or use it all the same with {FOREIGN_OPTION}")
+    return f"{mismatch.reason}; {remedy}" + ("" if start else f", or use it all the same with {FOREIGN_OPTION}")
 
 
 def _owner(scan: SourceScan) -> Owner:
@@ -160,7 +163,7 @@ def _owner(scan: SourceScan) -> Owner:
     return Owner(scan.rig.rig.serial, sizes_px, (camera.left.serial, camera.right.serial))
 
 
-def _of_the_scan(scan: StoredScan) -> Chosen:
+def _of_the_scan(scan: StoredScan) -> ChosenCalibration:
     path = scan.folder / CALIBRATION
     problem = scan.problem_of(CALIBRATION)
     if problem is not None:
@@ -169,7 +172,7 @@ def _of_the_scan(scan: StoredScan) -> Chosen:
             f"{path}: {problem}; the scan's calibration is {named}: give its file with --calibration FILE, or take the "
             "instrument's newest with --current --root PATH"
         )
-    return Chosen(load_calibration(path), "the scan's own")
+    return ChosenCalibration(load_calibration(path), "the scan's own")
 
 
 def _same_size(scan: StoredScan, side: str, size: tuple[int, int], whose: str, option: str) -> None:

@@ -1,19 +1,18 @@
-"""Owns the packed form of a file of frames: every frame a JPEG-LS stream of its own, found and decoded without the
-others.
+"""The packed form of a file of frames: every frame is a JPEG-LS stream of its own.
 
-``frames_left.npy`` becomes ``frames_left.npy.jls``, and its bytes can be had again one for one:
+Each stream is found and decoded without the others. ``frames_left.npy`` becomes ``frames_left.npy.jls``, from which its
+bytes can be restored exactly:
 
     8 bytes     KFPACK1 and a line end
     4 bytes     length of the index, little-endian
-    index       JSON: length and sha256 of the unpacked file, height, width, and of each frame the stream's length, its CRC-32 and
-                that of the pixels
+    index       JSON: length and sha256 of the unpacked file, height, width, and of each frame the stream's length, its
+                CRC-32 and that of the pixels
     header      the unpacked file's own first bytes
     streams     one after another, each a whole JPEG-LS file (ISO/IEC 14495-1), lossless
     32 bytes    sha256 of everything before
 
-Checksums are those of the decoded pixels: the same frames provably give the same points, whatever packed them. The
-codec is ``imagecodecs``, of the desk: an instrument knows the form and has no codec, so that it neither packs nor reads
-what is packed.
+Checksums are those of the decoded pixels, so that equal frames provably give equal points with any encoder. The codec
+is ``imagecodecs``, of the desk: an instrument has none, and neither packs nor reads packed files.
 """
 
 from __future__ import annotations
@@ -41,22 +40,22 @@ _MOST_INDEX_BYTES = 1024 * 1024
 _MOST_FRAMES, _MOST_SIDE_PX, _MOST_HEADER_BYTES = 10_000, 65_535, 4096
 _BLOCK = 4 * 1024 * 1024
 THREADS = 4
-"""Threads that encode and decode at most; the codec lets go of the interpreter."""
+"""Largest number of threads that encode and decode; the codec releases the interpreter lock."""
 
 
 class PackedError(Exception):
-    """A packed file cannot be used; the text says why, without its path."""
+    """Error of a packed file that cannot be used; the text says why, without its path."""
 
 
 @dataclass(frozen=True, slots=True)
-class Packed:
+class PackedFile:
     """The index of one packed file. Reading pixels raises PackedError, OSError, MissingLibraryError."""
 
     path: Path
     stamp: Stamp
     """Length and checksum of the unpacked file."""
     header: bytes
-    """The unpacked file's first bytes, which say how large its frames are."""
+    """The unpacked file's first bytes, with the size of its frames."""
     height_px: int
     width_px: int
     offsets: tuple[int, ...]
@@ -64,7 +63,7 @@ class Packed:
     crc32: tuple[str, ...]
     """CRC-32 of each frame's pixels, 8 hexadecimal digits."""
     stream_crc32: tuple[str, ...]
-    """The same of each stream."""
+    """CRC-32 of each stream."""
 
     @property
     def count(self) -> int:
@@ -77,12 +76,12 @@ class Packed:
         return self.offsets[-1] + _DIGEST_BYTES
 
     def frame(self, k: int) -> NDArray[np.uint8]:
-        """Return frame ``k`` as (h, w) uint8; nothing else of the file's pixels is read."""
+        """Return frame ``k`` as (h, w) uint8; no other pixels of the file are read."""
         with self.path.open("rb") as file:
             return self._decoded(k, self._stream(file, k))
 
     def frames(self) -> NDArray[np.uint8]:
-        """Return all frames as (n, h, w) uint8, in memory of their own; every one is compared with its CRC-32."""
+        """Return all frames as (n, h, w) uint8, in memory of their own, each compared with its CRC-32."""
         import numpy as np
 
         pixels = np.empty((self.count, self.height_px, self.width_px), np.uint8)
@@ -101,21 +100,21 @@ class Packed:
             yield self.frame(k).reshape(-1).data
 
     def decoded_stamp(self) -> Stamp:
-        """Return length and sha256 of what the file decodes to, whatever its index says of it."""
+        """Return length and sha256 of the decoded bytes; those in the index are not used."""
         digest, length = hashlib.sha256(), 0
         for part in self.parts():
             digest.update(part)
             length += len(memoryview(part).cast("B"))
         return Stamp(length, digest.hexdigest())
 
-    def whole(self) -> bool:
-        """Return True if every byte of the packed file is what was written; nothing is decoded."""
-        digest, left = hashlib.sha256(), self.offsets[-1]
+    def is_undamaged(self) -> bool:
+        """Return True if the packed file's own checksum fits; no frame is decoded."""
+        digest, unread = hashlib.sha256(), self.offsets[-1]
         with self.path.open("rb") as file:
-            while left and (block := file.read(min(left, _BLOCK))):
+            while unread and (block := file.read(min(unread, _BLOCK))):
                 digest.update(block)
-                left -= len(block)
-            return left == 0 and file.read(_DIGEST_BYTES + 1) == digest.digest()
+                unread -= len(block)
+            return unread == 0 and file.read(_DIGEST_BYTES + 1) == digest.digest()
 
     def _stream(self, file: BinaryIO, k: int) -> bytes:
         file.seek(self.offsets[k])
@@ -123,16 +122,16 @@ class Packed:
 
     def _decoded(self, k: int, stream: bytes) -> NDArray[np.uint8]:
         codec = _codec(self.path.name)
-        # The codec believes a stream's own head, and would take gigabytes and minutes for a damaged one.
+        # The codec trusts a stream's own header, and would take gigabytes and minutes for a damaged one.
         if _crc32(stream) != self.stream_crc32[k]:
             raise PackedError(f"frame {k} is damaged (its checksum does not fit)")
         try:
             pixels: NDArray[np.uint8] = codec.jpegls_decode(stream)
         except (
             Exception
-        ) as error:  # the codec has an error type of its own, and others for what it cannot even begin with
+        ) as error:  # the codec has its own error type, and raises others for streams that it cannot begin
             raise PackedError(f"frame {k} cannot be decoded ({error})") from error
-        # A damaged stream may decode to something: of another size, or to other pixels.
+        # A damaged stream may decode to an image of another size, or to other pixels.
         if pixels.dtype != "uint8" or pixels.shape != (self.height_px, self.width_px):
             raise PackedError(f"frame {k} is {pixels.dtype} {pixels.shape}")
         if _crc32(pixels.reshape(-1).data) != self.crc32[k]:
@@ -141,15 +140,15 @@ class Packed:
 
 
 def packed_path(path: Path) -> Path:
-    """Return where the packed form of a file of frames lies."""
+    """Return the path of the packed form of a file of frames."""
     return path.with_name(path.name + SUFFIX)
 
 
 def pack(header: bytes, frames: NDArray[np.uint8], stamp: Stamp, name: str) -> Sequence[Bytes]:
-    """Return the parts of the packed file of ``frames`` (n, h, w) uint8, whose unpacked file begins with ``header``.
+    """Return the parts of the packed file of ``frames`` (n, h, w) uint8.
 
-    ``stamp``: the unpacked file's; ``name``: for messages. Takes memory for the packed frames. Raises
-    MissingLibraryError.
+    ``header``: the unpacked file's first bytes; ``stamp``: its length and checksum; ``name``: for messages. Takes
+    memory for the packed frames. Raises MissingLibraryError.
     """
     codec = _codec(name)
     with ThreadPoolExecutor(THREADS) as pool:
@@ -173,7 +172,7 @@ def pack(header: bytes, frames: NDArray[np.uint8], stamp: Stamp, name: str) -> S
     return head, *streams, digest.digest()
 
 
-def read_index(path: Path) -> Packed:
+def read_index(path: Path) -> PackedFile:
     """Return the index of a packed file, every number of it checked. Raises PackedError, OSError."""
     with path.open("rb") as file:
         start = file.read(len(_MAGIC) + 4)
@@ -190,7 +189,7 @@ def read_index(path: Path) -> Packed:
             raise PackedError("its index is damaged") from error
 
 
-def _index(path: Path, content: dict[str, Any], at: int, file: BinaryIO) -> Packed:
+def _index(path: Path, content: dict[str, Any], start: int, file: BinaryIO) -> PackedFile:
     streams, sums, stream_sums = content["streams"], content["crc32"], content["stream_crc32"]
     height, width = _whole(content["height_px"], _MOST_SIDE_PX), _whole(content["width_px"], _MOST_SIDE_PX)
     header = file.read(_whole(content["header_bytes"], _MOST_HEADER_BYTES))
@@ -201,28 +200,27 @@ def _index(path: Path, content: dict[str, Any], at: int, file: BinaryIO) -> Pack
         or not isinstance(content["sha256"], str)
     ):
         raise ValueError("another number of streams than of checksums")
-    # What is unpacked must be as long as its own header and frames: nothing is allocated on the word of a damaged
-    # index.
+    # The unpacked length must fit header and frames, so that no memory is allocated because of a damaged index.
     if length != len(header) + len(streams) * height * width or not all(
-        isinstance(one, str) for one in (*sums, *stream_sums)
+        isinstance(checksum, str) for checksum in (*sums, *stream_sums)
     ):
         raise ValueError("lengths that do not fit each other")
-    offsets = [at + len(header)]
-    for one in streams:
-        offsets.append(offsets[-1] + _whole(one, 2 * height * width + 4096))
-    return Packed(
+    offsets = [start + len(header)]
+    for checksum in streams:
+        offsets.append(offsets[-1] + _whole(checksum, 2 * height * width + 4096))
+    return PackedFile(
         path, Stamp(length, content["sha256"]), header, height, width, tuple(offsets), tuple(sums), tuple(stream_sums)
     )
 
 
-def _whole(value: object, most: int) -> int:
-    if not isinstance(value, int) or not 0 < value <= most:
-        raise ValueError(f"{value!r:.20} is not a number from 1 to {most}")
+def _whole(value: object, limit: int) -> int:
+    if not isinstance(value, int) or not 0 < value <= limit:
+        raise ValueError(f"{value!r:.20} is not a number from 1 to {limit}")
     return value
 
 
 def stamp_of(path: Path) -> Stamp:
-    """Return length and sha256 of the frames at ``path`` as they decode now: of the file itself, or of its packed form.
+    """Return length and sha256 of the frames at ``path`` as they decode now, packed or not.
 
     Raises PackedError, OSError, MissingLibraryError.
     """

@@ -1,4 +1,4 @@
-"""Owns the cloud on disk: binary little-endian PLY, mm, left camera frame, 25 bytes a point.
+"""The file of a point cloud: binary little-endian PLY, mm, left camera frame, 25 bytes a point.
 
 The header is the same for every cloud but for the number of points and the CRC-32 of the body, so that a reader
 recognises any damage. Source: G. Turk, "The PLY Polygon File Format" (1994).
@@ -48,18 +48,18 @@ property float sigma
 end_header
 """
 _REMARK = re.compile(rb"comment salvaged: ([ -~]{1,2000})\n")
-"""Header line that says what is wrong with the cloud as a whole; only where something is."""
+"""Header line of a cloud that was salvaged, with the damage."""
 _UNCHECKED = re.compile(rb"comment unchecked: ([ -~]{1,2000})\n")
-"""Header line of a cloud whose points nothing has checked, and why."""
+"""Header line of a cloud whose points are unchecked, with the reason."""
 _NUMBERS = re.compile(rb"comment body crc32 ([0-9a-f]{8})\nelement vertex (\d{1,10})\n")
 
 
 class PlyError(Exception):
-    """The file is not a whole cloud of this instrument; the text says which file and why."""
+    """Error of a file that is no undamaged cloud of this instrument; the text says which file and why."""
 
 
 class PointCloud(Protocol):
-    """A cloud that can be written: arrays of the same length n (``appliance.measure.points`` makes such clouds)."""
+    """A cloud that can be written, such as those of ``appliance.measure.points``: arrays of equal length."""
 
     @property
     def points_mm(self) -> NDArray[np.float32]: ...
@@ -83,9 +83,9 @@ class StoredCloud:
     ray_gap_mm: NDArray[np.float32]
     sigma_mm: NDArray[np.float32]
     salvaged: str | None = None
-    """Made of damaged frames: what was lost. Such a cloud may be looked at and measures nothing."""
+    """The damage of the frames it was made of. Such a cloud is for looking at, not for measuring."""
     unchecked: str | None = None
-    """Made of one direction: why nothing has checked its points. Such a cloud, too, measures nothing."""
+    """The reason why points of one direction are unchecked. Such a cloud is not for measuring either."""
 
 
 def encode_ply(cloud: PointCloud, salvaged: str | None = None, unchecked: str | None = None) -> tuple[bytes, Bytes]:
@@ -124,28 +124,28 @@ def encode_ply(cloud: PointCloud, salvaged: str | None = None, unchecked: str | 
 
 
 def _header(crc: int, points: int, salvaged: str | None, unchecked: str | None) -> bytes:
-    # The header is ASCII by the format's definition; names of files may hold anything.
-    said = {"salvaged": salvaged, "unchecked": unchecked}
-    plain = {name: (words or "").encode("ascii", "replace").decode("ascii")[:2000] for name, words in said.items()}
-    remark = "".join(f"comment {name}: {words}\n" for name, words in plain.items() if words)
+    # The header is ASCII by the format's definition; names of files may have any characters.
+    remarks = {"salvaged": salvaged, "unchecked": unchecked}
+    plain = {name: (text or "").encode("ascii", "replace").decode("ascii")[:2000] for name, text in remarks.items()}
+    remark = "".join(f"comment {name}: {text}\n" for name, text in plain.items() if text)
     return _HEADER.format(crc=crc, points=points, remark=remark).encode("ascii")
 
 
 def read_ply(path: Path) -> StoredCloud:
-    """Read a cloud that ``encode_ply`` made. Raises PlyError for anything else, however little is wrong with it."""
+    """Read a cloud that ``encode_ply`` made. Raises PlyError for any other or damaged file."""
     try:
         raw = path.read_bytes()
     except OSError as error:
         raise PlyError(f"{path}: {error.strerror or error}") from error
-    # Only the head is searched: the same words may occur among the points.
+    # Only the first bytes are searched: the same text may occur among the points.
     numbers = _NUMBERS.search(raw[:8192])
     if numbers is None:
         raise PlyError(f"{path}: not a cloud of this instrument (no checksum and point count in its header)")
     crc, n = int(numbers[1], 16), int(numbers[2])
-    found = (pattern.search(raw[:8192]) for pattern in (_REMARK, _UNCHECKED))
-    salvaged, unchecked = (None if one is None else one[1].decode("ascii") for one in found)
+    matches = (pattern.search(raw[:8192]) for pattern in (_REMARK, _UNCHECKED))
+    salvaged, unchecked = (None if match is None else match[1].decode("ascii") for match in matches)
     header = _header(crc, n, salvaged, unchecked)
-    # The header is made anew and compared: whatever is wrong with any byte of it is noticed.
+    # The header is made anew and compared, so that damage to any of its bytes is noticed.
     if not raw.startswith(header):
         raise PlyError(f"{path}: damaged header")
     body = memoryview(raw)[len(header) :]

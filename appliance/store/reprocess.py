@@ -1,9 +1,4 @@
-"""Owns a stored scan run through the instrument's procedure once more: its clouds, its judgements, and why it may have
-no points.
-
-It also owns why a reconstruction leaves no points, or nearly none: what was recorded, or the calibration that does not
-fit it.
-"""
+"""Reprocessing of a stored scan, and the reason why its cloud has (nearly) no points."""
 
 from __future__ import annotations
 
@@ -40,51 +35,53 @@ from appliance.measure import (
 from appliance.store import scan as stored
 
 LEAST_SHARE = 0.05
-"""Least share of the left pixels that were decoded which become points.
+"""Smallest share of the decoded left pixels that must become points.
 
-A calibration that fits leaves more than half of them even in turbid water. One that does not makes the rays of a point
-miss each other by millimetres; where that amount changes sign across the picture, a band of a few hundredths of the
-pixels passes by chance.
+With the right calibration more than half of them do even in turbid water. With a wrong one the ray gaps are
+millimetres; where the gap changes sign across the image, a band of a few hundredths of the pixels passes by chance.
 """
 LEAST_DECODED_SHARE = 0.001
-"""Least share of the left picture that is decoded: fewer pixels show nothing that could be measured."""
+"""Smallest share of the left image that must be decoded: fewer pixels show no surface that could be measured."""
 SAMPLED_PIXELS = 5_000
 
 
 @dataclass(frozen=True, slots=True)
-class Empty:
+class EmptyCloud:
     """Reason why a cloud has (nearly) no points."""
 
     reason: str
-    """The reason in words, with what to do."""
+    """The reason in words, with the remedy."""
     by_calibration: bool
-    """The frames are good; another calibration would find points in them."""
+    """True if the frames are good and another calibration would make points of them."""
 
 
-def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement]) -> Empty | None:
-    """Return why ``cloud`` has (nearly) no points, and what to do; ``None`` where it has some that mean something.
+def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement]) -> EmptyCloud | None:
+    """Return the reason why ``cloud`` has (nearly) no points, with the remedy.
 
-    ``pipeline`` still holds the decoded scan. Few points whose rays meet are points: of a small or hardly lit thing.
+    ``None`` where it has enough. ``pipeline`` still holds the decoded scan. Few points whose rays meet count: they are
+    of a small or hardly lit object.
     """
     mask = pipeline.decoded("left").mask
     decoded, points = int(np.count_nonzero(mask == Mask.VALID)), cloud.summary.points
     if points > LEAST_SHARE * decoded:
         return None
-    # The order of blame: nothing was seen; frames of other patterns, in which no rays can meet; rays that do not meet
-    # (the calibration); points that meet and were masked.
+    # Causes in their order: no surface was seen; frames of other patterns, in which no rays can meet; rays that do not
+    # meet (the calibration); points that meet and were masked.
     if decoded < LEAST_DECODED_SHARE * mask.size:
-        return Empty(
+        return EmptyCloud(
             f"shows no pattern on anything: {decoded} of {mask.size} pixels of the left camera could be decoded"
             f"{_faults_in_words(judgements)}; scan again, nearer or in clearer water",
             by_calibration=False,
         )
     stride = max(1, round((mask.size / SAMPLED_PIXELS) ** 0.5))
     gaps_mm = pipeline.sample(stride).ray_gap_mm
-    # With the instrument's limit, not with the caller's: evaluations ask for points with wide gaps on purpose.
+    # With the instrument's limit, not with the caller's: evaluations set wider limits on purpose.
     meet = stride**2 * int(np.count_nonzero(gaps_mm <= QualityLimits().max_gap_mm)) > LEAST_SHARE * decoded
-    wrong_frames = any(one.verdict.name == IDENTITY and one.verdict.passed is False for one in judgements)
+    wrong_frames = any(
+        judgement.verdict.name == IDENTITY and judgement.verdict.passed is False for judgement in judgements
+    )
     if not meet and not wrong_frames:
-        return Empty(
+        return EmptyCloud(
             f"{points} points are left of {decoded} decoded pixels: the rays of both cameras do not meet, so this "
             "calibration is "
             "not that of the instrument as it was then; give the right one with --calibration FILE",
@@ -93,7 +90,7 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     if points and meet:
         return None
     where = "" if wrong_frames else ", nearer or in clearer water"
-    return Empty(
+    return EmptyCloud(
         f"{points or 'no'} points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; scan "
         f"again{where}",
         by_calibration=False,
@@ -107,7 +104,7 @@ def _faults_in_words(judgements: Sequence[Judgement]) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReprocessedScan:
-    """A stored scan after everything the instrument does with one."""
+    """A stored scan after all steps of the instrument's procedure."""
 
     pipeline: Pipeline
     """Closed; it keeps the decoded maps of both cameras, of the second exposure where there are two."""
@@ -115,17 +112,17 @@ class ReprocessedScan:
     water: Water
     """Water in which it was reconstructed."""
     judgements: tuple[Judgement, ...]
-    """Those of the first exposure, of the second, and ``bracket``."""
-    empty: Empty | None = None
-    """Reason why there are (nearly) no points, and what to do; ``None`` where there are some."""
+    """Judgements of the first exposure, of the second, and of ``bracket``."""
+    empty: EmptyCloud | None = None
+    """Reason why there are (nearly) no points, with the remedy; ``None`` where there are enough."""
     bracket: Verdict | None = None
     """Verdict on two exposures as one cloud; ``None``: there is one."""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """The faults that are held against the scan."""
-        found = tuple(judgement.fault for judgement in self.judgements if judgement.fault is not None)
-        return found if self.bracket is None else faults_of_both(found)
+        """The faults of the scan as the instrument shows them."""
+        all_faults = tuple(judgement.fault for judgement in self.judgements if judgement.fault is not None)
+        return all_faults if self.bracket is None else faults_of_both(all_faults)
 
     @property
     def grade(self) -> Grade:
@@ -137,9 +134,9 @@ class ReprocessedScan:
 
     @property
     def unfit(self) -> Fault | None:
-        """Reason why its decoded maps must not calibrate; ``None`` where they may.
+        """Fault because of which the decoded maps must not calibrate; ``None`` where they may.
 
-        They are those of before any compensation.
+        The maps are those before any compensation.
         """
         return next((fault for fault in self.faults if _spoils_maps(fault)), None)
 
@@ -155,16 +152,16 @@ def reprocess_scan(
     progress: Progress,
     limits: QualityLimits | None = None,
 ) -> ReprocessedScan:
-    """Reconstruct and judge a stored scan with ``calibration``, as the instrument does; of a pair, its first sequence.
+    """Reconstruct and judge a stored scan with ``calibration``, as the instrument does.
 
-    ``settings``: how it was taken (``settings_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are
-    not what they should be give their points all the same: the judgements say so.
+    Of a bracket, its first sequence. ``settings``: those of its capture (``settings_of_scan``). ``limits`` ``None``:
+    those of the instrument. Faulty frames are reconstructed, too: the judgements name the faults.
     """
     water = scan.water(calibration)
     with Pipeline(calibration, water, scan.sequence, limits, noise=settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         full = _work_through(processor, scan.frames, settings, len(pipeline.sequence), progress)
-        # Copied out of the pipeline's table, which the next scan would write over.
+        # A copy, since the next scan overwrites the pipeline's table.
         judgements, cloud = full.judgements, pipeline.table.cloud(full.found)
         return ReprocessedScan(pipeline, cloud, water, judgements, why_empty(pipeline, cloud, judgements))
 
@@ -176,28 +173,28 @@ def reprocess_bracket(
     calibration: Calibration,
     progress: Progress,
 ) -> ReprocessedScan:
-    """Reconstruct and judge ``first`` and the frames of a ``second`` sequence as one, as the instrument does.
+    """Reconstruct and judge both sequences of a bracket as one scan, as the instrument does.
 
-    ``both``: how either was taken. Raises ScanError where frames are not what they should be, or both do not show the
-    same.
+    ``second``: frames by side. ``both``: the settings of either capture. Raises ScanError where frames are faulty, or
+    the sequences do not show the same scene.
     """
     water = first.water(calibration)
     with Pipeline(calibration, water, first.sequence, noise=both[0].noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         judgements: list[Judgement] = []
-        held: list[ProcessedSequence] = []
+        first_results: list[ProcessedSequence] = []
         for name, frames, settings in (("first", first.frames, both[0]), ("second", second, both[1])):
             judged = _work_through(processor, frames, settings, len(pipeline.sequence), progress).judgements
-            # The identity of the patterns comes first in what was said.
+            # The judgement on the identity of the patterns comes first.
             spoiled = judged[0].fault
             if spoiled is not None:
                 raise stored.ScanError(f"{name} sequence: {spoiled.code.value}: {spoiled.detail}")
             judgements += judged
-            if not held:
-                # The pipeline keeps one sequence only: the first is copied out before the second is pushed over it.
-                held.append(processor.hold())
+            if not first_results:
+                # The pipeline keeps one sequence only: the first one is copied before the second overwrites it.
+                first_results.append(processor.hold())
         progress("merging")
-        merged = processor.merge_with(held[0])
+        merged = processor.merge_with(first_results[0])
         verdict = merged.pair.verdict
         if merged.found is None:
             raise stored.ScanError(
@@ -215,8 +212,10 @@ def _work_through(
     count: int,
     progress: Progress,
 ) -> FullCloud:
-    """Take every step with one stored sequence of ``count`` frames, also where it shows wrong patterns; return the last
-    one."""
+    """Run every step of the procedure on one stored sequence of ``count`` frames, and return the last one.
+
+    Wrong patterns do not end it.
+    """
     progress("loading")
     processor.begin(settings)
     for index in processor.push_all(frames):

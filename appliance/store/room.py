@@ -1,13 +1,11 @@
-"""Owns the space that is allocated on the disk before it is needed: what was recorded can be written whatever else
-fills it.
+"""Reserved space on the disk: it is allocated before a scan, which can then be written to a full disk.
 
     <root>/room/frames-left      as long as one camera's frames; becomes frames_left.npy, block by block the same file
-    <root>/room/...              one for each file that a scan's way to the shelf makes, and its folder
+    <root>/room/...              one for each file that publishing a scan makes, and its folder
     <root>/room/slack            for a folder that grows by a block: given up at the first refusal for want of space
 
-A file that is written into allocated blocks cannot be refused for want of space. So ``create`` hands out such a file
-under the new name instead of an empty one; it is cut to what was written when it is synced. Nothing in the room is ever
-read.
+Writing into allocated blocks cannot fail for want of space. So ``create`` returns such a file under the new name
+instead of an empty one; its sync cuts it to the written length. Files in the room are never read.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ FOLDER = "room"
 _SPARE = "folder"
 _SLACK = "slack"
 _CANNOT = (errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
-"""Error numbers with which a file system says that it allocates nothing beforehand."""
+"""Error numbers of a file system that cannot allocate space beforehand."""
 
 PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -54,7 +52,7 @@ PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         draft_of(Path(NUMBER)).name: ("number",),
     }
 )
-"""Pieces of the room that may become a file, by the name of that file."""
+"""Reserved files that may become a file, by the name of that file."""
 
 SMALL = MappingProxyType(
     {
@@ -67,26 +65,25 @@ SMALL = MappingProxyType(
         _SLACK: 500_000,
     }
 )
-"""Sizes in bytes of the pieces that do not depend on the sequence."""
+"""Sizes in bytes of the reserved files that do not depend on the sequence."""
 
 Answer = TypeVar("Answer")
 
 
 class Room(FileSystem):
-    """A file system whose new files are made of what is allocated, as far as that goes. One thread at a time."""
+    """A file system whose new files are made of reserved space as far as possible. One thread at a time."""
 
     def __init__(self, root: Path, fs: LocalFileSystem) -> None:
-        """Remember where the room is; nothing is allocated before ``hold``."""
+        """Set the folder of the reserved space; it is allocated by ``hold``."""
         self._folder = root / FOLDER
         self._fs = fs
         self.allocates = True
-        """True until this file system refuses to allocate; where it does, space is only counted."""
+        """True until this file system refuses to allocate; from then on free space is only counted."""
 
     def hold(self, lengths: Mapping[str, int]) -> None:
-        """Allocate what is missing of ``lengths`` (by name, in bytes). What is there, also from an earlier start,
-        stays.
+        """Allocate the missing files of ``lengths`` (by name, in bytes); existing ones are kept.
 
-        Raises StorageError, with the cause; what was allocated until then is kept.
+        Raises StorageError, with the cause; files that were allocated until then are kept.
         """
         with StorageError.naming("cannot allocate space in", self._folder):
             if not self._folder.is_dir():
@@ -94,20 +91,19 @@ class Room(FileSystem):
             if not (self._folder / _SPARE).is_dir():
                 self._fs.make_folder(self._folder / _SPARE)
             for name, length in lengths.items():
-                # Pieces are whole or made anew; one that was allocated for a shorter sequence would fail in the middle
-                # of a scan.
+                # A shorter one is made anew: allocated for a shorter sequence, it would fail in the middle of a scan.
                 if self.allocates and _allocated(self._folder / name) < length:
                     self._allocate(self._folder / name, length)
 
     def _allocate(self, path: Path, length: int) -> None:
-        if path.exists():  # of a shorter sequence, or what a loss of power left of it
+        if path.exists():  # of a shorter sequence, or from before a loss of power
             self._fs.remove(path)
         try:
             self._fs.allocate(path, length)
         except OSError as error:
             if path.exists():
                 self._fs.remove(path)
-            # A full disk is an error, a file system that cannot allocate is not: counting what is free has to do there.
+            # A full disk is an error. A file system that cannot allocate is not: there, free space is counted.
             if error.errno not in _CANNOT:
                 raise
             self.allocates = False
@@ -126,19 +122,19 @@ class Room(FileSystem):
 
     def make_folder(self, path: Path) -> None:
         """Make a folder of the spare one, or a new one."""
-        if not self._became(_SPARE, path):
-            self._unhindered(lambda: self._fs.make_folder(path))
+        if not self._rename_reserved(_SPARE, path):
+            self._with_slack(lambda: self._fs.make_folder(path))
 
     def create(self, path: Path) -> WritableFile:
-        """Create a file of the room where that has something for this name, otherwise an empty one."""
+        """Create a file of reserved space where there is some for this name, otherwise an empty one."""
         for name in PLACES.get(path.name, ()):
-            if self._became(name, path):
+            if self._rename_reserved(name, path):
                 return self._fs.reopen(path)
-        return self._unhindered(lambda: self._fs.create(path))
+        return self._with_slack(lambda: self._fs.create(path))
 
     def rename(self, source: Path, target: Path) -> None:
         """Rename like the file system."""
-        self._unhindered(lambda: self._fs.rename(source, target))
+        self._with_slack(lambda: self._fs.rename(source, target))
 
     def sync_folder(self, path: Path) -> None:
         """Sync a folder like the file system."""
@@ -149,42 +145,43 @@ class Room(FileSystem):
         self._fs.remove(path)
 
     def free_bytes(self, path: Path) -> int:
-        """Return the free space and what the room holds: both are for scans."""
+        """Return the free and the reserved space: both are for scans."""
         return self._fs.free_bytes(path) + self.held_bytes
 
-    def _became(self, name: str, path: Path) -> bool:
-        """Tell whether the room had ``name`` and it is ``path`` now."""
+    def _rename_reserved(self, name: str, path: Path) -> bool:
+        """Rename the reserved file ``name`` to ``path``, and return True if it existed."""
         piece = self._folder / name
-        # An existing name would be replaced by the rename, and with it what is stored there.
+        # The rename would replace an existing file and lose its content.
         if path.exists() or not _unused(piece):
             return False
-        self._unhindered(lambda: self._fs.rename(piece, path))
+        self._with_slack(lambda: self._fs.rename(piece, path))
         return True
 
-    def _unhindered(self, call: Callable[[], Answer]) -> Answer:
-        """Make the ``call``; once more without the slack, if a folder had to grow and could not."""
+    def _with_slack(self, call: Callable[[], Answer]) -> Answer:
+        """Make the ``call``; repeat it without the slack if a folder could not grow on the full disk."""
         try:
             return call()
         except OSError as error:
             slack = self._folder / _SLACK
             if error.errno != errno.ENOSPC or not slack.exists():
                 raise
-            # A folder that gets one name too many grows by a block, and a full disk has none: the slack is there for
-            # this block.
+            # A folder that gets one name too many grows by a block, and a full disk has none: the slack gives it.
             self._fs.remove(slack)
             return call()
 
     @staticmethod
     def plan(frames: int, width_px: int, height_px: int) -> dict[str, int]:
-        """Return lengths in bytes of what one scan needs: its frames for each camera, and at most a point for every
-        left pixel."""
+        """Return the lengths in bytes of a scan's files; the cloud's is a point for every left pixel."""
         each, cloud = frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px)
         return {**{f"frames-{side}": each for side in SIDES}, "cloud": cloud, **SMALL}
 
 
 def _unused(piece: Path) -> bool:
-    """Tell whether a piece is there and belongs to the room alone. A loss of power between the two halves of a rename
-    may leave it under both names: what is written to it then would be written into a stored scan."""
+    """Return True if a reserved file exists and has no second name.
+
+    A loss of power between the two halves of a rename may leave it under both names: writing to it would then overwrite
+    a stored scan.
+    """
     try:
         # Two links to one file are the two halves of an interrupted rename.
         return not any(piece.iterdir()) if piece.is_dir() else piece.stat().st_nlink == 1
@@ -193,10 +190,10 @@ def _unused(piece: Path) -> bool:
 
 
 def _allocated(path: Path) -> int:
-    """Return the bytes of a file that have their place on the disk; -1 where there is none."""
+    """Return the allocated bytes of a file; -1 if it does not exist or has a second name."""
     try:
-        found = path.stat()
+        stat = path.stat()
     except OSError:
         return -1
-    # A sparse file has its length and no room: both must be there.
-    return min(found.st_size, found.st_blocks * 512) if found.st_nlink == 1 else -1
+    # A sparse file has its length but no blocks: both count.
+    return min(stat.st_size, stat.st_blocks * 512) if stat.st_nlink == 1 else -1

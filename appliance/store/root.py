@@ -1,7 +1,6 @@
-"""Owns how a storage root is found where none was named: around the folder in which somebody stands, or in the
-environment.
+"""Finding the storage root where none was named: around the working directory, or in the environment.
 
-Only for what is done with stored scans. An instrument keeps its scans where its rig file says, wherever it is started.
+Only for work on stored scans. An instrument keeps its scans where its rig file says, wherever it is started.
 """
 
 from __future__ import annotations
@@ -19,9 +18,11 @@ _BESIDE = ("calibration", "next-id")
 
 
 def is_root(folder: Path) -> bool:
-    """Return True if ``folder`` is a storage root: ``scans/`` in it, and a scan in that or an instrument's own files
-    beside it."""
-    # `scans` alone may be anybody's folder.
+    """Return True if ``folder`` is a storage root.
+
+    It is if it has a folder ``scans`` with a scan in it or with an instrument's own files beside it.
+    """
+    # A folder `scans` alone may be of any other program.
     scans = folder / _SCANS
     try:
         if any((folder / name).exists() for name in _BESIDE):
@@ -32,15 +33,15 @@ def is_root(folder: Path) -> bool:
 
 
 def root_around(folder: Path) -> Path | None:
-    """Return the nearest storage root among ``folder`` and those above it; ``None`` where there is none."""
-    return next((one for one in (folder, *folder.parents) if is_root(one)), None)
+    """Return the nearest storage root among ``folder`` and those above it, or ``None``."""
+    return next((candidate for candidate in (folder, *folder.parents) if is_root(candidate)), None)
 
 
 def standing_root(environment: Mapping[str, str]) -> tuple[Path | None, str]:
-    """Return the storage root around the working directory, else that of ``KINGFISHER_ROOT``, or ``None`` where neither
-    says one; and in words where it was looked for in vain.
+    """Return the storage root around the working directory, else that of ``KINGFISHER_ROOT``.
 
-    Raises NotADirectoryError for a ``KINGFISHER_ROOT`` that is no folder.
+    If neither is a storage root, return ``None``. The text says in words where it was searched. Raises
+    NotADirectoryError for a ``KINGFISHER_ROOT`` that is no folder.
     """
     named = environment.get(VARIABLE)
     vain = (
@@ -49,7 +50,7 @@ def standing_root(environment: Mapping[str, str]) -> tuple[Path | None, str]:
     )
     try:
         around = root_around(Path.cwd())
-    except FileNotFoundError:  # somebody removed the folder that we stand in
+    except FileNotFoundError:  # the working directory was removed
         around = None
     if around is not None or not named:
         return around, vain

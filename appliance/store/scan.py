@@ -1,12 +1,12 @@
-"""Owns the content of a scan's folder: which files it has, when each is written, and how it is read back.
+"""The files of a scan's folder: their names, the order in which they are written, and their reading.
 
-Two steps. ``write_raw``: frames, what they were taken with (``ScanOrigin``) and a first manifest, durable before the
-diver decides. ``finish``: cloud and preview, then the manifest that lists them. In between, ``add_second`` may add the
-frames of a second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a
-manifest and every file it lists, or no manifest at all.
+Two steps. ``write_raw``: frames, their ``ScanOrigin`` and a first manifest, durable before the diver decides.
+``finish``: cloud and preview, then the manifest that lists them. In between, ``add_second`` may add the frames of a
+second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a manifest
+and every file it lists, or no manifest at all.
 
-At a desk a file of frames may lie in its packed form instead (``appliance.store.packed``); the manifest is the same,
-and whatever opens the scan reads it as it reads others.
+At a desk a file of frames may be packed instead (``appliance.store.packed``); the manifest is the same, and such a scan
+is read like any other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from appliance.measure import SIDES
 from appliance.store import manifest as form
 from appliance.store.atomic import Bytes, FileSystem, LocalFileSystem, Stamp, StorageError, checked_stamp, draft_of
 from appliance.store.manifest import Decision, Manifest, ScanRecord, Stage
-from appliance.store.packed import Packed, PackedError, packed_path, read_index
+from appliance.store.packed import PackedError, PackedFile, packed_path, read_index
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
     import numpy as np
@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scan
 
     from appliance.measure import Calibration, PatternSequence, Water
     from appliance.store.ply import PointCloud, StoredCloud
-    from appliance.store.reprocess import Empty
+    from appliance.store.reprocess import EmptyCloud
 
 _HEADER_BYTES = 256
 _HEADER = re.compile(
@@ -47,18 +47,18 @@ PREVIEW_FILE = "preview.png"
 CALIBRATION = "calibration.json"
 RIG_FILE = "rig.toml"
 ORIGIN_FILES = (CALIBRATION, RIG_FILE)
-"""Files that say what a scan was taken with."""
+"""Files that describe the instrument with which a scan was taken."""
 DERIVED_FILES = (CLOUD_FILE, PREVIEW_FILE)
 """Files that can be made again from the others."""
 
 
 def frames_file(side: str) -> str:
-    """Name of the file with one camera's frames."""
+    """Return the name of the file with one camera's frames."""
     return f"frames_{side}.npy"
 
 
 def second_frames_file(side: str) -> str:
-    """Name of the file with one camera's frames of the second exposure, where a scan has one."""
+    """Return the name of the file with one camera's frames of the second exposure."""
     return f"frames_{side}_second.npy"
 
 
@@ -69,23 +69,25 @@ FRAME_FILES = (*RAW_FILES, *SECOND_FILES)
 
 
 class ScanError(Exception):
-    """A stored scan cannot be used; the text says which and why."""
+    """Error of a stored scan that cannot be used; the text says which and why."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanOrigin:
-    """The means a scan was taken with, as the bytes of the files that describe them: with these its folder can be read
-    anywhere."""
+    """Calibration and rig file of a scan, as bytes: with them its folder can be read anywhere."""
 
     calibration: bytes
-    """A calibration file: the one in use, or the drawing's where none was."""
+    """A calibration file: the one in use, or else the nominal one."""
     rig: bytes
     """A rig file, changed options and defaults included (``appliance.store.config.rig_text``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredScan:
-    """A scan as it lies on disk. ``frames`` by side: (n, h, w) uint8, mapped; in memory where they were packed."""
+    """A scan as it lies on disk.
+
+    ``frames`` by side: (n, h, w) uint8, mapped; in memory where they were packed.
+    """
 
     folder: Path
     manifest: Manifest
@@ -105,22 +107,21 @@ class StoredScan:
             raise ScanError(str(error)) from error
 
     def problem_of(self, name: str) -> str | None:
-        """Return what is wrong with one of its files, whose bytes are compared with their checksum; ``None`` where it
-        is whole."""
+        """Return the problem of one of its files, whose every byte is checked; ``None`` if it is undamaged."""
         if name not in self.manifest.files:
             return "not in the manifest"
-        alone = replace(self.manifest, files={name: self.manifest.files[name]})
-        return wrong_files(self.folder, alone, checksums=True).get(name)
+        single = replace(self.manifest, files={name: self.manifest.files[name]})
+        return wrong_files(self.folder, single, checksums=True).get(name)
 
-    def told_of_cloud(self, *parts: Bytes) -> str:
-        """Return what became of the cloud that the instrument stored, beside the new one in ``parts``."""
+    def compare_cloud(self, *parts: Bytes) -> str:
+        """Return in words how the stored cloud compares with the new one in ``parts``."""
         stamp = self.manifest.files.get(CLOUD_FILE)
         if stamp is None:
             return "none was stored"
         digest = hashlib.sha256()
         for part in parts:
             digest.update(part)
-        # By its checksum in the manifest, so that it can be said also where the stored cloud itself is damaged or gone.
+        # By its checksum in the manifest, which works also where the stored cloud is damaged or gone.
         same = digest.hexdigest() == stamp.sha256
         problem = self.problem_of(CLOUD_FILE)
         if problem is None:
@@ -129,16 +130,16 @@ class StoredScan:
 
     @classmethod
     def load(cls, folder: Path, *, only_raw: bool = False) -> StoredScan:
-        """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError.
+        """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``).
 
-        ``only_raw``: whatever is not a file of frames may be missing or damaged.
+        Raises ScanError. ``only_raw``: all but the files of frames may be missing or damaged.
         """
         manifest = cls.manifest_of(folder)
         wrong = wrong_files(folder, manifest, checksums=False)
         if only_raw:
-            wrong = {name: what for name, what in wrong.items() if name in FRAME_FILES}
+            wrong = {name: problem for name, problem in wrong.items() if name in FRAME_FILES}
         if wrong:
-            raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
+            raise ScanError(f"{folder}: {'; '.join(f'{name}: {problem}' for name, problem in wrong.items())}")
         count = len(manifest.record.sequence.patterns)
         frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
         second = None
@@ -158,7 +159,7 @@ class StoredScan:
     def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDArray[np.uint8]:
         """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum.
 
-        Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError,
+        No other frame is read, packed or not. ``second``: of the second exposure. Raises ScanError,
         MissingLibraryError.
         """
         import numpy as np
@@ -185,7 +186,7 @@ class StoredScan:
             raise ScanError(f"{self.folder}: {error}") from error
 
     def water(self, calibration: Calibration) -> Water:
-        """Return the water it was recorded in, as its manifest says; else that of the ``calibration``."""
+        """Return the water in which it was recorded by its manifest, else that of the ``calibration``."""
         from appliance.measure import Water
 
         water = self.manifest.record.water
@@ -194,17 +195,16 @@ class StoredScan:
             return calibration.water
         return Water(t, s, w)
 
-    def refuse_empty(self, empty: Empty | None) -> None:
-        """Raises ScanError where there is a reason why it has (nearly) no points."""
+    def refuse_empty(self, empty: EmptyCloud | None) -> None:
+        """Raise ScanError if there is a reason why the scan has (nearly) no points."""
         if empty is not None:
             raise ScanError(f"{self.folder}: {empty.reason}")
 
     @staticmethod
     def keep(folder: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin) -> None:
-        """Make the scan ``folder`` outside of a library, whole or not at all: beside it, under a name that nobody takes
-        for a scan, then by one rename.
+        """Make the scan ``folder`` outside of a library, complete or not at all.
 
-        Raises StorageError, ValueError.
+        It is written beside it, under a name that is no scan's, and then renamed. Raises StorageError, ValueError.
         """
         fs, draft = LocalFileSystem(), draft_of(folder)
         if draft.exists():
@@ -229,9 +229,9 @@ class StoredScan:
         manifest = StoredScan.manifest_of(folder)
         damaged = damaged_frames(folder, manifest)
         if damaged:
-            told = "; ".join(str(one) for one in damaged)
+            damages = "; ".join(str(frames) for frames in damaged)
             raise ScanError(
-                f"{folder}: {told}; bring the scan's folder back from a copy, or see what `kingfisher cloud` makes without "
+                f"{folder}: {damages}; bring the scan's folder back from a copy, or see what `kingfisher cloud` makes without "
                 "(.ply)"
             )
 
@@ -244,9 +244,9 @@ def write_raw(
     record: ScanRecord,
     origin: ScanOrigin,
 ) -> Manifest:
-    """Make ``folder`` with the frames, their ``origin`` and the first manifest. Durable on return but for its own name.
+    """Make ``folder`` with the frames, their ``origin`` and the first manifest.
 
-    ``frames``: by side, (n, h, w) uint8. Raises StorageError, ValueError.
+    All but its own name is durable on return. ``frames``: by side, (n, h, w) uint8. Raises StorageError, ValueError.
     """
     _check(frames, record)
     with StorageError.naming("cannot make", folder):
@@ -271,7 +271,7 @@ def add_second(
     frames: Mapping[str, NDArray[np.uint8]],
     record: ScanRecord,
 ) -> Manifest:
-    """Add the second exposure's ``frames``, as in ``write_raw``, and the manifest whose ``record`` tells of it.
+    """Add the second exposure's ``frames``, as in ``write_raw``, and the manifest with its ``record``.
 
     Durable on return. On failure the folder is the scan it was, but for files that its manifest does not list; may be
     called again. Raises StorageError, ValueError.
@@ -290,14 +290,13 @@ def add_second(
     with StorageError.naming("cannot make durable", folder):
         fs.sync_folder(folder)
     added = replace(manifest, record=record, files=files, frame_crc32=checks)
-    # From here on there are two exposures; before, the folder is the scan with one.
+    # From here on the scan has two exposures; before, the folder is the scan with one.
     fs.replace_file(folder / form.MANIFEST_FILE, form.encode(added))
     return added
 
 
 def frame_checks(frames: NDArray[np.uint8]) -> tuple[str, ...]:
-    """Return the CRC-32 of each of ``frames`` (n, h, w) uint8, 8 hexadecimal digits: which one of them is damaged,
-    not whether."""
+    """Return the CRC-32 of each of ``frames`` (n, h, w) uint8 as 8 hexadecimal digits."""
     import numpy as np
 
     return tuple(f"{zlib.crc32(np.ascontiguousarray(frame).reshape(-1).data):08x}" for frame in frames)
@@ -321,7 +320,10 @@ def finish_scan(
     preview_png: bytes | None = None,
     reason: str = "",
 ) -> Manifest:
-    """Add what there is to add and write the final manifest. May be repeated after a failure. Raises StorageError."""
+    """Add cloud and preview and write the final manifest.
+
+    May be repeated after a failure. Raises StorageError.
+    """
     files = {name: stamp for name, stamp in manifest.files.items() if name not in DERIVED_FILES}
     # Cloud and preview can be computed again; they are written before the manifest that lists them.
     added: dict[str, tuple[Bytes, ...]] = {}
@@ -342,15 +344,18 @@ def finish_scan(
 
 
 def discard_raw(fs: FileSystem, folder: Path) -> None:
-    """Take back a ``write_raw`` that failed, whose frames are still in memory. Raises StorageError."""
-    for name in (form.MANIFEST_FILE, *RAW_FILES, *ORIGIN_FILES):  # the manifest first: it must never list what is gone
+    """Remove the folder of a ``write_raw`` that failed, whose frames are still in memory.
+
+    Raises StorageError.
+    """
+    for name in (form.MANIFEST_FILE, *RAW_FILES, *ORIGIN_FILES):  # manifest first: it must never list a removed file
         fs.discard(folder / name)
         fs.discard(draft_of(folder / name))
     fs.discard(folder)
 
 
 def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[str, str]:
-    """Return what is wrong, by name, with the files a scan must have and those its manifest lists.
+    """Return the problems, by name, of the files a scan must have and of those its manifest lists.
 
     Lengths are compared, and with ``checksums`` every byte.
     """
@@ -382,7 +387,7 @@ def is_packed(folder: Path, name: str) -> bool:
 
 
 def _wrong_packed(path: Path, stamp: Stamp, *, checksums: bool) -> str | None:
-    """Return what is wrong with a packed file whose frames must be those of ``stamp``; nothing is decoded."""
+    """Return the problem of a packed file whose frames must have ``stamp``; no frame is decoded."""
     try:
         index = read_index(path)
         length = path.stat().st_size
@@ -390,7 +395,7 @@ def _wrong_packed(path: Path, stamp: Stamp, *, checksums: bool) -> str | None:
             return f"packed: {length} bytes instead of {index.length_bytes}"
         if index.stamp != stamp:
             return "packed: of other frames"
-        if checksums and not index.whole():
+        if checksums and not index.is_undamaged():
             return "damaged (its checksum does not fit)"
     except PackedError as error:
         return f"packed: {error}"
@@ -400,15 +405,14 @@ def _wrong_packed(path: Path, stamp: Stamp, *, checksums: bool) -> str | None:
 
 
 def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
-    """Return the length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for
-    anything else.
+    """Return the header's length and (n, h, w) of a file of frames that begins with ``data``, or ``None``.
 
-    It is compared with the one that ``npy_parts`` writes, nothing in it is executed.
+    It is compared with the one that ``npy_parts`` writes; no part of it is executed.
     """
-    found = _HEADER.match(data[:_HEADER_BYTES])
-    if found is None:
+    match = _HEADER.match(data[:_HEADER_BYTES])
+    if match is None:
         return None
-    return 10 + int.from_bytes(found[1], "little"), (int(found[2]), int(found[3]), int(found[4]))
+    return 10 + int.from_bytes(match[1], "little"), (int(match[2]), int(match[3]), int(match[4]))
 
 
 def _frame_of_packed(path: Path, k: int, count: int) -> NDArray[np.uint8]:
@@ -416,7 +420,7 @@ def _frame_of_packed(path: Path, k: int, count: int) -> NDArray[np.uint8]:
         return _index_of(path, count).frame(k)
 
 
-def _index_of(path: Path, count: int) -> Packed:
+def _index_of(path: Path, count: int) -> PackedFile:
     index = read_index(path)
     if index.count != count:
         raise PackedError(f"has {index.count} frames instead of {count}")
@@ -434,9 +438,9 @@ def _as_scan_error(path: Path) -> Iterator[None]:
 
 
 def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
-    """Return the ``count`` frames of a file, (n, h, w) uint8: mapped, or decoded into memory where it is packed.
+    """Return the ``count`` frames of a file, (n, h, w) uint8: mapped, or decoded where it is packed.
 
-    What is written to them never reaches the file. Raises ScanError, MissingLibraryError.
+    Writing to them does not change the file. Raises ScanError, MissingLibraryError.
     """
     import numpy as np
 
@@ -444,8 +448,7 @@ def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
         with _as_scan_error(packed_path(path)):
             return _index_of(packed_path(path), count).frames()
     with _as_scan_error(path):
-        # The header is compared by bytes, not parsed by NumPy: its header is a Python literal, and a damaged one may be
-        # anything.
+        # The header is compared by bytes, not parsed by NumPy: it is a Python literal, and a damaged one may be any.
         with path.open("rb") as file:
             header = read_header(file.read(_HEADER_BYTES))
         if header is None or header[1][0] != count:
@@ -453,8 +456,8 @@ def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
         header_bytes, shape = header
         if not 0 < shape[0] * shape[1] * shape[2] == path.stat().st_size - header_bytes:
             raise ScanError(f"{path}: {path.stat().st_size} bytes are not {count} frames of {shape[2]} x {shape[1]} px")
-        # Copied on writing: nothing can change the file, and still they are the same kind of array as frames that were
-        # just recorded. numba would compile each kernel a second time for arrays that cannot be written.
+        # Mode "c" copies on writing, so that the file cannot change. Read-only arrays would be another type, for which
+        # numba would compile each kernel a second time.
         return np.memmap(path, np.uint8, "c", header_bytes, shape)
 
 
@@ -469,8 +472,11 @@ def npy_parts(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
 
 
 def size_bytes(frames: int, width_px: int, height_px: int) -> int:
-    """Return the room one scan with one exposure needs at most: both cameras' frames, a point for every left pixel,
-    and a margin for the rest. A second exposure takes its frames once more."""
+    """Return the space that a scan with one exposure needs at most.
+
+    It has both cameras' frames, a point for every left pixel, and a margin for the other files. A second exposure takes
+    its frames once more.
+    """
     return 2 * frames_bytes(frames, width_px, height_px) + cloud_bytes(width_px, height_px) + 3_500_000
 
 
@@ -483,7 +489,7 @@ def frames_bytes(frames: int, width_px: int, height_px: int) -> int:
 
 
 def cloud_bytes(width_px: int, height_px: int) -> int:
-    """Return the length that the file with the points has at most: one for every left pixel."""
+    """Return the greatest length of the file with the points: one for every left pixel."""
     from appliance.store.ply import POINT
 
     return POINT.itemsize * width_px * height_px + 4096

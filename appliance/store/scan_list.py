@@ -1,7 +1,6 @@
-"""Owns the list of scans that a metrologist writes down: which scan shows which artefact, and what its certificate
-states.
+"""A metrologist's list of scans: which scan shows which artefact, and its certificate's numbers.
 
-Read alone, without anything that computes: a wrong word in it is the usual end of a first try.
+It is read before any module that computes is loaded, so that a wrong word in it is reported at once.
 """
 
 from __future__ import annotations
@@ -20,16 +19,19 @@ LENGTH_MM, REFERENCE_RANGE_MM = (1.0, 2000.0), (10.0, 5000.0)
 SD_MM, RADIUS_MM, LIMIT_MM = (1e-5, 1.0), (1.0, 100.0), (1e-4, 10.0)
 _TOP_KEYS = {"operator", "reference_mm", "scan", "limits"}
 LIMITS = {f"{symbol.value.lower()}_mm": symbol for symbol in Symbol}
-"""Keys of ``[limits]``: the largest permissible error of each quantity."""
+"""Keys of ``[limits]``: the maximum permissible error of each quantity."""
 
 
 class ListError(Exception):
-    """The list of scans cannot be used; the text names the key, its value, what is allowed and the remedy."""
+    """Error of a list of scans that cannot be used.
+
+    The text has the key, its value, the allowed range and the remedy.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class ListedScan:
-    """One scan of the list, and what it shows."""
+    """One scan of the list, and the artefact that it shows."""
 
     scan: str
     """The scan's number or its folder, as written."""
@@ -53,7 +55,7 @@ class ScanList:
     operator: str | None
     reference_mm: float
     limits_mm: Mapping[Symbol, float] = field(default_factory=dict)
-    """Largest permissible errors; what is not there is not limited."""
+    """Maximum permissible errors; a missing quantity has no limit."""
 
     @classmethod
     def read(cls, path: Path) -> ScanList:
@@ -85,14 +87,16 @@ class ScanList:
         )
 
     def refuse_repeats(self, path: Path, folders: Sequence[Path]) -> None:
-        """Raise ListError for an artefact that the list at ``path`` names twice in one of the scans' ``folders``: it
-        would count twice."""
-        seen: dict[tuple[Path, Artefact], int] = {}
+        """Raise ListError for an artefact that appears twice in one scan's folder: it would count twice.
+
+        ``path``: the list, for the message; ``folders``: those of the scans.
+        """
+        first_by_artefact: dict[tuple[Path, Artefact], int] = {}
         for k, (entry, folder) in enumerate(zip(self.entries, folders, strict=True)):
-            before = seen.setdefault((folder.resolve(), entry.artefact), k)
-            if before != k:
+            first = first_by_artefact.setdefault((folder.resolve(), entry.artefact), k)
+            if first != k:
                 raise ListError(
-                    f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{before}] ({self.entries[before].scan!r:.60}) once "
+                    f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{first}] ({self.entries[first].scan!r:.60}) once "
                     "more, with the same "
                     f"artefact {entry.artefact.value}, and would count twice; remove one of them"
                 )
@@ -108,24 +112,26 @@ def _entry(path: Path, k: int, table: dict[str, Any]) -> ListedScan:
             f"LIST {path}: {where}.artefact is {table.get('artefact')!r}; allowed are {names}; correct it"
         ) from error
     lengths = {f"{name}_mm": name for name in LENGTHS[artefact]}
-    of_balls = (
+    ball_limits = (
         {"length_sd_mm": SD_MM, "radius_mm": RADIUS_MM, "radius_sd_mm": SD_MM} if artefact is Artefact.BALL_BAR else {}
     )
-    _known(path, table, {"scan", "artefact", "serial", *lengths, *of_balls}, f"{where}.")
+    _known(path, table, {"scan", "artefact", "serial", *lengths, *ball_limits}, f"{where}.")
     scan = table.get("scan")
     if not isinstance(scan, str) or not scan:
         raise ListError(f"LIST {path}: {where}.scan is {scan!r}; allowed is a text: the scan's number or its folder")
-    given = {
+    lengths_mm = {
         name: _number(path, f"{where}.{key}", table[key], LENGTH_MM) for key, name in lengths.items() if key in table
     }
-    if lengths and not given:
+    if lengths and not lengths_mm:
         raise ListError(
             f"LIST {path}: {where} has no calibrated length; give {' or '.join(lengths)} of its certificate"
         )
-    balls = {
-        key: _number(path, f"{where}.{key}", table[key], allowed) for key, allowed in of_balls.items() if key in table
+    ball_values = {
+        key: _number(path, f"{where}.{key}", table[key], allowed)
+        for key, allowed in ball_limits.items()
+        if key in table
     }
-    return ListedScan(scan, artefact, given, _text(path, table, "serial"), **balls)
+    return ListedScan(scan, artefact, lengths_mm, _text(path, table, "serial"), **ball_values)
 
 
 def _known(path: Path, table: dict[str, Any], allowed: set[str], where: str = "") -> None:

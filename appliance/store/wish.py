@@ -1,5 +1,7 @@
-"""Owns the options that were given beside a scan, and the storage root that it lies in: light, so that a wrong one is
-told before anything that computes is loaded."""
+"""The options that were given beside a scan, and the storage root that it lies in.
+
+The module is light, so that a wrong option is reported before any module that computes is loaded.
+"""
 
 from __future__ import annotations
 
@@ -15,26 +17,28 @@ if TYPE_CHECKING:  # brings pydantic, which a verb without a rig file can do wit
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
-    """The options that were given beside the scan itself; ``None``: nothing was said."""
+class ScanOptions:
+    """The options that were given beside the scan itself; ``None``: not given."""
 
     rig: Rig | None = None
     """Rig file of ``--rig``."""
     root: Path | None = None
     """Storage root of ``--root``."""
     calibration: Path | None = None
-    """A calibration file that takes the place of the scan's own."""
+    """Calibration file of ``--calibration``, used instead of the scan's own."""
     current: bool = False
-    """The calibration in use under the storage root takes its place."""
+    """True if the calibration in use below the storage root takes its place."""
     foreign: bool = False
-    """One of another instrument is used all the same."""
+    """True if a calibration of another instrument is allowed."""
 
 
 def root_of(folder: Path) -> Path | None:
-    """Return the storage root that a scan's folder lies in: ROOT of ROOT/scans/000001; ``None`` where it was copied
-    elsewhere."""
-    whole = folder.absolute()
-    root = whole.parent.parent
+    """Return the storage root that a scan's folder lies in: ROOT of ROOT/scans/000001.
+
+    ``None`` outside of one.
+    """
+    path = folder.absolute()
+    root = path.parent.parent
     # A folder called `scans` may be anywhere; one with `calibration` beside it is a storage root.
-    inside = whole.parent.name in {shelf.value for shelf in LibraryFolder} and (root / CALIBRATION_FILE).parent.is_dir()
+    inside = path.parent.name in {kind.value for kind in LibraryFolder} and (root / CALIBRATION_FILE).parent.is_dir()
     return root if inside else None

@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import median
 
 from appliance.measure.light.sides import SIDES
-from appliance.store.archive import Copied, pack_scan
+from appliance.store.archive import CopyOutcome, pack_scan
 from appliance.store.atomic import LocalFileSystem
 from appliance.store.scan import StoredScan
 from bench.archive.scenes import Drawn
@@ -48,7 +48,7 @@ def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], Non
     for one in drawn:
         target = archive / one.folder.name
         begun_s = time.process_time()
-        if pack_scan(LocalFileSystem(), one.folder, target) is not Copied.WRITTEN:
+        if pack_scan(LocalFileSystem(), one.folder, target) is not CopyOutcome.WRITTEN:
             raise RuntimeError(f"{target} was not written")
         pack_s = time.process_time() - begun_s
         begun_s = time.process_time()

@@ -21,7 +21,7 @@ from appliance.desk.surface.fusion import PlacedScan
 from appliance.measure.light.water import Water
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud
-from appliance.store.wish import Wish
+from appliance.store.wish import ScanOptions
 
 PACKAGE = importlib.import_module("kingfisher")
 FUNCTIONS = {name: getattr(PACKAGE, name) for name in PACKAGE.__all__ if inspect.isfunction(getattr(PACKAGE, name))}
@@ -125,7 +125,7 @@ def test_what_is_looked_at_in_a_notebook_is_one_line() -> None:
     grid = np.full((40, 50), np.nan, np.float32)
     cloud = OrganisedCloud(np.full((40, 50, 3), np.nan, np.float32), grid, grid, grid, np.zeros((40, 50), np.uint8))
     placed = PlacedScan(cloud, np.eye(3), np.zeros(3))
-    scan, thing = ScanOfDive(Path("none/000007")), ObjectOfDive(Path("none"), "pipe", Wish())
+    scan, thing = ScanOfDive(Path("none/000007")), ObjectOfDive(Path("none"), "pipe", ScanOptions())
     for value in (cloud, placed, Rigid(np.eye(3), np.zeros(3)), scan, thing):
         assert "\n" not in repr(value)
         assert "nan" not in repr(value)

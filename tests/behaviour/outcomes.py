@@ -31,7 +31,7 @@ from appliance.store.config import load_rig
 from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.origin import SourceScan
 from appliance.store.scan import ScanError, StoredScan
-from appliance.store.wish import Wish
+from appliance.store.wish import ScanOptions
 from tests.support.truth import WATER
 
 ROOTS = {"root": "rig.toml", "second": "second.toml"}
@@ -169,7 +169,7 @@ def outcome_of(folder: Path) -> Outcome:
 
 def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Return verdicts and cloud of a scan after a ``change``."""
-    wish = Wish(rig=load_rig(Path(rig)), root=scan.parents[1])
+    wish = ScanOptions(rig=load_rig(Path(rig)), root=scan.parents[1])
     source = SourceScan.open(scan, wish)
     try:
         worked = work_through(change(source.scan), source.rig, source.calibration_for(wish).calibration, silent)

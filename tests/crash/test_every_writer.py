@@ -86,12 +86,12 @@ def packed(root: Path) -> Writing:
     (root / "source" / "calibration").mkdir()
     (root / "source" / "calibration" / "current.json").write_text("{}")
     yield
-    archive.make_shelves(FS, root / "archive", SCANS)
+    archive.make_scan_folders(FS, root / "archive", SCANS)
     archive.copy_beside(FS, root / "source", root / "archive")
     target = root / "archive" / "scans" / "000001"
     archive.pack_scan(FS, source, target)
     archive.remove_source(FS, source, target)
-    archive.make_shelves(FS, root / "back", SCANS)
+    archive.make_scan_folders(FS, root / "back", SCANS)
     archive.unpack_scan(FS, target, root / "back" / "scans" / "000001")
 
 

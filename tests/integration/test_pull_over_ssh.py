@@ -239,7 +239,7 @@ def test_a_link_that_is_cut_in_a_file_is_opened_again_and_goes_on_there(served: 
             armed = False
 
     done = pulled(served.link(), here, far=far)
-    assert (len(cuts), all(cuts), done.links, done.whole) == (2, True, 3, True)
+    assert (len(cuts), all(cuts), done.links, done.is_complete) == (2, True, 3, True)
     came = content(here)
     assert content(here / "scans" / "000007") == content(served.root / "data" / "scans" / "000007")
     sizes = (len(data) for path, data in came.items() if "manifest" not in path and "incomplete.json" not in path)

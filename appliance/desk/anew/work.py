@@ -49,10 +49,10 @@ from appliance.store import (
     ListedScan,
     ScanError,
     ScanList,
+    ScanOptions,
     SourceScan,
     StorageError,
     StoredScan,
-    Wish,
     encode_ply,
     hold_lock,
     load_calibration,
@@ -71,7 +71,9 @@ def attempt(job: Job) -> Row:
     results, folder = Results(Path(job.results)), Path(job.folder)
     settings = results.settings
     _refuse_unfit(job, settings)
-    wish = Wish(calibration=None if job.calibration is None else Path(job.calibration), foreign=settings["foreign"])
+    wish = ScanOptions(
+        calibration=None if job.calibration is None else Path(job.calibration), foreign=settings["foreign"]
+    )
     name = name_of(folder)
     if (published := results.row(name)) is not None:
         return published
@@ -118,7 +120,7 @@ def _refuse_unfit(job: Job, settings: Mapping[str, Any]) -> None:
         raise Again(f"sees another calibration in {job.calibration}; let it see the same file, and call again")
 
 
-def _worked_through(job: Job, settings: Mapping[str, Any], wish: Wish) -> tuple[Row, Any]:
+def _worked_through(job: Job, settings: Mapping[str, Any], wish: ScanOptions) -> tuple[Row, Any]:
     source = SourceScan.open(Path(job.folder), wish, whole=True)
     chosen = source.calibration_for(wish)
     if settings["water"] is not None:

@@ -1,4 +1,4 @@
-"""The rig file as frozen values: ``load_rig(path) -> Rig``, or one ``ConfigError`` that says what to change."""
+"""The rig file as frozen values: ``load_rig(path) -> Rig``, or one ``ConfigError`` with the remedy."""
 
 from appliance.store.config.load import ConfigError, default_rig_path, load_rig, parse_rig
 from appliance.store.config.rig import Rig

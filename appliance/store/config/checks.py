@@ -1,4 +1,4 @@
-"""Owns the rules between keys of the rig file: what each value may be in view of the others."""
+"""Rules between keys of the rig file: limits of one value that depend on the others."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from drivers.registered_wires import NATIVE, REGISTERED
 BOUNDARY_US = 100
 """Largest distance of a trigger from the beginning of a sub-frame."""
 WHOLE_MS = 0.02
-"""Largest difference of an exposure from whole sub-frames: what rounding to hundredths of a millisecond makes, and a
-little more."""
+"""Largest difference of an exposure from whole sub-frames: a little more than rounding to hundredths of a
+millisecond makes."""
 MOST_DELAY_US = 15_000
 """Largest delay that the board takes (ARM)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Complaint:
-    """One broken rule: the key, its value, how it relates to what is allowed, and what to do."""
+class BrokenRule:
+    """One broken rule: the key, its value, its relation to the allowed range, and the remedy."""
 
     key: str
     value: object
@@ -31,10 +31,10 @@ class Complaint:
     remedy: str
 
 
-def complaints(rig: Rig) -> Iterator[Complaint]:
+def broken_rules(rig: Rig) -> Iterator[BrokenRule]:
     """Yield every broken rule, in the order of the file."""
     if rig.rig.wires not in REGISTERED:
-        yield Complaint(
+        yield BrokenRule(
             "rig.wires",
             rig.rig.wires,
             "not registered",
@@ -42,7 +42,7 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
             f"correct it; on an instrument it is {NATIVE}",
         )
     if rig.camera.kind not in families():
-        yield Complaint(
+        yield BrokenRule(
             "camera.kind",
             rig.camera.kind,
             "is no family of cameras",
@@ -52,7 +52,7 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
     yield from _exposures_fit(rig)
     yield from _volume_is_seen(rig)
     if rig.camera.left.serial == rig.camera.right.serial:
-        yield Complaint(
+        yield BrokenRule(
             "camera.right.serial",
             rig.camera.right.serial,
             "same as camera.left.serial",
@@ -61,10 +61,10 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
         )
     yield from _output_is_complete("projector", rig.projector)
     yield from _output_is_complete("display", rig.display)
-    # One card may drive both, and on the instrument it does; one connector cannot.
+    # One card may drive both outputs, and on the instrument it does; one connector cannot.
     same_output = (rig.projector.card, rig.projector.connector) == (rig.display.card, rig.display.connector)
     if rig.projector.kind == "kms" and rig.display.kind == "kms" and same_output:
-        yield Complaint(
+        yield BrokenRule(
             "display.connector",
             rig.display.connector,
             "same as projector.connector",
@@ -77,24 +77,24 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
         ("projector", limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
     ):
         if hot >= off:
-            yield Complaint(
+            yield BrokenRule(
                 f"limits.{part}_off_c", off, f"<= {hot:g}", f"above {part}_hot_c", "cool down before switching off"
             )
         if warm >= hot:
-            yield Complaint(
+            yield BrokenRule(
                 f"limits.{part}_warm_c", warm, f">= {hot:g}", f"below {part}_hot_c", "warn before scans are blocked"
             )
 
 
-def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
+def _exposures_fit(rig: Rig) -> Iterator[BrokenRule]:
     period_ms = 1000.0 / rig.projector.refresh_hz
     delay_ms = into_light_us(rig) / 1000.0
-    # The exposure must end before the next pattern is on the screen: it begins trigger_delay_us after the vertical
-    # sync, and light that begins later ends later.
+    # The exposure must end before the next pattern is on the screen. It begins trigger_delay_us after the vsync; where
+    # the light begins later, it also ends later.
     longest_ms = period_ms - delay_ms
     for side, camera in (("left", rig.camera.left), ("right", rig.camera.right)):
         if camera.exposure_ms > longest_ms:
-            yield Complaint(
+            yield BrokenRule(
                 f"camera.{side}.exposure_ms",
                 camera.exposure_ms,
                 f"> {_floor_2(longest_ms):g}",
@@ -103,11 +103,11 @@ def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
             )
     allowed_ms, left_ms = rig.scan.exposures_ms, rig.camera.left.exposure_ms
     if allowed_ms is not None and left_ms not in allowed_ms:
-        yield Complaint(
+        yield BrokenRule(
             "camera.left.exposure_ms",
             left_ms,
             "is none of scan.exposures_ms",
-            ", ".join(f"{one:g}" for one in allowed_ms),
+            ", ".join(f"{exposure_ms:g}" for exposure_ms in allowed_ms),
             "choose one of them, or measure this one with `kingfisher calibration measure exposures`",
         )
     if rig.projector.sub_frames > 1:
@@ -115,31 +115,37 @@ def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
 
 
 def into_light_us(rig: Rig) -> int:
-    """Return how long after a picture's light begins an exposure does: the trigger's delay, less the light's own where
-    that is known and not longer."""
+    """Return the delay from the beginning of a picture's light to the exposure.
+
+    This is the trigger's delay, less the light's where that is known and not longer.
+    """
     delay_us, begins_us = rig.board.trigger_delay_us, rig.projector.light_begins_us
     return delay_us - begins_us if delay_us >= begins_us else delay_us
 
 
-def _whole_sub_frames(rig: Rig) -> Iterator[Complaint]:
-    """Yield what is exposed for other than whole sub-frames: there each grey has another weight than in the rest."""
+def _whole_sub_frames(rig: Rig) -> Iterator[BrokenRule]:
+    """Yield exposures of other than whole sub-frames: these would weigh some grey values more than others."""
     projector, delay_us = rig.projector, rig.board.trigger_delay_us
     step_ms = projector.sub_frame_ms
     begins_us = [projector.light_begins_us + round(1000.0 * k * step_ms) for k in range(projector.sub_frames)]
     if min(abs(delay_us - begins) for begins in begins_us) > BOUNDARY_US:
-        yield Complaint(
+        yield BrokenRule(
             "board.trigger_delay_us",
             delay_us,
             f"is not where one of projector.sub_frames {projector.sub_frames} begins",
-            ", ".join(str(one) for one in begins_us if one <= MOST_DELAY_US) + f" us, each to {BOUNDARY_US} us",
+            ", ".join(str(begin_us) for begin_us in begins_us if begin_us <= MOST_DELAY_US)
+            + f" us, each to {BOUNDARY_US} us",
             "begin with a sub-frame, or measure the projector with `kingfisher setup measure projector`",
         )
     left_ms, right_ms = rig.camera.left.exposure_ms, rig.camera.right.exposure_ms
-    asked = [("camera.left.exposure_ms", left_ms), *(("scan.exposures_ms", one) for one in rig.scan.exposures_ms or ())]
-    for key, exposure_ms in asked:
+    exposures = [
+        ("camera.left.exposure_ms", left_ms),
+        *(("scan.exposures_ms", allowed_ms) for allowed_ms in rig.scan.exposures_ms or ()),
+    ]
+    for key, exposure_ms in exposures:
         count = round(exposure_ms / step_ms)
         if count < 1 or abs(exposure_ms - count * step_ms) > WHOLE_MS:
-            yield Complaint(
+            yield BrokenRule(
                 key,
                 exposure_ms,
                 f"is no multiple of a sub-frame of {step_ms:.3f} ms",
@@ -147,7 +153,7 @@ def _whole_sub_frames(rig: Rig) -> Iterator[Complaint]:
                 "choose one of them, or correct projector.sub_frames",
             )
     if right_ms != left_ms:
-        yield Complaint(
+        yield BrokenRule(
             "camera.right.exposure_ms",
             right_ms,
             "differs from camera.left.exposure_ms",
@@ -156,11 +162,11 @@ def _whole_sub_frames(rig: Rig) -> Iterator[Complaint]:
         )
 
 
-def _volume_is_seen(rig: Rig) -> Iterator[Complaint]:
-    """The volume has an order, and the cameras as drawn look into it."""
+def _volume_is_seen(rig: Rig) -> Iterator[BrokenRule]:
+    """Yield a volume whose distances are not in order, or at which the nominal cameras do not look."""
     volume = rig.volume
     if not volume.nearest_mm < volume.working_mm < volume.farthest_mm:
-        yield Complaint(
+        yield BrokenRule(
             "volume.working_mm",
             volume.working_mm,
             "not between volume.nearest_mm and volume.farthest_mm",
@@ -172,7 +178,7 @@ def _volume_is_seen(rig: Rig) -> Iterator[Complaint]:
         return
     crossing_mm = 0.5 * rig.design.baseline_mm / math.tan(math.radians(rig.design.toe_in_deg))
     if not volume.nearest_mm <= crossing_mm <= volume.farthest_mm:
-        yield Complaint(
+        yield BrokenRule(
             "volume.working_mm",
             volume.working_mm,
             f"does not fit [design], whose cameras' axes cross at {crossing_mm:.0f} mm",
@@ -181,12 +187,12 @@ def _volume_is_seen(rig: Rig) -> Iterator[Complaint]:
         )
 
 
-def _output_is_complete(table: str, output: OutputRig) -> Iterator[Complaint]:
+def _output_is_complete(table: str, output: OutputRig) -> Iterator[BrokenRule]:
     if output.kind == "window":
         return
     for key, value in (("card", output.card), ("connector", output.connector)):
         if value is None:
-            yield Complaint(
+            yield BrokenRule(
                 f"{table}.{key}",
                 None,
                 "missing",
@@ -196,5 +202,5 @@ def _output_is_complete(table: str, output: OutputRig) -> Iterator[Complaint]:
 
 
 def _floor_2(value: float) -> float:
-    # Rounded down: the limit that the message names must itself be accepted.
+    # Rounded down, so that the limit in the message is itself accepted.
     return int(value * 100.0) / 100.0

@@ -1,4 +1,4 @@
-"""Owns the way from a rig file's text to a ``Rig``, and the words in which a wrong file is refused."""
+"""Reading a rig file's text into a ``Rig``, and the error messages for a wrong file."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from appliance.base import parse_toml, read_text
-from appliance.store.config.checks import Complaint, complaints
+from appliance.store.config.checks import BrokenRule, broken_rules
 from appliance.store.config.rig import Rig
 
 _MAX_BYTES = 1_000_000
 _MOST_FAULTS = 100
-"""Number of wrong keys that a rig file may have: beyond this the file is something else, and the rest is counted."""
+"""Largest number of wrong keys that are named; further ones are only counted, for the file is probably no rig file."""
 
 
 class ConfigError(Exception):
-    """The rig file cannot be used. ``headline`` fits a safe screen; ``str()`` adds allowed range and remedy, and names
-    the ``others``, further faults of the file; ``uncounted`` is how many there are beyond those.
+    """Error of a rig file that cannot be used.
+
+    ``headline`` fits a safe screen; ``str()`` adds allowed range and remedy, and names the ``others``, further faults
+    of the file; ``uncounted`` is how many there are beyond those.
     """
 
     def __init__(
@@ -47,9 +49,9 @@ class ConfigError(Exception):
             parts.append(f"allowed: {allowed}")
         parts.append(remedy)
         if others:
-            named = [other.headline + (f" (allowed: {other.allowed})" if other.allowed else "") for other in others]
-            more = [f"and {uncounted} more"] if uncounted else []
-            parts.append("also wrong: " + ", ".join(named + more))
+            texts = [error.headline + (f" (allowed: {error.allowed})" if error.allowed else "") for error in others]
+            remaining = [f"and {uncounted} more"] if uncounted else []
+            parts.append("also wrong: " + ", ".join(texts + remaining))
         super().__init__("; ".join(parts))
 
 
@@ -61,7 +63,7 @@ def default_rig_path() -> Path:
 def load_rig(path: Path | str | None = None) -> Rig:
     """Read and check a rig file, by default the packaged one.
 
-    Raises ConfigError, never anything else, for whatever the file holds.
+    Raises only ConfigError, for any content of the file.
     """
     path = Path(path or default_rig_path())
     try:
@@ -89,28 +91,29 @@ def parse_rig(text: str, source: str = "rig file") -> Rig:
 def rig_from_mapping(content: Mapping[str, Any], source: str = "rig") -> Rig:
     """Check a parsed rig file. Raises ConfigError that explains the first wrong key and names all others."""
     try:
-        # Through JSON: dates and other TOML oddities become text, and the value shares nothing with its source.
+        # Through JSON: dates and other special values of TOML become text, and the copy shares no objects with
+        # ``content``.
         plain = json.loads(json.dumps(content, default=str))
-        # pydantic judges each key by itself; what keys mean for each other is asked by `complaints` once all are sound.
+        # pydantic checks each key by itself; `broken_rules` checks the rules between keys once all are valid.
         rig = TypeAdapter(Rig).validate_python(plain)
     except ValidationError as error:
-        # A misspelt key first: what is missing because of it would only hide the cause.
+        # A misspelt key first: it is the cause of a missing one.
         details = sorted(error.errors(include_url=False), key=lambda d: not _is_unknown_key(d))
-        named = [_explain(detail, source) for detail in details[1 : 1 + _MOST_FAULTS]]
-        raise _explain(details[0], source, named, max(0, len(details) - 1 - _MOST_FAULTS)) from None
-    broken = list(complaints(rig))
+        named = [_error_of_detail(detail, source) for detail in details[1 : 1 + _MOST_FAULTS]]
+        raise _error_of_detail(details[0], source, named, max(0, len(details) - 1 - _MOST_FAULTS)) from None
+    broken = list(broken_rules(rig))
     if broken:
-        raise _complain(broken[0], source, [_complain(complaint, source) for complaint in broken[1:]])
+        raise _error_of_rule(broken[0], source, [_error_of_rule(complaint, source) for complaint in broken[1:]])
     return rig
 
 
-def _complain(broken: Complaint, source: str, others: Sequence[ConfigError] = ()) -> ConfigError:
-    value = "" if broken.value is None else f" {_spell(broken.value)}"
+def _error_of_rule(rule: BrokenRule, source: str, others: Sequence[ConfigError] = ()) -> ConfigError:
+    value = "" if rule.value is None else f" {_spell(rule.value)}"
     return ConfigError(
-        f"{broken.key}{value} {broken.relation}",
-        broken.allowed,
-        f"{broken.remedy} ({source})",
-        key=broken.key,
+        f"{rule.key}{value} {rule.relation}",
+        rule.allowed,
+        f"{rule.remedy} ({source})",
+        key=rule.key,
         others=others,
     )
 
@@ -119,8 +122,13 @@ def _is_unknown_key(detail: ErrorDetails) -> bool:
     return detail["type"] in ("unexpected_keyword_argument", "extra_forbidden")
 
 
-def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = (), uncounted: int = 0) -> ConfigError:
-    """Return the words for one fault that pydantic found; ``others`` and ``uncounted`` as in ``ConfigError``."""
+def _error_of_detail(
+    detail: ErrorDetails, source: str, others: Sequence[ConfigError] = (), uncounted: int = 0
+) -> ConfigError:
+    """Return the error for one fault that pydantic reported.
+
+    ``others`` and ``uncounted``: as in ``ConfigError``.
+    """
 
     def wrong(headline: str, allowed: str, remedy: str) -> ConfigError:
         return ConfigError(headline, allowed, remedy, key=key, others=others, uncounted=uncounted)
@@ -133,7 +141,7 @@ def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = 
     remedy = f"correct it in {source}"
     kind = detail["type"]
     if _is_unknown_key(detail):
-        # The range of an unknown key is not known either: a name that is, is the only help.
+        # An unknown key has no range: a similar name is the only help.
         near = _nearest(detail["loc"])
         hint = f"did you mean {near}?" if near else f"known here: {', '.join(_siblings(detail['loc']))}"
         return wrong(f"{key} unknown key", "", f"{hint} ({source})")
@@ -146,8 +154,8 @@ def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = 
         return wrong(f"{key} {value}", str(context["expected"]), remedy)
     if kind == "string_pattern_mismatch":
         return wrong(f"{key} {value}", '"package.module:function"', remedy)
-    wanted = detail["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return wrong(f"{key} {value} is not {wanted.removesuffix(' is needed')}", allowed, remedy)
+    expected = detail["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return wrong(f"{key} {value} is not {expected.removesuffix(' is needed')}", allowed, remedy)
 
 
 def _spell(value: object) -> str:
@@ -168,22 +176,22 @@ def _unit(key: str) -> str:
     return next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
 
 
-# ------------------------------------------------------------------------- what the dataclasses know
+# ------------------------------------------------------------------------- keys and ranges of the dataclasses
 
 
-def _tables(kind: Any = Rig, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _keys(kind: Any = Rig, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield every key of the vocabulary with its annotated type: ``camera.left.exposure_ms``."""
     hints = get_type_hints(kind, include_extras=True)
-    for one in fields(kind):
-        path = f"{prefix}{one.name}"
-        yield path, hints[one.name]
-        if is_dataclass(hints[one.name]):
-            yield from _tables(hints[one.name], path + ".")
+    for key in fields(kind):
+        path = f"{prefix}{key.name}"
+        yield path, hints[key.name]
+        if is_dataclass(hints[key.name]):
+            yield from _keys(hints[key.name], path + ".")
 
 
 def _siblings(loc: Sequence[int | str]) -> list[str]:
     prefix = "".join(f"{part}." for part in loc[:-1])
-    return [path[len(prefix) :] for path, _ in _tables() if path.startswith(prefix) and "." not in path[len(prefix) :]]
+    return [path[len(prefix) :] for path, _ in _keys() if path.startswith(prefix) and "." not in path[len(prefix) :]]
 
 
 def _nearest(loc: Sequence[int | str]) -> str | None:
@@ -193,12 +201,12 @@ def _nearest(loc: Sequence[int | str]) -> str | None:
     near = difflib.get_close_matches(name, _siblings(loc), n=1, cutoff=0.6)
     if near:
         return prefix + near[0]
-    return next((path for path, _ in _tables() if path.rpartition(".")[2] == name), None)
+    return next((path for path, _ in _keys() if path.rpartition(".")[2] == name), None)
 
 
 def _range_of(loc: Sequence[int | str]) -> tuple[float | None, float | None]:
-    wanted = ".".join(str(part) for part in loc)
-    annotation = next((hint for path, hint in _tables() if path == wanted), None)
+    key = ".".join(str(part) for part in loc)
+    annotation = next((hint for path, hint in _keys() if path == key), None)
     lower: float | None = None
     upper: float | None = None
     # A range sits in Annotated[...], possibly inside "... | None".

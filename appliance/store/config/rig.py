@@ -1,7 +1,7 @@
-"""Owns the rig file's vocabulary: which tables and keys exist, their units and their allowed ranges.
+"""Vocabulary of the rig file: its tables and keys, their units and their allowed ranges.
 
-Ranges are written once, here, and quoted by the error messages. They are what the part in question can do
-(board: ``docs/protocols/board.md``) or what is physically sensible; nothing in here is a default of the optics.
+Ranges are written once, here, and quoted by the error messages. They are the limits of the part in question
+(board: ``docs/protocols/board.md``) or are physically sensible; no default of the optics is in here.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ def _path(value: object) -> object:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class Identity:
-    """``[rig]``: who this instrument is and how it reaches its devices (``docs/protocols/wires.md``)."""
+    """``[rig]``: name and serial number of this instrument, and its wires (``docs/protocols/wires.md``)."""
 
     name: _Text
     serial: _Text
     wires: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")]
     wires_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    """Free-form: only the function that ``wires`` names reads it."""
+    """Options that only the function that ``wires`` names reads."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -54,7 +54,7 @@ class CameraRig:
     serial: _Text
     width_px: Annotated[_Whole, Field(ge=64, le=8192)]
     height_px: Annotated[_Whole, Field(ge=64, le=8192)]
-    # The bounds of a single key; that the exposure ends before the next vertical sync depends on two others (`checks`).
+    # Limits of this key alone; whether the exposure ends before the next vsync depends on two others (`checks`).
     exposure_ms: Annotated[_Real, Field(ge=0.05, le=16.6)]
     """Exposure: at most one period of the 60 Hz projector."""
     gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)]
@@ -99,13 +99,13 @@ class BoardRig:
     firmware: _Text | None = None
     """The version that this instrument was tested with; another one is named by ``kingfisher check``."""
     vendor_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)] = 0x1209
-    """USB identity: what the firmware is given when it is laid out, and what the udev rules look for."""
+    """USB identity, which is written into the firmware and into the udev rules."""
     product_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)] = 0x4B42
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class KeysRig:
-    """``[keys]``: the key pad, by the USB identity that firmware, udev rules, driver and safe screen take from here."""
+    """``[keys]``: the keypad's USB identity, for firmware, udev rules, driver and safe screen."""
 
     vendor_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
     product_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
@@ -143,7 +143,7 @@ class ProjectorRig(OutputRig):
 
     @property
     def sub_frame_ms(self) -> float:
-        """Length of a sub-frame."""
+        """Duration of a sub-frame."""
         return 1000.0 / self.refresh_hz / self.sub_frames
 
 
@@ -173,7 +173,7 @@ class ScanRig:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class WaterRig:
-    """``[water]``: what the refractive index is computed from (Quan and Fry 1995, valid 400 to 700 nm)."""
+    """``[water]``: the inputs of the refractive index (Quan and Fry 1995, valid 400 to 700 nm)."""
 
     salinity_psu: Annotated[_Real, Field(ge=0.0, le=45.0)]
     temperature_c: Annotated[_Real, Field(ge=-2.0, le=40.0)]
@@ -186,13 +186,13 @@ class StorageRig:
     reserve_mb: Annotated[_Whole, Field(ge=0, le=1_000_000)] = 500
     """Space that scans never use, so that logs, updates and the save in progress always fit."""
     keep_incomplete: bool = False
-    """Keep what was recorded of a scan that broke after its first direction, apart from the scans
+    """Keep the frames of a scan that broke off after its first direction, apart from the scans
     (``store/incomplete.py``)."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class DesignRig:
-    """``[design]``: the drawing's values, for a first calibration before the instrument was measured."""
+    """``[design]``: the nominal values, for a first calibration before the instrument was measured."""
 
     principal_distance_mm: Annotated[_Real, Field(ge=1.0, le=500.0)]
     pixel_um: Annotated[_Real, Field(ge=0.5, le=100.0)]
@@ -207,23 +207,23 @@ class DesignRig:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class VolumeRig:
-    """``[volume]`` (optional): between which distances the housing measures, along its axis from between the projection
-    centres.
+    """``[volume]`` (optional): the distances between which the housing measures.
 
-    Without it, those of the standard housing.
+    They are along its axis from between the projection centres; by default those of the standard housing.
     """
 
     nearest_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)] = STANDARD.nearest_mm
     working_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)] = STANDARD.working_mm
-    """Distance that is aimed for; what else belongs to the housing's size goes with it."""
+    """Distance at which the diver should scan; other lengths of the housing scale with it."""
     farthest_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)] = STANDARD.farthest_mm
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class LasersRig:
-    """``[lasers]`` (optional): the two pointers as drawn, in the rig frame; the left one mirrors the right one.
+    """``[lasers]`` (optional): the nominal laser pointers, in the rig frame.
 
-    Their beams are learned from the dots; until then they are searched within the tolerance.
+    The left one mirrors the right one. Their beams are learned from the dots; until then they are searched within the
+    tolerance.
     """
 
     x_mm: Annotated[_Real, Field(ge=0.0, le=500.0)]
@@ -235,12 +235,15 @@ class LasersRig:
     aim_z_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)]
     """A point of the right beam in the middle of the volume."""
     tolerance_deg: Annotated[_Real, Field(ge=0.01, le=1.0)] = 0.3
-    """Standard deviation of how a beam leans against the drawing, to each side."""
+    """Standard deviation of a beam's angle from the nominal one, to each side."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class LimitsRig:
-    """``[limits]`` (optional): when the instrument protects itself. Defaults are cautious, to be set per housing."""
+    """``[limits]`` (optional): temperatures and voltages at which the instrument protects itself.
+
+    Defaults are cautious, to be set per housing.
+    """
 
     case_warm_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 50.0
     case_hot_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 60.0
@@ -255,7 +258,7 @@ class LimitsRig:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class BallBarRig:
-    """``[ball_bar]`` (optional): the bar that calibrates this instrument in water, as its certificate states it.
+    """``[ball_bar]`` (optional): the certificate of the bar that calibrates this instrument in water.
 
     Standard deviations are standard uncertainties: half of the expanded ones (k = 2) that certificates give.
     """
@@ -270,7 +273,10 @@ class BallBarRig:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class Rig:
-    """One instrument, as its rig file describes it. Checked when built: see ``appliance.store.config.checks``."""
+    """One instrument, as its rig file describes it.
+
+    Checked when built: see ``appliance.store.config.checks``.
+    """
 
     rig: Identity
     camera: Cameras
@@ -291,12 +297,12 @@ class Rig:
 
     @property
     def rig_hash(self) -> str:
-        """sha256 (hex) of the whole content in canonical form: comments, order and spelling of numbers do not count."""
+        """sha256 (hex) of the content; comments, order and spelling of numbers do not count."""
         return _sha256(asdict(self))
 
     @property
     def optical_hash(self) -> str:
-        """sha256 (hex) of what a calibration belongs to: instrument, cameras and their sizes, projector's raster.
+        """sha256 (hex) of the keys that bind a calibration: instrument, cameras, image sizes and raster.
 
         Unlike ``rig_hash`` it survives a changed exposure, salinity or folder.
         """
@@ -304,7 +310,7 @@ class Rig:
             {
                 "rig": self.rig.serial,
                 "cameras": [
-                    # A place on the sensor that the file names is the lens's, too; the middle is the usual.
+                    # Only offsets that the file names, so that files without them keep their hash.
                     [c.serial, c.width_px, c.height_px, *(o for o in (c.offset_x_px, c.offset_y_px) if o is not None)]
                     for c in (self.camera.left, self.camera.right)
                 ],

@@ -1,8 +1,7 @@
-"""Owns the way back from a ``Rig`` to the text of a rig file: what a scan was taken with, options and defaults
-included.
+"""Writing a ``Rig`` as the text of a rig file, options and defaults included.
 
-Every key is spelled out, also where the file that was loaded left it to its default: a later version may have another
-default, and a stored scan must keep the one it was taken with. Comments are not kept. Source: TOML 1.0.0.
+Every key is written, also where the loaded file left it to its default: a later version may have another default, and a
+stored scan must keep the one it was taken with. Comments are not kept. Source: TOML 1.0.0.
 """
 
 from __future__ import annotations
@@ -22,14 +21,13 @@ _HEAD = "# What a scan was taken with: the rig file as the program understood it
 def rig_text(rig: Rig) -> str:
     """Return the text of a rig file that loads as ``rig``, with the same ``rig_hash``.
 
-    Raises TypeError for something in ``rig.wires_options`` that no TOML file can hold.
+    Raises TypeError for a value in ``rig.wires_options`` that no TOML file can hold.
     """
     return _HEAD + "".join(_table("", _plain(asdict(rig))))
 
 
 def _plain(table: Mapping[str, object]) -> dict[str, object]:
-    """Return the table without what is ``None``: TOML has no word for it, and a key that may be missing is ``None``
-    where it is."""
+    """Return the table without keys that are ``None``, which TOML cannot write."""
     return {
         key: _plain(value) if isinstance(value, Mapping) else value for key, value in table.items() if value is not None
     }
@@ -40,7 +38,7 @@ def _table(name: str, content: Mapping[str, object]) -> Iterator[str]:
     if name:
         yield f"\n[{name}]\n"
     for key, value in content.items():
-        # Before any table within it: whatever follows a [header] belongs to that table until the next one.
+        # Before any table within it: all keys after a [header] belong to that table until the next one.
         if not isinstance(value, Mapping):
             yield f"{_key(key)} = {_value(value)}\n"
     for key, value in content.items():
@@ -63,13 +61,13 @@ def _value(value: object) -> str:
         case str() | Path():
             return _text(str(value))
         case Mapping():
-            return "{" + ", ".join(f"{_key(str(key))} = {_value(one)}" for key, one in value.items()) + "}"
+            return "{" + ", ".join(f"{_key(str(key))} = {_value(element)}" for key, element in value.items()) + "}"
         case Sequence():
-            return "[" + ", ".join(_value(one) for one in value) + "]"
+            return "[" + ", ".join(_value(element) for element in value) + "]"
         case _:
             raise TypeError(f"{type(value).__name__} cannot be written to a rig file: {value!r}")
 
 
 def _text(text: str) -> str:
-    """Return a TOML basic string: JSON's, but that DEL must be escaped too."""
+    """Return a TOML basic string: JSON's, with DEL escaped, too."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,2 +1,1 @@
-"""Owns how scans come from an instrument to a desk: only what is not there, compared byte for byte, nothing deleted at
-either end."""
+"""Scan transfer from an instrument to a desk; it deletes no file at either end."""

@@ -1,8 +1,7 @@
-"""Owns what is asked of the place that scans are taken from, and how it is answered: by a mounted folder or a USB disk,
-and by an instrument over SSH (asyncssh does keys, host keys, encryption and SFTP).
+"""Sources of a scan transfer: a mounted folder or USB disk, and an instrument over SSH.
 
-Paths are relative to the storage root there, with ``/`` between names. Nothing is ever changed there: the protocol has
-no way to.
+Paths are relative to the storage root there, with ``/`` between names. The protocol cannot change files there.
+``asyncssh`` does keys, host keys, encryption and SFTP.
 """
 
 from __future__ import annotations
@@ -25,32 +24,35 @@ LIBRARY = "asyncssh"
 NEEDS_IT = "an instrument on the network"
 USER = "kingfisher-pull"
 PORT = 2222
-"""Port of the instrument's server; not 22, which a Debian with a login of its own may use."""
+"""Port of the instrument's server; not 22, which a Debian with its own login may use."""
 SERVED = "data"
 """Folder in which the instrument's server shows its storage root; beside it lies ``instrument`` with the rig file."""
 MOST_NAMES = 200_000
-"""Most names in a folder that are believed."""
+"""Largest number of names that is accepted in a folder."""
 KNOWN_HOSTS = "~/.ssh/known_hosts"
 T = TypeVar("T")
 _GONE = (errno.ENOENT, errno.ENOTDIR)
 _LINK = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.ESTALE, errno.ENOTCONN, errno.EHOSTDOWN, errno.ETIMEDOUT)
-"""Errors of a network folder or a stick whose cable moved; a disk that fails gives the first of them, too."""
+"""Errors of a network folder or a USB disk whose cable moved; a failing disk gives the first of them, too."""
 
 
 class PullError(Exception):
-    """Scans cannot be taken from there at all; the text says why and what to do."""
+    """Error of a source that gives no scans at all; the text has the reason and the remedy."""
 
 
 class LinkLost(Exception):
-    """The link broke or fell silent; what was taken is kept, and the next attempt goes on behind it."""
+    """Error of a link that broke or fell silent.
+
+    Partial files are kept, and the next attempt continues them.
+    """
 
 
 class NotThere(Exception):
-    """A file or a folder is not there, or not any more."""
+    """Error of a file or a folder that does not exist there, or no longer."""
 
 
 class Unreadable(Exception):
-    """A file or a folder is there and is not given; the text names it."""
+    """Error of a file or a folder that exists but cannot be read; the text names it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +65,16 @@ class RemoteEntry:
 
 
 class Source(Protocol):
-    """A storage root that is read. Each call may raise LinkLost, and Unreadable for what is not given."""
+    """A storage root that is read. Each call may raise LinkLost and Unreadable."""
 
     def listing(self, folder: str) -> list[RemoteEntry]:
         """Return the ordinary files and folders in a folder, by name. Raises NotThere."""
 
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
-        """Give a file's bytes from ``start`` to ``end``, in order; fewer where it ends before. Raises NotThere."""
+        """Yield a file's bytes from ``start`` to ``end``, in order; fewer where it ends before.
+
+        Raises NotThere.
+        """
 
 
 class FolderSource:
@@ -80,11 +85,15 @@ class FolderSource:
 
     def listing(self, folder: str) -> list[RemoteEntry]:
         with self._told(folder) as path:
-            found = [(one.name, one.lstat()) for one in sorted(path.iterdir())]
-        return [entry for name, about in found if (entry := entry_of(name, about.st_mode, about.st_size)) is not None]
+            stats = [(child.name, child.lstat()) for child in sorted(path.iterdir())]
+        return [
+            entry
+            for name, stat_result in stats
+            if (entry := entry_of(name, stat_result.st_mode, stat_result.st_size)) is not None
+        ]
 
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
-        with self._told(path) as here, here.open("rb") as file:
+        with self._told(path) as full_path, full_path.open("rb") as file:
             file.seek(start)
             while start < end and (block := file.read(min(BLOCK_BYTES, end - start))):
                 start += len(block)
@@ -92,33 +101,40 @@ class FolderSource:
 
     @contextmanager
     def _told(self, path: str) -> Iterator[Path]:
-        """Give where ``path`` lies, and turn OSError into what the protocol promises."""
-        here = self._root / path
+        """Yield the full path of ``path``, and turn OSError into the errors of ``Source``."""
+        full_path = self._root / path
         if is_linked(self._root, path):
-            raise Unreadable(f"{here}: leads over a link, which could lead anywhere on this computer; not followed")
+            raise Unreadable(
+                f"{full_path}: leads over a link, which could lead anywhere on this computer; not followed"
+            )
         try:
-            yield here
+            yield full_path
         except OSError as error:
             kind = NotThere if error.errno in _GONE else LinkLost if error.errno in _LINK else Unreadable
-            raise kind(f"{here}: {error.strerror or error}") from error
+            raise kind(f"{full_path}: {error.strerror or error}") from error
 
 
 def entry_of(name: str, mode: int, size_bytes: int) -> RemoteEntry | None:
-    """Return an entry of a listing; ``None`` for what is neither file nor folder: a link could lead anywhere."""
+    """Return an entry of a listing; ``None`` for a name that is neither file nor folder, such as a link."""
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         return None
     return RemoteEntry(name, size_bytes, stat.S_ISDIR(mode))
 
 
 def is_linked(root: Path, path: str) -> bool:
-    """Return True if a component of ``path`` below ``root`` is a link: on a strange disk it may lead to the desk's own
-    files."""
+    """Return True if a component of ``path`` below ``root`` is a link.
+
+    On a strange disk a link may lead to the desk's own files.
+    """
     parts = Path(path).parts
     return any(root.joinpath(*parts[: k + 1]).is_symlink() for k in range(len(parts)))
 
 
 def text_of(source: Source, path: str, most_bytes: int) -> bytes:
-    """Return a whole small file. Raises NotThere, LinkLost, Unreadable where it is larger than ``most_bytes``."""
+    """Return a whole small file.
+
+    Raises NotThere, LinkLost, Unreadable where it is larger than ``most_bytes``.
+    """
     data = b"".join(source.read(path, 0, most_bytes + 1))
     if len(data) > most_bytes:
         raise Unreadable(f"{path}: more than {most_bytes} bytes")
@@ -130,9 +146,9 @@ def text_of(source: Source, path: str, most_bytes: int) -> bytes:
 
 @dataclass(slots=True)
 class SshLink:
-    """Opens links to one instrument, one after the other; inside, it is what the instrument serves.
+    """Links to one instrument, one after the other; inside a ``with`` block it is a ``Source``.
 
-    After LinkLost the link is of no more use.
+    After LinkLost the link cannot be used any more.
     """
 
     host: str
@@ -144,7 +160,7 @@ class SshLink:
     limit_s: float
     """Longest silence before a link counts as broken."""
     _linked: bool = False
-    """True once there was a link: what is wrong later may pass."""
+    """True after the first link: a later fault may pass."""
     _library: Any = None
     _loop: asyncio.AbstractEventLoop | None = None
     _sftp: Any = None
@@ -156,8 +172,7 @@ class SshLink:
         Raises LinkLost, PullError where trying again is of no use, MissingLibraryError.
         """
         self._library = library = needed(LIBRARY, LIBRARY, NEEDS_IT)
-        # The loop runs only while something is waited for, so that Ctrl-C ends that wait, and the runner all that is
-        # left then.
+        # The loop runs only during a wait, so that Ctrl-C ends that wait; the runner then cancels the remaining tasks.
         with asyncio.Runner() as runner:
             self._loop = loop = runner.get_loop()
             try:
@@ -172,7 +187,10 @@ class SshLink:
                 connection.abort()
 
     async def _connected(self, library: ModuleType) -> tuple[Any, Any]:
-        """Return a connection to a host whose key is known, and its SFTP; only keys are tried, and nothing is asked."""
+        """Return a connection to a host with a known key, and its SFTP client.
+
+        Keys are the only authentication.
+        """
         user, _, address = self.host.rpartition("@")
         try:
             options = library.SSHClientConnectionOptions(
@@ -181,25 +199,24 @@ class SshLink:
                 port=self.port,
                 username=user or USER,
                 preferred_auth="publickey",
-                # The instrument has one host key; asked only for kinds that are known already, it would not show
-                # another one.
+                # All kinds of host keys: with the known kinds alone, a changed key of another kind would not be seen.
                 server_host_key_algs="default",
-                # Done by the processor itself, and so twice as fast as the library's first choice.
+                # The processor has instructions for it: twice as fast as the library's first choice.
                 encryption_algs="^aes128-gcm@openssh.com",
                 **self._keys(),
             )
             files = options.known_hosts if self.known_hosts is None else [str(self.known_hosts)]
-            files = [str(Path(one).expanduser()) for one in files or [KNOWN_HOSTS]]
-            known = library.read_known_hosts([one for one in files if Path(one).exists()])
+            files = [str(Path(file).expanduser()) for file in files or [KNOWN_HOSTS]]
+            known_keys = library.read_known_hosts([file for file in files if Path(file).exists()])
         except (ValueError, OSError) as error:
             raise self._final(f"the private key, or ssh's own files, cannot be read: {error}") from error
         try:
-            connection = await library.connect(address, self.port, options=options, known_hosts=known)
+            connection = await library.connect(address, self.port, options=options, known_hosts=known_keys)
         except library.HostKeyNotVerifiable as error:
             key = await library.get_server_host_key(address, self.port)
             host, port = options.host_key_alias or options.host, options.port
             place = host if port == library.DEFAULT_PORT else f"[{host}]:{port}"
-            if any(library.match_known_hosts(known, host, "", port)[0]):
+            if any(library.match_known_hosts(known_keys, host, "", port)[0]):
                 raise self._final(
                     f"its host key is another one than before ({key.get_fingerprint()}). If the instrument's disk was "
                     "made anew, "
@@ -213,8 +230,10 @@ class SshLink:
         return connection, await connection.start_sftp_client(path_errors="surrogateescape")
 
     def _keys(self) -> dict[str, Any]:
-        """Return which private keys are tried; one that is given is the only one, and the agent may hold it by its
-        public half."""
+        """Return the options for private keys.
+
+        A given key is the only one; the agent may hold it by its public half.
+        """
         if self.identity is None:
             return {}
         public = Path(f"{self.identity}.pub")
@@ -225,31 +244,33 @@ class SshLink:
         return PullError(f"{self.host}: {meaning}")
 
     def _meant(self, library: ModuleType, error: Exception) -> LinkLost | PullError:
-        """Return what to tell of a link that was not to be had; what may pass by itself once there was one is a link
-        that is lost."""
-        said = str(error) or "nothing came"
+        """Return the error of a link that failed: LinkLost where a later attempt may succeed, else PullError.
+
+        After a first link, causes that may pass count as LinkLost.
+        """
+        text = str(error) or "nothing came"
         if isinstance(error, library.PermissionDenied):
             return self._final(
                 "it does not take this key. Enrol the public one (a stick with kingfisher-keys.pub while TRANSFER is "
                 "on), or give "
-                f"the right private one with --identity; one with a passphrase has to be in ssh-agent ({said})"
+                f"the right private one with --identity; one with a passphrase has to be in ssh-agent ({text})"
             )
         if isinstance(error, library.ChannelOpenError):
-            return self._final(f"it has no SFTP; is this the instrument? ({said})")
+            return self._final(f"it has no SFTP; is this the instrument? ({text})")
         if isinstance(error, socket.gaierror) and not self._linked:
             return self._final(
                 "no computer of that name is known; give the address that the instrument's menu shows under TRANSFER "
-                f"({said})"
+                f"({text})"
             )
-        # With several addresses of one name, asyncio tells all their errors in one text.
-        refused = isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in said
+        # With several addresses of one name, asyncio puts all their errors into one text.
+        refused = isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in text
         if refused and not self._linked:
             return self._final(
                 f"nobody listens at port {self.port}; switch TRANSFER on in the instrument's menu (it is off "
                 "after each "
-                f"power-on) ({said})"
+                f"power-on) ({text})"
             )
-        return LinkLost(f"{self.host}: {said}")
+        return LinkLost(f"{self.host}: {text}")
 
     def listing(self, folder: str) -> list[RemoteEntry]:
         """See ``Source``."""
@@ -258,30 +279,30 @@ class SshLink:
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
         """See ``Source``."""
         file = self._answer(self._sftp.open(f"{SERVED}/{path}", "rb"), path)
-        # The library asks for the parts of a block at once: else each of them would cost a journey there and back.
+        # The library requests the parts of a block at once: else each of them would cost a round trip.
         while start < end and (block := self._answer(file.read(min(BLOCK_BYTES, end - start), start), path)):
             start += len(block)
             yield block
-        # Where reading ended early the link ends, too, and the handle with it.
+        # Where reading ends early the link ends, too, and the handle with it.
         self._answer(file.close(), path)
 
     async def _listed(self, path: str) -> list[RemoteEntry]:
-        found: list[RemoteEntry] = []
-        async for one in self._sftp.scandir(path):
-            about = one.attrs
-            entry = entry_of(one.filename, about.permissions or 0, about.size or 0)
+        entries: list[RemoteEntry] = []
+        async for name in self._sftp.scandir(path):
+            attributes = name.attrs
+            entry = entry_of(name.filename, attributes.permissions or 0, attributes.size or 0)
             if entry is not None and entry.name not in (".", ".."):
-                found.append(entry)
-            if len(found) > MOST_NAMES:
+                entries.append(entry)
+            if len(entries) > MOST_NAMES:
                 raise Unreadable(f"{path}: more than {MOST_NAMES} names")
-        return sorted(found, key=lambda entry: entry.name)
+        return sorted(entries, key=lambda entry: entry.name)
 
-    def _answer(self, asked: Coroutine[Any, Any, T], path: str) -> T:
+    def _answer(self, request: Coroutine[Any, Any, T], path: str) -> T:
         """Wait for an answer about ``path``. Raises LinkLost, NotThere, Unreadable."""
         library, loop = self._library, self._loop
         assert loop is not None  # there is one while the link is open
         try:
-            return loop.run_until_complete(asyncio.wait_for(asked, self.limit_s))
+            return loop.run_until_complete(asyncio.wait_for(request, self.limit_s))
         except TimeoutError:
             raise LinkLost(f"nothing came for {self.limit_s:g} s") from None
         except (library.SFTPNoSuchFile, library.SFTPNoSuchPath) as error:

@@ -1,11 +1,9 @@
-"""Owns how one recording is taken: into a draft that is gone on with, compared as it lies on the desk's disk, published
-by one rename.
+"""Taking one recording into a draft, which may be continued, is compared and then renamed.
 
-    <root>/scans/.000123.pulling     being taken: the manifest first, then files that keep what came of them
-    <root>/scans/000123              whole: every byte is what the manifest says
+    <root>/scans/.000123.pulling     being taken: the manifest first, then files, also partial ones
+    <root>/scans/000123              complete: every byte is as the manifest says
 
-Drafts are the only files here that are ever removed: a file in one that turns out not to be what the manifest says is
-taken anew.
+Drafts are the only files here that are ever removed: a file of a draft that differs from its manifest is taken anew.
 """
 
 from __future__ import annotations
@@ -28,9 +26,9 @@ from appliance.store.pull.source import NotThere, RemoteEntry, Source, Unreadabl
 from appliance.store.scan import ScanError, wrong_files
 
 TIMES = 3
-"""Number of times that a recording whose bytes do not fit is read."""
+"""Number of attempts to read a recording whose checksums do not fit."""
 ROOM_LEFT_BYTES = 1_000_000
-"""Room that a recording must leave on the desk's disk."""
+"""Free space that a recording must leave on the desk's disk."""
 
 
 class PullOutcome(Enum):
@@ -44,14 +42,14 @@ class PullOutcome(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class FoundRecording:
-    """A recording as it lies on the instrument."""
+class RemoteRecording:
+    """A recording on the instrument."""
 
     path: str
     """Its folder there, below the storage root; the same here."""
-    about: bytes
-    """Content of its manifest, or of what stands in its place."""
-    about_name: str
+    manifest_content: bytes
+    """Content of its manifest file."""
+    manifest_name: str
     files: tuple[RemoteEntry, ...]
     """All files but the manifest and the label."""
     label_bytes: int
@@ -60,12 +58,12 @@ class FoundRecording:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes that there are to take."""
-        return sum(one.size_bytes for one in self.files) + self.label_bytes
+        """Number of bytes to take."""
+        return sum(entry.size_bytes for entry in self.files) + self.label_bytes
 
 
 class NotYet(Exception):
-    """A recording is not to be taken now; the outcome and the reason."""
+    """Exception of a recording that is not taken now, with the outcome and the reason."""
 
     def __init__(self, outcome: PullOutcome, reason: str) -> None:
         super().__init__(reason)
@@ -73,8 +71,8 @@ class NotYet(Exception):
 
 
 @contextmanager
-def given() -> Iterator[None]:
-    """Turns what a source does not give into the outcome that tells it. Raises NotYet."""
+def outcomes_of_source() -> Iterator[None]:
+    """Turn the errors of a source into outcomes. Raises NotYet."""
     try:
         yield
     except NotThere as error:
@@ -83,111 +81,119 @@ def given() -> Iterator[None]:
         raise NotYet(PullOutcome.FAILED, f"cannot be read there: {error}") from error
 
 
-def find(source: Source, path: str) -> FoundRecording:
-    """Look at a recording there. Raises NotYet, LinkLost."""
+def find(source: Source, path: str) -> RemoteRecording:
+    """Read the manifest and the listing of a recording there. Raises NotYet, LinkLost."""
     try:
-        with given():
-            entries = {one.name: one for one in source.listing(path) if not one.folder and is_component(one.name)}
-            about_name = next((one for one in (MANIFEST_FILE, INCOMPLETE_MANIFEST_FILE) if one in entries), None)
-            if about_name is None:
+        with outcomes_of_source():
+            entries = {
+                entry.name: entry for entry in source.listing(path) if not entry.folder and is_component(entry.name)
+            }
+            manifest_name = next((name for name in (MANIFEST_FILE, INCOMPLETE_MANIFEST_FILE) if name in entries), None)
+            if manifest_name is None:
                 raise NotYet(PullOutcome.FAILED, f"{path}: has no manifest there; look at it on the instrument")
-            about = text_of(source, f"{path}/{about_name}", MANIFEST.max_bytes)
-        manifest = _manifest(about, about_name, path)
+            content = text_of(source, f"{path}/{manifest_name}", MANIFEST.max_bytes)
+        manifest = _manifest(content, manifest_name, path)
     except (ContentError, ScanError) as error:
         raise NotYet(PullOutcome.FAILED, f"its manifest cannot be used there: {error}") from error
     if manifest.scan_id != Path(path).name.partition("-")[0]:
         raise NotYet(PullOutcome.FAILED, f"{path}: its manifest is of scan {manifest.scan_id}")
-    lacking = [name for name in manifest.files if entries.keys().isdisjoint((name, _packed_name(name)))]
-    if lacking:
-        raise NotYet(PullOutcome.FAILED, f"{path}: {', '.join(sorted(lacking))} missing there")
-    files = tuple(one for name, one in entries.items() if name not in (about_name, LABEL_FILE))
+    missing = [name for name in manifest.files if entries.keys().isdisjoint((name, _packed_name(name)))]
+    if missing:
+        raise NotYet(PullOutcome.FAILED, f"{path}: {', '.join(sorted(missing))} missing there")
+    files = tuple(entry for name, entry in entries.items() if name not in (manifest_name, LABEL_FILE))
     label_bytes = entries[LABEL_FILE].size_bytes if LABEL_FILE in entries else 0
-    return FoundRecording(path, about, about_name, files, label_bytes, manifest)
+    return RemoteRecording(path, content, manifest_name, files, label_bytes, manifest)
 
 
-def present(found: FoundRecording, source: Source, fs: LocalFileSystem, target: Path) -> None:
-    """Say what ``target``, which is there, is beside what was found: raises NotYet, always; LinkLost, StorageError.
+def present(recording: RemoteRecording, source: Source, fs: LocalFileSystem, target: Path) -> None:
+    """Compare an existing ``target`` with the recording there, and always raise NotYet with the outcome.
 
-    The same recording with more in it (a cloud that was made at the desk) is the same recording. A label that is not
-    here is taken; nothing else is touched.
+    The same recording with more files (a cloud that was made at the desk) is the same recording. A missing label is
+    taken; other files are left alone. Raises LinkLost, StorageError, too.
     """
     with StorageError.naming("cannot read", target):
-        path = target / found.about_name
+        path = target / recording.manifest_name
         ours = path.read_bytes() if path.exists() else b""
     try:
-        here = dict(_manifest(ours, found.about_name, str(target)).files)
+        local_files = dict(_manifest(ours, recording.manifest_name, str(target)).files)
     except (ContentError, ScanError):
-        here = {}
-    other = sorted(name for name, stamp in found.manifest.files.items() if here.get(name) != stamp)
-    if ours != found.about and (other or not here):
+        local_files = {}
+    different = sorted(name for name, stamp in recording.manifest.files.items() if local_files.get(name) != stamp)
+    if ours != recording.manifest_content and (different or not local_files):
         raise NotYet(
             PullOutcome.DIFFERS,
-            f"{'; '.join(other) or 'its manifest'}: not the same at both ends, and left alone ({target}); one "
+            f"{'; '.join(different) or 'its manifest'}: not the same at both ends, and left alone ({target}); one "
             "instrument, one "
             "folder: give another DIR for another instrument, or move the folder away to have the instrument's",
         )
-    if found.about_name == MANIFEST_FILE:
+    if recording.manifest_name == MANIFEST_FILE:
         wrong = wrong_files(target, MANIFEST.decode(ours, str(target)), checksums=False)
         if wrong:
             raise NotYet(
-                PullOutcome.FAILED, f"is here, and damaged ({target}): {_told(wrong)}; move it away, and call again"
+                PullOutcome.FAILED,
+                f"is here, and damaged ({target}): {_problem_list(wrong)}; move it away, and call again",
             )
-    _take_label(found, source, fs, target)
+    _take_label(recording, source, fs, target)
     raise NotYet(PullOutcome.ALREADY, "")
 
 
 def draft_folder(target: Path) -> Path:
-    """Return where ``target`` is put together."""
+    """Return the folder in which ``target`` is put together."""
     return target.with_name(f".{target.name}.pulling")
 
 
-def already_here_bytes(found: FoundRecording, target: Path) -> int:
-    """Return how much of a recording an earlier call has taken. Raises StorageError."""
+def present_bytes(recording: RemoteRecording, target: Path) -> int:
+    """Return how many bytes of a recording an earlier call has taken. Raises StorageError."""
     with StorageError.naming("cannot read", target):
-        paths = (draft_folder(target) / one.name for one in found.files)
+        paths = (draft_folder(target) / entry.name for entry in recording.files)
         return sum(path.stat().st_size for path in paths if path.exists())
 
 
-def take(found: FoundRecording, source: Source, fs: LocalFileSystem, target: Path, came: Callable[[int], None]) -> None:
-    """Take a recording that is not here; ``came`` hears of each piece's bytes. Durable and whole on return.
+def take(
+    recording: RemoteRecording, source: Source, fs: LocalFileSystem, target: Path, came: Callable[[int], None]
+) -> None:
+    """Take a recording that is not here; on return it is complete and durable.
 
-    Raises NotYet where it is not to be had whole now, LinkLost, StorageError. The draft stays for the next call.
+    ``came`` is called with the bytes of each piece. Raises NotYet where it cannot be had completely now, LinkLost,
+    StorageError. The draft stays for the next call.
     """
     draft = draft_folder(target)
     fs.make_folders(draft)
     wrong: dict[str, str] = {}
     for _ in range(TIMES):
-        _begin(found, fs, draft)
-        _require_room(found, fs, target)
-        for entry in found.files:
-            _take_file(source, f"{found.path}/{entry.name}", entry.size_bytes, fs, draft / entry.name, came)
-        came(_take_label(found, source, fs, draft))
-        wrong = _wrong(found, draft)
+        _begin(recording, fs, draft)
+        _require_room(recording, fs, target)
+        for entry in recording.files:
+            _take_file(source, f"{recording.path}/{entry.name}", entry.size_bytes, fs, draft / entry.name, came)
+        came(_take_label(recording, source, fs, draft))
+        wrong = _wrong(recording, draft)
         if not wrong:
             fs.move_folder(draft, target)
             return
         for name in wrong:
             fs.discard(draft / name)
             fs.discard(draft / _packed_name(name))
-        found = find(source, found.path)  # it may have been changed meanwhile
-    raise NotYet(PullOutcome.FAILED, f"damaged on the instrument: {_told(wrong)} (read {TIMES} times)")
+        recording = find(source, recording.path)  # it may have been changed meanwhile
+    raise NotYet(PullOutcome.FAILED, f"damaged on the instrument: {_problem_list(wrong)} (read {TIMES} times)")
 
 
-def _begin(found: FoundRecording, fs: LocalFileSystem, draft: Path) -> None:
-    """Leave in a draft only what the manifest proves in the end: half a file of something else is found out there, and
-    taken anew."""
+def _begin(recording: RemoteRecording, fs: LocalFileSystem, draft: Path) -> None:
+    """Remove from a draft the files that its manifest does not list, and write the manifest.
+
+    Listed files may still be of another recording: their checksums show that later.
+    """
     with StorageError.naming("cannot read", draft):
         names = {path.name for path in draft.iterdir()}
-    for name in names.difference(found.manifest.files, map(_packed_name, found.manifest.files)):
+    for name in names.difference(recording.manifest.files, map(_packed_name, recording.manifest.files)):
         fs.discard(draft / name)
     # Its sync of the folder makes the removals durable, too.
-    fs.replace_file(draft / found.about_name, found.about)
+    fs.replace_file(draft / recording.manifest_name, recording.manifest_content)
 
 
-def _require_room(found: FoundRecording, fs: LocalFileSystem, target: Path) -> None:
+def _require_room(recording: RemoteRecording, fs: LocalFileSystem, target: Path) -> None:
     with StorageError.naming("cannot ask for the room on", target.parent):
         free_bytes = fs.free_bytes(target.parent)
-    missing = found.size_bytes - already_here_bytes(found, target) + ROOM_LEFT_BYTES - free_bytes
+    missing = recording.size_bytes - present_bytes(recording, target) + ROOM_LEFT_BYTES - free_bytes
     if missing > 0:
         raise StorageError(
             "cannot take a scan to",
@@ -198,34 +204,33 @@ def _require_room(found: FoundRecording, fs: LocalFileSystem, target: Path) -> N
 
 
 def _take_file(
-    source: Source, there: str, size_bytes: int, fs: LocalFileSystem, path: Path, came: Callable[[int], None]
+    source: Source, remote_path: str, size_bytes: int, fs: LocalFileSystem, path: Path, came: Callable[[int], None]
 ) -> None:
     with StorageError.naming("cannot write", path):
         begun = path.exists()
-        here = path.stat().st_size if begun else 0
+        present_bytes = path.stat().st_size if begun else 0
         file = fs.append(path) if begun else fs.create(path)
         try:
-            # Each piece is written as it comes: what came before a link broke is kept, and the next call asks for what
-            # follows.
-            with given():
-                for data in source.read(there, here, size_bytes):
+            # Each piece is written as it comes, so that after a broken link the next call requests only the remainder.
+            with outcomes_of_source():
+                for data in source.read(remote_path, present_bytes, size_bytes):
                     file.write(data)
                     came(len(data))
-            # Also where nothing was missing: whoever wrote the last piece may have ended before its sync.
+            # Also where no byte was missing: the process that wrote the last piece may have ended before its sync.
             file.sync()
         finally:
             file.close()
 
 
-def _take_label(found: FoundRecording, source: Source, fs: LocalFileSystem, folder: Path) -> int:
-    """Take a name and a note that are not here, and return their bytes.
+def _take_label(recording: RemoteRecording, source: Source, fs: LocalFileSystem, folder: Path) -> int:
+    """Take a label that is missing here, and return its bytes.
 
-    Raises NotYet where both ends have one, and another.
+    Raises NotYet where the labels at both ends differ.
     """
-    if not found.label_bytes:
+    if not recording.label_bytes:
         return 0
-    with given():
-        theirs = text_of(source, f"{found.path}/{LABEL_FILE}", LABEL.max_bytes)
+    with outcomes_of_source():
+        theirs = text_of(source, f"{recording.path}/{LABEL_FILE}", LABEL.max_bytes)
     path = folder / LABEL_FILE
     with StorageError.naming("cannot read", path):
         ours = path.read_bytes() if path.exists() else None
@@ -236,25 +241,27 @@ def _take_label(found: FoundRecording, source: Source, fs: LocalFileSystem, fold
     return len(theirs)
 
 
-def _wrong(found: FoundRecording, draft: Path) -> dict[str, str]:
-    """Return what is not as the manifest says, by name, every byte read back from the disk; packed frames are decoded."""
-    if found.about_name == MANIFEST_FILE:
+def _wrong(recording: RemoteRecording, draft: Path) -> dict[str, str]:
+    """Return the problems of a draft by file name; every byte is read and packed frames are decoded."""
+    if recording.manifest_name == MANIFEST_FILE:
         return problems_of(draft)
     with StorageError.naming("cannot read", draft):
         return {
             name: "damaged (its checksum does not fit)"
-            for name, stamp in found.manifest.files.items()
+            for name, stamp in recording.manifest.files.items()
             if checked_stamp(draft / name) != stamp
         }
 
 
-def _manifest(about: bytes, name: str, where: str) -> Manifest:
-    return MANIFEST.decode(about, where) if name == MANIFEST_FILE else INCOMPLETE.decode(about, where, INCOMPLETE_OF)
+def _manifest(content: bytes, name: str, where: str) -> Manifest:
+    return (
+        MANIFEST.decode(content, where) if name == MANIFEST_FILE else INCOMPLETE.decode(content, where, INCOMPLETE_OF)
+    )
 
 
 def _packed_name(name: str) -> str:
     return packed_path(Path(name)).name
 
 
-def _told(wrong: dict[str, str]) -> str:
-    return "; ".join(f"{name}: {what}" for name, what in sorted(wrong.items()))
+def _problem_list(wrong: dict[str, str]) -> str:
+    return "; ".join(f"{name}: {problem}" for name, problem in sorted(wrong.items()))

@@ -133,7 +133,7 @@ def test_a_trashed_scan_is_gone_from_the_lists_and_comes_back_whole(root: Path, 
     for option in ("trash", "--all"):
         assert "000002  trash" in scans(shell, root, "list", option).out
     scans(shell, root, "restore", "2", "4")
-    assert (library.ids(), library.entry("4").shelf) == (["000001", "000002", "000003"], LibraryFolder.REJECTED)
+    assert (library.ids(), library.entry("4").folder_kind) == (["000001", "000002", "000003"], LibraryFolder.REJECTED)
     assert library.verify("2").ok
 
 

@@ -15,7 +15,7 @@ from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.light.water import Water
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.verdict import Judgement, Verdict
-from appliance.store.reprocess import Empty, why_empty
+from appliance.store.reprocess import EmptyCloud, why_empty
 
 WATER = Water(20.0, 0.0, 530.0)
 WIDTH_PX, HEIGHT_PX = 160, 120
@@ -59,7 +59,7 @@ def decoded(pipeline: Pipeline) -> int:
     return int(np.count_nonzero(pipeline.decoded("left").mask == Mask.VALID))
 
 
-def said(pipeline: Pipeline, points: int, *judgements: Judgement) -> Empty | None:
+def said(pipeline: Pipeline, points: int, *judgements: Judgement) -> EmptyCloud | None:
     cloud = pipeline.table.cloud(Found(((0, points),), CloudSummary(points, 50.0, 520.0, 0.1, 0.1)))
     return why_empty(pipeline, cloud, judgements)
 

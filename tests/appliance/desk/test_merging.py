@@ -16,7 +16,7 @@ from appliance.store.instrument import load_calibration
 from appliance.store.origin import SourceScan
 from appliance.store.ply import read_ply
 from appliance.store.scan import ScanError, StoredScan
-from appliance.store.wish import Wish
+from appliance.store.wish import ScanOptions
 from hw_sim.scene import Scene
 from tests.support.rendered import judge, reconstruct, render_scan
 from tests.support.stored import store
@@ -44,9 +44,9 @@ def test_a_cloud_of_two_exposures_has_more_points_and_is_as_true(rig: Rig, tmp_p
     folders = {name: store(scan, tmp_path / name, exposure_ms=exposures_ms[name]) for name, scan in scans.items()}
     path, out = tmp_path / "calibration.json", tmp_path / "both.ply"
     path.write_bytes(encode_calibration(true_calibration(scans["000001"].renderer.truth)))
-    sources = SourceScan.open(folders["000001"], Wish(rig)), SourceScan.open(folders["000002"], Wish(rig))
+    sources = SourceScan.open(folders["000001"], ScanOptions(rig)), SourceScan.open(folders["000002"], ScanOptions(rig))
     report = merge_scans(
-        sources, SourceScan.one_calibration(sources, Wish(calibration=path, foreign=True)), out, silent
+        sources, SourceScan.one_calibration(sources, ScanOptions(calibration=path, foreign=True)), out, silent
     )
     assert report["scans"] == "000002 + 000001", "the shorter one gives the grey values"
     assert report["exposures"] == "2.5 ms + 16 ms"

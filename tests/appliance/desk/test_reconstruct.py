@@ -17,7 +17,7 @@ from appliance.store.config import Rig
 from appliance.store.instrument import Instrument
 from appliance.store.origin import SourceScan
 from appliance.store.ply import read_ply
-from appliance.store.wish import Wish
+from appliance.store.wish import ScanOptions
 from tests.support.planes import small_rig, store_plane
 from tests.support.told import Told
 
@@ -33,7 +33,7 @@ def test_another_calibration_gives_other_points(rig: Rig, tmp_path: Path) -> Non
     other, out = replace(Instrument(rig).design(), method="bundle"), tmp_path / "again.ply"
     moved = replace(other.rig.left, port=replace(other.rig.left.port, distance_mm=33.0))
     (tmp_path / "other.json").write_bytes(encode_calibration(replace(other, rig=replace(other.rig, left=moved))))
-    wish, seen = Wish(rig, calibration=tmp_path / "other.json"), Told()
+    wish, seen = ScanOptions(rig, calibration=tmp_path / "other.json"), Told()
     source = SourceScan.open(folder, wish)
     report = reconstruct_scan(source, source.calibration_for(wish), out, seen)
     again = read_ply(out).points_mm

@@ -19,7 +19,7 @@ from appliance.store.instrument import Instrument
 from appliance.store.origin import SourceScan
 from appliance.store.ply import read_ply
 from appliance.store.scan import ScanError, ScanOrigin, StoredScan
-from appliance.store.wish import Wish
+from appliance.store.wish import ScanOptions
 from tests.support.commands import Shell
 from tests.support.planes import small_rig, store_plane
 
@@ -54,8 +54,8 @@ def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -
 
 def rescued(recording: incomplete.IncompleteRecording, out: Path) -> dict[str, object]:
     """The report; no rig file and no root is given: the recording carries all that it needs."""
-    source = SourceScan.open(recording.scan.folder, Wish(), recording.scan)
-    return dict(rescue_recording(recording, source, source.calibration_for(Wish()), out, silent))
+    source = SourceScan.open(recording.scan.folder, ScanOptions(), recording.scan)
+    return dict(rescue_recording(recording, source, source.calibration_for(ScanOptions()), out, silent))
 
 
 def test_the_points_are_those_of_the_whole_scan_and_say_that_nothing_checked_them(

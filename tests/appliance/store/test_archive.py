@@ -14,7 +14,7 @@ import pytest
 from appliance.store import archive, packed
 from appliance.store import label as labels
 from appliance.store import scan as stored
-from appliance.store.archive import Copied, pack_scan, problems_of, remove_source, unpack_scan
+from appliance.store.archive import CopyOutcome, pack_scan, problems_of, remove_source, unpack_scan
 from appliance.store.atomic import FileSystem, LocalFileSystem, StorageError
 from appliance.store.damage import damaged_frames, frames_as_they_are
 from appliance.store.library import Library, LibraryFolder, ScanEntry
@@ -53,7 +53,7 @@ def source(small: Path) -> Path:
 @pytest.fixture
 def target(tmp_path: Path) -> Path:
     """A folder in which the packed scan is to lie."""
-    archive.make_shelves(FS, tmp_path / "archive", SCANS)
+    archive.make_scan_folders(FS, tmp_path / "archive", SCANS)
     return tmp_path / "archive" / "scans" / "000001"
 
 
@@ -77,7 +77,7 @@ def flip(path: Path, at: int) -> None:
 
 def test_a_packed_scan_is_opened_as_it_was_and_comes_back(source: Path, target: Path, tmp_path: Path) -> None:
     before, plain = content(source), StoredScan.load(source)
-    assert pack_scan(FS, source, target) is Copied.WRITTEN
+    assert pack_scan(FS, source, target) is CopyOutcome.WRITTEN
     assert content(source) == before, "the source is only read"
     opened = StoredScan.load(target)
     assert opened.manifest == plain.manifest == Library(target.parent.parent).load("1").manifest
@@ -90,9 +90,9 @@ def test_a_packed_scan_is_opened_as_it_was_and_comes_back(source: Path, target: 
         assert opened.frames[side].flags.c_contiguous
     assert ScanEntry.of(target, checksums=True).ok
     assert not list(target.glob("*.npy")), "reading leaves nothing"
-    archive.make_shelves(FS, tmp_path / "back", SCANS)
+    archive.make_scan_folders(FS, tmp_path / "back", SCANS)
     back = tmp_path / "back" / "scans" / "000001"
-    assert unpack_scan(FS, target, back) is Copied.WRITTEN
+    assert unpack_scan(FS, target, back) is CopyOutcome.WRITTEN
     assert content(back) == before
 
 
@@ -185,19 +185,21 @@ def test_an_index_that_says_nonsense_is_refused(there: Path) -> None:
             packed.read_index(there / JLS)
 
 
-def taller_stream(data: bytes, index: packed.Packed) -> bytes:
+def taller_stream(data: bytes, index: packed.PackedFile) -> bytes:
     """The codec believes the size in a stream's own head, and takes gigabytes and minutes for a damaged one."""
     head = data.index(b"\xff\xf7\x00\x0b\x08", index.offsets[1])  # start of frame, 8 bits; then the height
     assert data[head + 5 : head + 7] == b"\x00\x08"
     return data[: head + 6] + b"\x09" + data[head + 7 :]
 
 
-def other_pixels(data: bytes, index: packed.Packed) -> bytes:
+def other_pixels(data: bytes, index: packed.PackedFile) -> bytes:
     return data.replace(index.crc32[1].encode(), f"{int(index.crc32[1], 16) ^ 1:08x}".encode())
 
 
 @pytest.mark.parametrize(("spoil", "said"), [(taller_stream, "damaged"), (other_pixels, "other pixels")])
-def test_a_damaged_stream_has_no_pixels(there: Path, spoil: Callable[[bytes, packed.Packed], bytes], said: str) -> None:
+def test_a_damaged_stream_has_no_pixels(
+    there: Path, spoil: Callable[[bytes, packed.PackedFile], bytes], said: str
+) -> None:
     (there / JLS).write_bytes(spoil((there / JLS).read_bytes(), packed.read_index(there / JLS)))
     with pytest.raises(ScanError, match=f"frame 1 .*{said}"):
         StoredScan.read_frame(there, "left", 1)
@@ -224,10 +226,10 @@ def test_packing_again_adds_a_label_and_replaces_none(source: Path, target: Path
     (source / labels.LABEL_FILE).unlink()
     pack_scan(FS, source, target)
     (source / labels.LABEL_FILE).write_bytes(label)
-    assert pack_scan(FS, source, target) is Copied.ALREADY
+    assert pack_scan(FS, source, target) is CopyOutcome.ALREADY
     assert labels.Label.read(target).name == "bollard 3"
     before = content(target)
-    assert pack_scan(FS, source, target) is Copied.ALREADY
+    assert pack_scan(FS, source, target) is CopyOutcome.ALREADY
     labels.Label("bollard 4").write(FS, source)
     with pytest.raises(ScanError, match=r"label\.json"):
         pack_scan(FS, source, target)
@@ -251,7 +253,7 @@ def test_packing_that_is_refused_at_any_call_leaves_no_half_scan(small: Path, ta
             assert content(small) == before, f"half a source after call {bad}"
         if target.exists():
             assert problems_of(target) == {}, f"half a scan after call {bad}"
-        archive.make_shelves(FS, target.parent.parent, SCANS)
+        archive.make_scan_folders(FS, target.parent.parent, SCANS)
         archive.finish_removals(FS, small.parent.parent, SCANS)
         assert {path.name for path in target.parent.iterdir()} <= {"000001"}
         if small.exists():

@@ -218,7 +218,7 @@ def read_packed(data: bytes, folder: Path) -> None:
     for k in range(index.count):
         frame = index.frame(k)
         assert f"{zlib.crc32(frame.tobytes()):08x}" == index.crc32[k], "no pixels but those that were packed"
-    index.whole()
+    index.is_undamaged()
 
 
 def read_count(data: bytes, folder: Path) -> None:

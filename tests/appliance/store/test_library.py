@@ -148,7 +148,7 @@ def test_a_scan_copied_elsewhere_is_read_under_any_name_but_another_number(libra
         copied = tmp_path / "elsewhere" / name
         shutil.copytree(library.root / "scans" / "000002", copied)
         entry = ScanEntry.of(copied, checksums=True)
-        assert (entry.scan_id, entry.shelf, len(entry.problems)) == (name, LibraryFolder.SCANS, problems)
+        assert (entry.scan_id, entry.folder_kind, len(entry.problems)) == (name, LibraryFolder.SCANS, problems)
         assert entry.label == Label("bollard", None)
         assert entry.size_bytes == sum(path.stat().st_size for path in copied.iterdir()) > 1000
     assert ScanEntry.of(tmp_path / "none", checksums=False).size_bytes == 0
@@ -172,7 +172,7 @@ def test_what_is_whole_is_recovered_and_marked_and_the_rest_set_aside(empty: Lib
     assert all(entry.ok for entry in manifests.values())
     recovered = [entry.manifest.recovered for entry in manifests.values() if entry.manifest is not None]
     assert recovered == [True, True, False, True]
-    assert manifests["5"].shelf is LibraryFolder.REJECTED
+    assert manifests["5"].folder_kind is LibraryFolder.REJECTED
     assert (taken.folder / "manifest.json").read_bytes() == before
     for number in ("000002", "000004", "000077"):
         assert (empty.root / "set-aside" / number / "frames_left.npy").exists(), "nothing is deleted"
@@ -243,9 +243,9 @@ def test_no_number_is_given_twice_wherever_its_scan_is_now(library: Library) -> 
 def test_a_scan_is_put_away_and_taken_back_to_where_it_was_and_over_no_other(library: Library) -> None:
     assert sorted(path.name for path in library.root.iterdir() if path.is_dir()) == ["rejected", "scans", "set-aside"]
     for scan_id, shelf in (("000001", LibraryFolder.SCANS), ("000003", LibraryFolder.REJECTED)):
-        assert library.entry(scan_id).shelf is shelf
+        assert library.entry(scan_id).folder_kind is shelf
         assert library.trash(scan_id) == library.root / "trash" / scan_id
-        assert library.entry(scan_id).shelf is LibraryFolder.TRASH
+        assert library.entry(scan_id).folder_kind is LibraryFolder.TRASH
         assert scan_id not in library.ids()
         with pytest.raises(ScanError, match="already"):
             library.trash(scan_id)

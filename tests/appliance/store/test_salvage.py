@@ -13,7 +13,7 @@ from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.store.atomic import LocalFileSystem
-from appliance.store.damage import Salvaged, _make_up
+from appliance.store.damage import SalvagedScan, _make_up
 from appliance.store.manifest import SecondSequence, SequenceInfo
 from appliance.store.scan import ScanError, StoredScan, add_second, write_raw
 from tests.appliance.store.scenes import ORIGIN, record
@@ -131,7 +131,7 @@ def test_a_lost_sine_image_is_made_up_in_its_camera_alone_and_its_noise_counts_t
     folder: Path, side: str
 ) -> None:
     damage(folder, f"frames_{side}.npy", SINES[1])
-    found, other = Salvaged.of(folder), "right" if side == "left" else "left"
+    found, other = SalvagedScan.of(folder), "right" if side == "left" else "left"
     assert dict(found.variance) == {side: 3.0, other: 1.0}
     assert len(found.notes) == 2
     assert all(SEQUENCE.patterns[SINES[1]].name in note for note in found.notes)
@@ -151,7 +151,7 @@ def test_a_lost_bright_or_dark_image_is_the_mean_of_where_the_gray_images_are_li
 ) -> None:
     k = getattr(SEQUENCE, lost)
     damage(folder, "frames_left.npy", k)
-    found = Salvaged.of(folder)
+    found = SalvagedScan.of(folder)
     assert lost in found.notes[1]
     assert dict(found.variance) == {"left": 1.0, "right": 1.0}
     lit = (scene()[GRAYS] == level).any(axis=0)
@@ -159,11 +159,11 @@ def test_a_lost_bright_or_dark_image_is_the_mean_of_where_the_gray_images_are_li
     assert (found.scan.frames["left"][k][lit] == level).all()
     damage(folder, "frames_left.npy", SINES[0])
     damage(folder, "frames_right.npy", SINES[3])
-    found = Salvaged.of(folder)
+    found = SalvagedScan.of(folder)
     assert (len(found.notes), dict(found.variance)) == (5, {"left": 3.0, "right": 3.0}), "all at once"
     damage(folder, "frames_right.npy", GRAYS[-1])
     with pytest.raises(ScanError, match=rf"000001: frames_right\.npy: .*{SEQUENCE.patterns[GRAYS[-1]].name}"):
-        Salvaged.of(folder)
+        SalvagedScan.of(folder)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_of_two_exposures_the_one_that_is_damaged_less_is_used(
 ) -> None:
     for file, k in damages.items():
         damage(both, file, k)
-    found = Salvaged.of(both)
+    found = SalvagedScan.of(both)
     assert used is None or any(f"only the {used} exposure" in note for note in found.notes)
     shift = 1.0 if used == "second" else 0.0
     assert np.abs(found.scan.frames["left"].astype(int) - scene(shift)).max() <= 2

@@ -19,7 +19,7 @@ from appliance.measure.procedure import SequenceProcessor
 from appliance.measure.warm import run_what_an_empty_scan_does_not
 from appliance.store.config import load_rig
 from appliance.store.origin import SourceScan
-from appliance.store.wish import Wish
+from appliance.store.wish import ScanOptions
 from tests.behaviour.frozen import RECORDINGS
 from tests.support import synthetic
 
@@ -53,7 +53,7 @@ def test_no_scan_needs_a_kernel_that_is_not_there(tmp_path: Path) -> None:
     assert before
     with tarfile.open(RECORDINGS) as packed:
         packed.extractall(tmp_path, filter="data")
-    wish = Wish(rig=load_rig(tmp_path / "rig.toml"), root=tmp_path / "root")
+    wish = ScanOptions(rig=load_rig(tmp_path / "rig.toml"), root=tmp_path / "root")
     for number in (*SCANS.values(), FLICKERS):
         source = SourceScan.open(tmp_path / "root" / "scans" / number, wish)
         calibration = source.calibration_for(wish).calibration

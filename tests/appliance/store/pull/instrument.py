@@ -11,7 +11,7 @@ from appliance.store import scan as stored
 from appliance.store.atomic import LocalFileSystem
 from appliance.store.incomplete import IncompleteRecording
 from appliance.store.manifest import Decision
-from appliance.store.pull.pulling import Far, Open, Pulled, pull_from
+from appliance.store.pull.pulling import Far, Open, PullResult, pull_from
 from appliance.store.pull.source import FolderSource, LinkLost, RemoteEntry, Source
 from tests.appliance.store.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
@@ -63,7 +63,7 @@ def opened(source: Source) -> Open:
 def pulled(
     link: Source | Open, target: Path, fs: LocalFileSystem = FS, *, every: bool = False,
     far: Far = lambda *_: None,
-) -> Pulled:  # fmt: skip
+) -> PullResult:  # fmt: skip
     """One call, which waits for nothing."""
     target.mkdir(exist_ok=True)
     return pull_from(link if callable(link) else opened(link), target, fs, every=every, far=far, wait=lambda _: None)

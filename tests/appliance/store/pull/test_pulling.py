@@ -18,7 +18,7 @@ from appliance.store.atomic import LocalFileSystem, StorageError
 from appliance.store.incomplete import IncompleteRecording
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Decision
-from appliance.store.pull.pulling import Pulled, pull_from
+from appliance.store.pull.pulling import PullResult, pull_from
 from appliance.store.pull.source import (
     FolderSource,
     LinkLost,
@@ -33,10 +33,10 @@ from appliance.store.pull.taking import (
     ROOM_LEFT_BYTES,
     NotYet,
     PullOutcome,
-    already_here_bytes,
     draft_folder,
     find,
     present,
+    present_bytes,
     take,
 )
 from appliance.store.scan import StoredScan
@@ -67,7 +67,7 @@ def here(tmp_path: Path) -> Path:
     return tmp_path / "desk"
 
 
-def reasons(done: Pulled, *outcomes: PullOutcome) -> dict[str, str]:
+def reasons(done: PullResult, *outcomes: PullOutcome) -> dict[str, str]:
     return {one.what: one.reason for one in done.of(*outcomes)}
 
 
@@ -79,7 +79,7 @@ def test_everything_that_is_finished_comes_byte_for_byte_and_once(there: Path, h
         (there / "scans" / name).write_text("")
     before, told = content(there.parent.parent), list[tuple[int, int]]()
     done = pulled(FolderSource(there), here, far=lambda *far: told.append(far[3:]))
-    assert (done.whole, done.being_written) == (True, 1)
+    assert (done.is_complete, done.being_written) == (True, 1)
     theirs, ours = content(there), content(here)
     none = ("scans/.000008", "scans/000009")
     wanted = {path: data for path, data in theirs.items() if not path.startswith("rejected/") and path not in none}
@@ -110,12 +110,12 @@ def test_the_rig_file_and_small_files_are_taken_by_place_depth_and_kind(bare: Pa
         desk = here.with_name(f"desk {place.count('/')}{len(place)}")
         done = pulled(FolderSource(bare), desk)
         assert (desk / "instrument" / "rig.toml").read_text() == place, "the instrument's own word comes first"
-        assert (done.whole, done.taken_bytes) == (True, len(place))
+        assert (done.is_complete, done.taken_bytes) == (True, len(place))
     for folder in ("objects", "objects/1/2/3", "objects/1/2/3/4"):
         (bare / folder).mkdir(parents=True, exist_ok=True)
         for name in ("a.json", "b.html", "c.toml", "d.ply", "e.json.tmp"):
             (bare / folder / name).write_text("{}")
-    assert pulled(FolderSource(bare), here).whole
+    assert pulled(FolderSource(bare), here).is_complete
     taken = {path for path in content(here) if path.startswith("objects/")}
     folders, names = ("objects", "objects/1/2/3"), ("a.json", "b.html", "c.toml")
     assert taken == {f"{folder}/{name}" for folder in folders for name in names}
@@ -133,7 +133,7 @@ def test_every_version_of_a_calibration_is_kept(there: Path, here: Path) -> None
     assert not pulled(FolderSource(there), here).of(TAKEN)
     beside.write_text("something else")
     done = pulled(FolderSource(there), here)
-    assert (list(reasons(done, DIFFERS)), done.whole) == ([current], False)
+    assert (list(reasons(done, DIFFERS)), done.is_complete) == ([current], False)
 
 
 def test_what_was_worked_on_packed_or_put_away_at_the_desk_is_not_taken_again(there: Path, here: Path) -> None:
@@ -141,10 +141,10 @@ def test_what_was_worked_on_packed_or_put_away_at_the_desk_is_not_taken_again(th
     pulled(FolderSource(there), here)
     mine = here / "scans" / "000007"
     stored.finish_scan(FS, mine, StoredScan.manifest_of(mine), Decision.KEPT, record(), cloud(), None)
-    assert pulled(FolderSource(there), here).whole
+    assert pulled(FolderSource(there), here).is_complete
     Library(here).trash("000001")
     archived = here.with_name("archive")
-    archive.make_shelves(FS, archived, LibraryFolder)
+    archive.make_scan_folders(FS, archived, LibraryFolder)
     for number in ("000002", "000003", "000007"):
         archive.pack_scan(FS, here / "scans" / number, archived / "scans" / number)
     Library(here).trash("000002")
@@ -163,7 +163,7 @@ def test_what_differs_at_both_ends_is_named_and_left_alone(there: Path, here: Pa
     (here / "scans" / "000002" / labels.LABEL_FILE).unlink()
     done = pulled(FolderSource(there), here)
     said = reasons(done, DIFFERS)
-    assert (set(said), done.whole) == ({"scans/000001", "scans/000003"}, False)
+    assert (set(said), done.is_complete) == ({"scans/000001", "scans/000003"}, False)
     assert "frames_left.npy" in said["scans/000003"]
     assert content(here / "scans" / "000003") == before
     assert labels.Label.read(here / "scans" / "000001").name == "the wreck"
@@ -187,7 +187,7 @@ def test_what_cannot_be_a_whole_recording_is_told_and_never_published(there: Pat
         ("000010", "of scan 000009"),
     ):  # fmt: skip
         assert words in said.pop(f"scans/{number}")
-    assert (said, done.whole) == ({}, False)
+    assert (said, done.is_complete) == ({}, False)
     assert sorted(path.name for path in (here / "scans").iterdir() if path.name[0] != ".") == ["000001", "000003"]
     (here / "scans" / "000001" / "cloud.ply").write_bytes(b"ply")
     assert "cloud.ply" in reasons(pulled(FolderSource(there), here), FAILED)["scans/000001"], "damaged here"
@@ -243,7 +243,7 @@ def changed(folder: Path, gone: bool) -> Pieces:
 @pytest.mark.parametrize("path", ["scans/000002/cloud.ply", "incomplete/000001/frames_left.npy"])
 def test_a_flipped_bit_is_found_and_the_file_taken_anew_three_times_in_all(there: Path, here: Path, path: str) -> None:
     desk = here.with_name("again")
-    assert pulled(Altered(there, flipped(path, 2)), desk).whole
+    assert pulled(Altered(there, flipped(path, 2)), desk).is_complete
     folder, _, name = path.rpartition("/")
     assert content(desk / folder) == content(there / folder)
     said = reasons(pulled(Altered(there, flipped(path, 3)), here), FAILED)
@@ -254,7 +254,7 @@ def test_a_scan_that_changes_meanwhile_comes_as_it_is_at_the_end_and_one_that_go
     there: Path, here: Path
 ) -> None:
     second, desk = there / "scans" / "000002", here.with_name("another")
-    assert pulled(Altered(there, changed(second, gone=False)), here).whole
+    assert pulled(Altered(there, changed(second, gone=False)), here).is_complete
     assert content(here / "scans" / "000002") == content(second)
     done = pulled(Altered(there, changed(second, gone=True)), desk)
     assert list(reasons(done, LATER, FAILED)) == ["scans/000002"]
@@ -270,7 +270,7 @@ def test_a_link_that_breaks_in_a_file_is_gone_on_with_in_that_file(there: Path, 
     }
     lengths = {path: (there / path).stat().st_size for path in half}
     on = BreakingSource(there, 10**9)
-    assert pulled(on, here).whole
+    assert pulled(on, here).is_complete
     assert content(here / "scans" / "000003") == content(there / "scans" / "000003")
     asked = {(path, start) for path, start in on.asked if 0 < start < (there / path).stat().st_size}
     assert asked == {(path, size) for path, size in half.items() if 0 < size < lengths[path]}, "no byte a second time"
@@ -284,7 +284,7 @@ def test_a_link_that_breaks_now_and_then_is_opened_again_and_one_over_which_noth
     waits: list[float] = []
     here.mkdir()
     done = pull_from(lambda: opened(next(links))(), here, FS, every=False, far=lambda *_: None, wait=waits.append)
-    assert done.whole
+    assert done.is_complete
     assert done.links == len(waits) + 1 > 3
     assert len(done.of(TAKEN)) == 7, "what came over an earlier link is not looked at again"
     assert set(waits) == {1.0}, "each link brought something: none waits longer than after the first break"
@@ -307,7 +307,7 @@ def test_a_draft_is_gone_on_with_only_for_its_own_scan_and_made_durable(
         (draft / name).write_text("of another one")
     shutil.copy(other / "scans" / "000001" / "rig.toml", draft)  # written, and nobody had the time for its sync
     disk = BadDisk()
-    assert pulled(FolderSource(other), here, disk).whole
+    assert pulled(FolderSource(other), here, disk).is_complete
     assert content(here / "scans" / "000001") == content(other / "scans" / "000001")
     assert "sync rig.toml" in disk.calls[: disk.calls.index(f"rename {draft.name} 000001")]
 
@@ -325,7 +325,7 @@ def test_the_disk_refuses_at_each_call_in_turn_and_no_half_scan_is_ever_seen(tmp
             pulled(FolderSource(only), here, BadDisk(k))
         published = here / "scans" / "000001"
         assert not published.exists() or content(published) == whole, call
-        assert pulled(FolderSource(only), here).whole, call
+        assert pulled(FolderSource(only), here).is_complete, call
         assert (content(published), draft_folder(published).exists()) == (whole, False), call
 
 
@@ -344,7 +344,7 @@ def test_a_recording_is_taken_in_pieces_and_only_where_it_leaves_some_room_on_th
             return found.size_bytes + ROOM_LEFT_BYTES - lacking_bytes
 
     target.parent.mkdir(parents=True)
-    assert already_here_bytes(found, target) == 0
+    assert present_bytes(found, target) == 0
     if lacking_bytes:
         with pytest.raises(StorageError, match="disk"):
             take(found, source, Small(), target, came.append)
@@ -356,7 +356,7 @@ def test_a_recording_is_taken_in_pieces_and_only_where_it_leaves_some_room_on_th
     assert sum(came) == found.size_bytes
     draft_folder(target).mkdir()
     (draft_folder(target) / "cloud.ply").write_bytes(b"123")
-    assert already_here_bytes(found, target) == 3
+    assert present_bytes(found, target) == 3
     with pytest.raises(NotYet) as caught:
         present(found, source, FS, target)
     assert caught.value.outcome is ALREADY
@@ -413,7 +413,7 @@ def test_a_small_file_is_read_up_to_its_limit_and_one_that_is_not_given_is_told(
             raise error
 
         done = pulled(Altered(bare, refused), here)
-        assert (list(reasons(done, outcome)), done.whole) == ([name], False)
+        assert (list(reasons(done, outcome)), done.is_complete) == ([name], False)
 
 
 def test_names_that_lead_out_of_the_folder_are_not_followed(bare: Path, here: Path, tmp_path: Path) -> None:
