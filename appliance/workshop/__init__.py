@@ -1,5 +1,4 @@
-"""Owns what is done with a new instrument at the bench, before it runs: its boards' firmware, and the guided bring-up,
-one file a step."""
+"""The workshop: firmware for a new instrument's boards, and its guided bring-up, one module a step."""
 
 from __future__ import annotations
 
@@ -9,18 +8,18 @@ from appliance.base import lazy_face
 
 if TYPE_CHECKING:
     from .finding import (
-        Finding,  # Outcome of one check
+        Finding,  # Result of one check
     )
     from .flashing import (
         Part,  # Boards that have firmware of ours
-        commands,  # Return what is typed to bring folder onto a module with MicroPython; each may be repeated
-        instrument_values,  # Return what stands in the firmware's instrument.py, by name. Raises BringupError
+        commands,  # Return the shell commands that copy folder onto a module with MicroPython; each may be repeated
+        instrument_values,  # Return the values of the firmware's instrument.py, by name. Raises BringupError
         laid_out,  # Return every file of one firmware by its path on the microcontroller
     )
     from .guide import (
-        GuideOptions,  # Wishes for one call of the guide
-        Walked,  # Outcome of one call
-        projector_report,  # Measure the projector of rig on a white wall, which the instrument stands before
+        GuideOptions,  # Options of one call of the guide
+        Walked,  # Result of one call of the guide
+        projector_report,  # Measure the projector of rig on a white wall before the instrument
         walk,  # Walk the steps from where the last call ended, and stop at the first that is not good
     )
     from .kept import (
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
         replace_rig,  # Replace a rig file and return where its old text is kept
     )
     from .step import (
-        GivenUp,  # The person gave up, or nobody is there: the guide ends, and what was done stays done
+        GivenUp,  # The operator gave up or is absent: the guide ends, and finished steps stay finished
     )
     from .steps import (
         STEPS,  # The steps of the guided bring-up in their order

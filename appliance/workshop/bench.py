@@ -1,5 +1,4 @@
-"""Owns the instrument on the bench: pictures are played and recorded through the shipped drivers, as any scan is, and
-given out as images."""
+"""The instrument on the bench: it plays and records pictures through the shipped drivers, as any scan does."""
 
 from __future__ import annotations
 
@@ -20,9 +19,9 @@ from drivers.api import Board, Flip, Projector, Wires
 
 Image = NDArray[np.uint8]
 MOST_FRAMES = 64
-"""Frames of one take: as many pulses as the board fires."""
+"""Largest number of frames of one take: as many pulses as the board fires."""
 TRIES = 3
-"""Recordings of one take: a late flip or a lost frame happens, the same fault thrice is one."""
+"""Attempts to record one take: a single late flip or lost frame is chance, three faults in a row are not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +37,7 @@ class Shot:
 
 
 class Bench(Protocol):
-    """An instrument on the bench, before something white."""
+    """An instrument on the bench, before a white surface."""
 
     @property
     def refresh_hz(self) -> float: ...
@@ -54,29 +53,30 @@ class Bench(Protocol):
         """
 
     def take(self, order: Sequence[int], shot: Shot) -> Mapping[str, Image]:
-        """Play the pictures ``order``, one per vertical blank, then dark, and return what each camera saw, (n, h, w),
-        by side.
+        """Play the pictures ``order``, one per vertical blank, then dark, and return the images (n, h, w) by side.
 
         Raises BringupError where it cannot be recorded, DeviceError where a device is lost.
         """
 
 
 def flat_pictures(size_px: tuple[int, int], codes: Sequence[int]) -> list[Image]:
-    """Return a picture (h, w) of each code, the same all over."""
+    """Return one uniform picture (h, w) for each code."""
     width, height = size_px
     return [np.full((height, width), code, np.uint8) for code in codes]
 
 
-def lit_part(white: Image, black: Image, share: float = 0.5, most_dn: float = 240.0) -> NDArray[np.bool_]:
-    """Return which pixels (h, w) the projector lights well: from ``share`` of the brightest on, and none that is near
-    saturation."""
+def lit_part(white: Image, black: Image, share: float = 0.5, max_dn: float = 240.0) -> NDArray[np.bool_]:
+    """Return the pixels (h, w) that the projector lights well.
+
+    They have at least ``share`` of the brightest light and are below ``max_dn``, where saturation is near.
+    """
     # Signed: where a reflection moves, black may be the brighter one.
     light = white.astype(np.float32) - black
-    usable = white < most_dn
+    usable = white < max_dn
     # The brightest hundredth: a glint or a hot pixel must not set the scale.
     top = float(np.quantile(light[usable], 0.99)) if usable.any() else 0.0
-    lit: NDArray[np.bool_] = usable & (light > max(share * top, 1.0))
-    return lit
+    is_lit: NDArray[np.bool_] = usable & (light > max(share * top, 1.0))
+    return is_lit
 
 
 def mean_levels(frames: Image, part: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -104,7 +104,7 @@ class _Ordered:
         self, indices: Sequence[int], idle: int, start: Callable[[Flip], int | None], abort: Callable[[], bool]
     ) -> list[Flip]:
         flips = self._projector.play([self._order[k] for k in indices], self._order[idle], start, abort)
-        # Told as numbers of the sequence: whoever compares them counts frames, not pictures.
+        # Indices of the sequence, since the ledger counts frames, not pictures.
         return [replace(flip, index=k) for k, flip in enumerate(flips)]
 
 
@@ -127,7 +127,7 @@ class LightBench:
         return self._rig.projector.width_px, self._rig.projector.height_px
 
     def load(self, pictures: Sequence[Image], *, all_channels: bool) -> None:
-        """See ``Bench.load``. All devices are opened anew where the channels change."""
+        """See ``Bench.load``. All devices are opened again where the channels change."""
         if self._devices is None or all_channels is not self._all_channels:
             self.close()
             self._open(all_channels)
@@ -150,23 +150,23 @@ class LightBench:
         )
 
     def record(self, order: Sequence[int], shot: Shot) -> CaptureReport:
-        """Record ``order`` once and return what all witnesses said, whatever it was. Pictures must have been loaded."""
+        """Record ``order`` once and return the report, with or without a fault. Pictures must have been loaded."""
         assert self._devices is not None, "pictures are loaded first"
         grabbers, board, projector = self._devices
         played = _Ordered(projector, [*order, self._loaded])
         settings = ScanSettings(self.refresh_hz, shot.exposure_us, shot.delay_us, shot.blanks)
         recorder = ScanRecorder(grabbers, board, played, self._wires.clock, settings)
-        # Taken over at the cameras' next start, which each recording is.
+        # The cameras apply it at their next start, which comes with each recording.
         for grabber in grabbers.values():
             grabber.expose(float(shot.exposure_us), shot.gain_db)
         return recorder.record(order, self._store, lambda _side, _index: None, lambda: None)
 
     def frames(self, side: str, count: int) -> Image:
-        """Return the first ``count`` images (count, h, w) of the last recording: a view, which the next one overwrites."""
+        """Return the first ``count`` images (count, h, w) of the last recording as a view, which the next one overwrites."""
         return self._store.frames(side)[:count]
 
     def close(self) -> None:
-        """Give the devices back. Idempotent."""
+        """Close the devices. Idempotent."""
         if self._stack is not None:
             self._stack.close()
         self._stack, self._devices = None, None
@@ -184,7 +184,7 @@ def _nothing(_projector: Projector) -> None:
 
 @contextmanager
 def light_bench(rig: Rig) -> Iterator[LightBench]:
-    """Inside: the bench on the rig's devices, which no instrument may be using.
+    """Yield the bench on the rig's devices, which no instrument may be using.
 
     Raises DeviceError, BringupError, StorageError.
     """
@@ -198,7 +198,7 @@ def light_bench(rig: Rig) -> Iterator[LightBench]:
 
 @contextmanager
 def bench_on(rig: Rig, wires: Wires) -> Iterator[LightBench]:
-    """Inside: the same for whoever holds the instrument's lock and its wires already.
+    """Yield the bench, as ``light_bench`` does, where the caller has the instrument's lock and its wires already.
 
     Raises DeviceError, BringupError.
     """

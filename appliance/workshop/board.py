@@ -1,6 +1,6 @@
-"""Owns the step ``board``: the trigger board by itself, its beat, its clock, its lasers and its sensors.
+"""The step ``board``: the trigger board alone, with its heartbeat, clock, lasers and sensors.
 
-It is asked who it is, listened to for some seconds, and its lasers are lit one after the other.
+It is identified, observed for some seconds, and its lasers are switched on one after the other.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from drivers.api import BoardBooted, BoardTime, Clock, LaserState, Telemetry
 from drivers.board import TriggerBoard
 
 LISTENED_S = 20.0
-"""Time for which the board is listened to: two clocks' brackets of a millisecond leave some ten ppm of their drift
-open."""
+"""Duration of the observation: readings that are uncertain by a millisecond leave some ten ppm of the drift open."""
 ASKED_EVERY_S = 0.4
 SETTLED_S = 0.05
 """Time after which a laser's current has settled, and is read a second time."""
 EYES = "turn both laser windows away from everybody's eyes: each laser lights for a moment"
 BEAT_MS, LONGEST_BEAT_MS = 500.0, 750.0
-"""Time between heartbeats, and the longest that is taken: one and a half, since a missing one makes two."""
+"""Time between heartbeats, and the longest that is accepted: one and a half of it, since a missing one makes two."""
 MOST_DRIFT_PPM = 50.0
 """Largest difference of rate to the host's clock that the board's protocol allows."""
 TEMPERATURE_C = (-10.0, 70.0)
@@ -44,24 +43,24 @@ _IMPLAUSIBLE = {
 """Remedies of sensors whose value is not plausible, where they are particular."""
 
 
-def do(at: Workplace) -> StepOutcome:
+def do(workplace: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError, GivenUp."""
-    with drivers_rig.open_board(drivers_rig.BoardSpec(at.rig.board.url), at.wires) as board:
-        return StepOutcome(_findings(at, board))
+    with drivers_rig.open_board(drivers_rig.BoardSpec(workplace.rig.board.url), workplace.wires) as board:
+        return StepOutcome(_findings(workplace, board))
 
 
-def _findings(at: Workplace, board: TriggerBoard) -> tuple[Finding, ...]:
-    # An earlier program may have left both on: nobody has been told to turn them away yet.
+def _findings(workplace: Workplace, board: TriggerBoard) -> tuple[Finding, ...]:
+    # An earlier program may have left both on, and the operator has not been asked to turn them away yet.
     board.stop()
     board.set_lasers(False, False)
-    at.person.ask(EYES)
-    lasers = {side: _laser(board, side, at.wires.clock) for side in ("left", "right")}
-    beats_us, readings, boots, last = _listened(board, at)
+    workplace.person.ask(EYES)
+    lasers = {side: _laser(board, side, workplace.wires.clock) for side in ("left", "right")}
+    beats_us, readings, boots, last = _listened(board, workplace)
     info, counters = board.info, board.counters
     values = {} if last is None else _sensors(last)
-    supply_low_v = at.rig.limits.supply_low_v
+    supply_low_v = workplace.rig.limits.supply_low_v
     return (
-        *_firmware(info.firmware, at.rig.board.firmware),
+        *_firmware(info.firmware, workplace.rig.board.firmware),
         *(_restart(cause) for cause in boots),
         Finding("identity", True, f"board {info.serial}, firmware {info.firmware}"),
         judge_beats(beats_us, counters.lost_reports, counters.damaged_lines),
@@ -72,46 +71,48 @@ def _findings(at: Workplace, board: TriggerBoard) -> tuple[Finding, ...]:
 
 
 def _laser(board: TriggerBoard, side: str, clock: Clock) -> tuple[LaserState, LaserState, LaserState]:
-    """Return the read-backs before one laser is switched on, while it is, and after.
+    """Return the read-backs of one laser before it is switched on, while it is, and after.
 
-    It is off at the end, whatever happens.
+    It is off at the end in any case.
     """
     states = []
     try:
-        for on in (False, True, False):
-            board.set_lasers(on and side == "left", on and side == "right")
+        for is_on in (False, True, False):
+            board.set_lasers(is_on and side == "left", is_on and side == "right")
             clock.sleep_s(SETTLED_S)
-            # Asked twice: the first answer may be older than the current.
-            states.append(board.set_lasers(on and side == "left", on and side == "right"))
+            # The second answer counts: the first one may be older than the current.
+            states.append(board.set_lasers(is_on and side == "left", is_on and side == "right"))
     finally:
         board.set_lasers(False, False)
     before, while_on, after = states
     return before, while_on, after
 
 
-def _listened(board: TriggerBoard, at: Workplace) -> tuple[list[int], list[BoardTime], list[str], Telemetry | None]:
-    """Return times of heartbeats, readings of the clock, causes of restarts, and the last heartbeat."""
-    clock = at.wires.clock
+def _listened(
+    board: TriggerBoard, workplace: Workplace
+) -> tuple[list[int], list[BoardTime], list[str], Telemetry | None]:
+    """Return the times of heartbeats, readings of the clock, causes of restarts, and the last heartbeat."""
+    clock = workplace.wires.clock
     beats_us: list[int] = []
     readings: list[BoardTime] = []
     boots: list[str] = []
     last: Telemetry | None = None
-    begun_ns = asked_ns = clock.now_ns()
+    start_ns = last_reading_ns = clock.now_ns()
     readings.append(board.read_clock())
-    while (passed_s := (clock.now_ns() - begun_ns) / 1e9) < LISTENED_S:
-        at.say("listening to the board", passed_s / LISTENED_S)
+    while (passed_s := (clock.now_ns() - start_ns) / 1e9) < LISTENED_S:
+        workplace.say("listening to the board", passed_s / LISTENED_S)
         event = board.next_event(ASKED_EVERY_S / 4.0)
         if isinstance(event, Telemetry):
             beats_us.append(event.board_time_us)
             last = event
         elif isinstance(event, BoardBooted):
-            # Its time begins anew: a step across that would be no distance of heartbeats.
+            # Its clock starts anew: a difference across the restart would be no time between heartbeats.
             boots.append(event.cause)
             beats_us.clear()
             readings.clear()
-        # Seldom enough that questions and heartbeats do not wait for each other.
-        if clock.now_ns() - asked_ns > ASKED_EVERY_S * 1e9:
-            asked_ns = clock.now_ns()
+        # Rarely enough that readings and heartbeats do not delay each other.
+        if clock.now_ns() - last_reading_ns > ASKED_EVERY_S * 1e9:
+            last_reading_ns = clock.now_ns()
             readings.append(board.read_clock())
     return beats_us, readings, boots, last
 
@@ -127,31 +128,31 @@ def _sensors(last: Telemetry) -> dict[str, float | None]:
     }
 
 
-def _firmware(found: str, wanted: str | None) -> list[Finding]:
-    if wanted is None or wanted == found:
+def _firmware(installed: str, expected: str | None) -> list[Finding]:
+    if expected is None or expected == installed:
         return []
     remedy = "flash that version, or correct firmware of [board] in the rig file"
-    return [Finding("firmware", False, f"firmware {found}; the rig file wants {wanted}", wanted, remedy)]
+    return [Finding("firmware", False, f"firmware {installed}; the rig file wants {expected}", expected, remedy)]
 
 
 def _restart(cause: str) -> Finding:
-    said = f"restarted while it was listened to ({cause})"
-    return Finding("restarts", False, said, "none", "look for dips of its supply")
+    statement = f"restarted while it was listened to ({cause})"
+    return Finding("restarts", False, statement, "none", "look for dips of its supply")
 
 
 def judge_beats(beats_us: Sequence[int], lost_reports: int, damaged_lines: int) -> Finding:
-    """Judge the heartbeats of some seconds, and whether anything of the reports was lost or damaged."""
+    """Judge the heartbeats of some seconds, and the numbers of lost and damaged reports."""
     limits = f"{BEAT_MS:g} ms apart, {LONGEST_BEAT_MS:g} at most; nothing lost or damaged"
     numbers: dict[str, float] = {"lost_reports": lost_reports, "damaged_lines": damaged_lines}
     if len(beats_us) < 2:
-        said = f"{len(beats_us)} heartbeats were heard"
-        return judged("heartbeats", False, said, limits, "flash the board's firmware anew", **numbers)
-    # By the board's own clock: when a line reached the host says more about the host.
+        statement = f"{len(beats_us)} heartbeats were heard"
+        return judged("heartbeats", False, statement, limits, "flash the board's firmware anew", **numbers)
+    # By the board's own clock: the time at which a line reaches the host depends on the host.
     longest_ms = max((after - before) / 1000.0 for before, after in pairwise(beats_us))
     ok = longest_ms <= LONGEST_BEAT_MS and lost_reports == 0 and damaged_lines == 0
-    said = f"{len(beats_us)} heartbeats, {longest_ms:.0f} ms apart at most; {lost_reports} reports lost, {damaged_lines} lines damaged"
+    statement = f"{len(beats_us)} heartbeats, {longest_ms:.0f} ms apart at most; {lost_reports} reports lost, {damaged_lines} lines damaged"
     remedy = "give the board a USB port of its own and a short cable; if it goes on, look for supply dips at the board"
-    return judged("heartbeats", ok, said, limits, remedy, **numbers, longest_ms=longest_ms)
+    return judged("heartbeats", ok, statement, limits, remedy, **numbers, longest_ms=longest_ms)
 
 
 def judge_clock(readings: Sequence[BoardTime]) -> Finding:
@@ -161,45 +162,45 @@ def judge_clock(readings: Sequence[BoardTime]) -> Finding:
     if third < 1:
         return Finding("clock", False, f"{len(readings)} readings of the clock are too few", limits, "try again")
 
-    def bracket_ns(one: BoardTime) -> int:
-        return one.host_received_ns - one.host_sent_ns
+    def bracket_ns(reading: BoardTime) -> int:
+        return reading.host_received_ns - reading.host_sent_ns
 
     first, last = min(readings[:third], key=bracket_ns), min(readings[-third:], key=bracket_ns)
     passed_ns = (last.host_sent_ns + last.host_received_ns - first.host_sent_ns - first.host_received_ns) / 2.0
     drift_ppm = (1000.0 * (last.board_time_us - first.board_time_us) / passed_ns - 1.0) * 1e6
-    # The board read its clock somewhere within each question.
+    # The board read its clock at an unknown moment between request and answer.
     unsure_ppm = (bracket_ns(first) + bracket_ns(last)) / 2.0 / passed_ns * 1e6
-    said = f"the board's clock runs {drift_ppm:+.1f} ± {unsure_ppm:.1f} ppm against the host's"
-    # What the brackets leave open speaks for the board: it is not its fault.
+    statement = f"the board's clock runs {drift_ppm:+.1f} ± {unsure_ppm:.1f} ppm against the host's"
+    # The uncertainty counts in the board's favour.
     ok = abs(drift_ppm) - unsure_ppm <= MOST_DRIFT_PPM
     remedy = "let the board run from its crystal, not from an RC oscillator; check the clock in its firmware"
-    return judged("clock", ok, said, limits, remedy, drift_ppm=drift_ppm, uncertainty_ppm=unsure_ppm)
+    return judged("clock", ok, statement, limits, remedy, drift_ppm=drift_ppm, uncertainty_ppm=unsure_ppm)
 
 
 def judge_laser(side: str, states: tuple[LaserState, LaserState, LaserState]) -> Finding:
     """Judge the read-backs of one laser before, while and after it was switched on; the other one was off."""
-    other = "right" if side == "left" else "left"
-    # A read-back of the other laser tells a wire at the wrong pin from one that is broken.
-    own = [_on(state, side) for state in states]
-    strange = [_on(state, other) for state in states]
-    said = f"the read-back says {', '.join('on' if on else 'off' for on in own)}"
+    other_side = "right" if side == "left" else "left"
+    # The other laser's read-back distinguishes a wire at the wrong pin from a broken one.
+    states_on = [_on(state, side) for state in states]
+    other_states_on = [_on(state, other_side) for state in states]
+    statement = f"the read-back says {', '.join('on' if is_on else 'off' for is_on in states_on)}"
     remedy = ""
-    # The current where it must not be is the one that hurts eyes: said first.
-    if own[0] or own[2]:
+    # A laser that is on when it must be off endangers eyes, and so comes first.
+    if states_on[0] or states_on[2]:
         remedy = "do not look into it: its driver conducts while it is off; check the enable's pull-down and the driver"
-    elif strange[1] and not own[1]:
-        said += f"; the {other} one answered instead"
+    elif other_states_on[1] and not states_on[1]:
+        statement += f"; the {other_side} one answered instead"
         remedy = "exchange the two lasers' wires at the board"
-    elif strange[1]:
-        said += f"; the {other} one came on as well"
+    elif other_states_on[1]:
+        statement += f"; the {other_side} one came on as well"
         remedy = "look for a bridge between the two enables"
-    elif not own[1] or any(strange):
+    elif not states_on[1] or any(other_states_on):
         remedy = "check its wires, its driver's supply, the shunt amplifier, and that the hardware gate sees heartbeats"
-    return judged(f"laser.{side}", not remedy, said, "off, on, off", remedy)
+    return judged(f"laser.{side}", not remedy, statement, "off, on, off", remedy)
 
 
 def judge_sensor(name: str, fitted: bool, value: float | None, supply_low_v: float | None = None) -> Finding:
-    """Judge one sensor; what is not fitted is said and is no fault.
+    """Judge one sensor; one that is not fitted is reported and is no fault.
 
     ``supply_low_v`` is the rig file's limit of the supply.
     """
@@ -208,15 +209,15 @@ def judge_sensor(name: str, fitted: bool, value: float | None, supply_low_v: flo
         low = supply_low_v
     limits = f"{low:g}..{high:g} {unit}"
     word = f"sensor.{name}"
-    # Nobody needs every sensor, and which are there is the builder's word in the firmware.
+    # No instrument needs every sensor; the builder lists the fitted ones in the firmware.
     if not fitted:
         return Finding(word, True, "not fitted, says the board", limits)
     if value is None:
         remedy = "check its wires and its address on the bus; leave it out of the firmware's list if it is not fitted"
         return Finding(word, False, "fitted, but does not answer", limits, remedy)
     ok, remedy = low <= value <= high, "check the sensor's type in the firmware's table, and its wires"
-    said = f"{value:g} {unit}" + ("" if ok else " is not plausible on a bench")
-    return judged(word, ok, said, limits, _IMPLAUSIBLE.get(name, remedy), value=value)
+    statement = f"{value:g} {unit}" + ("" if ok else " is not plausible on a bench")
+    return judged(word, ok, statement, limits, _IMPLAUSIBLE.get(name, remedy), value=value)
 
 
 def _on(state: LaserState, side: str) -> bool:

@@ -1,4 +1,4 @@
-"""Owns the step ``cameras``: each one's link, what it holds of its settings, and what both see with their caps on."""
+"""The step ``cameras``: each camera's link, its settings as read back, and its dark images with the cap on."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from appliance.workshop.trigger import PULSES, fired, trigger_findings
 from drivers.api import Camera, CameraSettings, DeviceError, FeatureValue, HeldSetting, Projector, ReadsBack
 
 DARK_FRAMES = 16
-"""Frames of which a pixel's noise is known to a fifth, and that of all of them exactly."""
+"""Number of frames: the noise of one pixel is known to a fifth, that of all pixels exactly."""
 PATIENCE_S = 60.0
 PAUSE_S = 0.5
 SHORT_US = 500
-"""Exposure in which there is next to no light; pulses of 500 µs pass every opto-coupler."""
+"""Exposure with next to no light; pulses of 500 µs pass every opto-coupler."""
 STRETCHED = 8
-"""Factor by which a dark picture is brightened for the page."""
+"""Factor by which a dark image is brightened for the page."""
 ROUNDED = 0.01
-"""Share by which a number may differ from what was asked for: cameras have steps."""
+"""Share by which a number may differ from its setting: cameras have steps."""
 BLACK_OFF_DN = 1.5
 """Largest distance of the black level from that of the rig file."""
 CLIPPED_SHARE = 0.2
-"""Largest share of pixels at zero: from there on noise is cut off, and the black level is not known."""
+"""Largest share of pixels at zero: beyond, noise is cut off and the black level unknown."""
 MOST_NOISE, NOISE_FLOOR_DN = 2.0, 0.3
-"""Factor of the data sheet's read noise that is taken, and what may be added to it."""
+"""Limit of the noise: this factor of the data sheet's read noise, plus a floor."""
 HOT_DN, MOST_HOT = 20.0, 0.001
-"""Grey values above black from which a pixel is hot, and the largest share of those."""
+"""Grey values above black from which a pixel is hot, and the largest share of hot pixels."""
 LIT_DN = 1.5
-"""Grey values that no part of a covered image is above its median, nor above a short exposure's."""
+"""Largest difference of a part of a covered image from its median, and of its median from a short exposure's."""
 PARTS = 8
-"""Parts of an image, each way, in which light is looked for."""
+"""Number of parts, in each direction, into which an image is divided to find light."""
 LEAST_MBPS = 5000
 
 
 @dataclass(frozen=True, slots=True)
 class DarkSeen:
-    """Figures of a camera's images of no light."""
+    """Figures of a camera's images without light."""
 
     level_dn: float
     """Median of the pixels' means."""
@@ -59,53 +59,55 @@ class DarkSeen:
     brightest_dn: float
     """Largest median of a part of the image."""
     rise_dn: float
-    """Median's rise from a short exposure to these: light does that, a black level does not."""
+    """Rise of the median from a short exposure to these frames: only light causes one, a black level does not."""
 
     @property
     def covered(self) -> bool:
-        """True if no light falls in."""
+        """True if no light reaches the sensor."""
         return max(self.rise_dn, self.brightest_dn - self.level_dn) <= LIT_DN
 
 
-def do(at: Workplace) -> StepOutcome:
+def do(workplace: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError, BringupError."""
     names = [f"camera.{side}" for side in SIDES]
-    asked = ask_devices(at.rig, at.wires, names)
+    checks = ask_devices(workplace.rig, workplace.wires, names)
     findings = [
-        Finding(one.device, one.ok, one.summary, "what `kingfisher check` wants", "" if one.ok else one.summary)
-        for one in asked
+        Finding(
+            check.device, check.ok, check.summary, "what `kingfisher check` wants", "" if check.ok else check.summary
+        )
+        for check in checks
     ]
     tables: dict[str, tuple[Mapping[str, object], ...]] = {
-        "As they say": side_by_side("", {one.device: one.details for one in asked})
+        "As they say": side_by_side("", {check.device: check.details for check in checks})
     }
-    # Without both there is nothing to be set, and no picture to be taken.
-    if not all(one.ok for one in findings):
+    # Settings and images need both cameras.
+    if not all(check.ok for check in findings):
         return StepOutcome(tuple(findings), tables)
-    read: dict[str, dict[str, str]] = {}
+    held_by_camera: dict[str, dict[str, str]] = {}
     for side in SIDES:
-        found, held = _set_up(at, side)
-        findings += found
-        read[f"camera.{side}"] = {one.feature: _shown(one) for one in held}
-    if any(read.values()):
-        tables["Settings, read back"] = side_by_side("feature", read)
-    if not all(one.ok for one in findings):
+        settings_findings, held = _set_up(workplace, side)
+        findings += settings_findings
+        held_by_camera[f"camera.{side}"] = {check.feature: _shown(check) for check in held}
+    if any(held_by_camera.values()):
+        tables["Settings, read back"] = side_by_side("feature", held_by_camera)
+    if not all(check.ok for check in findings):
         return StepOutcome(tuple(findings), tables)
-    with bench_on(at.rig, at.wires) as bench:
-        more, pictures = _dark(at, bench)
-    return StepOutcome((*findings, *more), tables, pictures)
+    with bench_on(workplace.rig, workplace.wires) as bench:
+        dark_findings, pictures = _dark(workplace, bench)
+    return StepOutcome((*findings, *dark_findings), tables, pictures)
 
 
-def _set_up(at: Workplace, side: str) -> tuple[list[Finding], tuple[HeldSetting, ...]]:
-    """Set one camera as every scan does, and return what it holds."""
+def _set_up(workplace: Workplace, side: str) -> tuple[list[Finding], tuple[HeldSetting, ...]]:
+    """Set one camera as every scan does, and return its findings and the settings that it holds."""
 
     def nothing_to_load(_projector: Projector) -> None:
-        """The projector is not opened here."""
+        """Load no pictures: the projector is not opened here."""
 
-    with Devices(at.rig, at.wires, nothing_to_load) as devices:
-        # One by itself: a camera that refuses a setting must not hide what the other one holds.
+    with Devices(workplace.rig, workplace.wires, nothing_to_load) as devices:
+        # One camera at a time: if it refuses a setting, the other one is read back all the same.
         try:
             with devices.open_camera(side) as camera:
-                return _settled(camera, side, of_side(at.rig.camera, side))
+                return _settled(camera, side, of_side(workplace.rig.camera, side))
         except DeviceError as error:
             return [refusal(error)], ()
 
@@ -117,8 +119,8 @@ def _settled(camera: Camera, side: str, spec: CameraRig) -> tuple[list[Finding],
     camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
     held = _held(camera)
     if held is None:
-        said = "this family of cameras cannot be asked for its settings"
-        return [link, Finding(f"camera.{side} settings", True, said)], ()
+        statement = "this family of cameras cannot be asked for its settings"
+        return [link, Finding(f"camera.{side} settings", True, statement)], ()
     return [link, *judge_settings(side, held)], held
 
 
@@ -126,48 +128,50 @@ def _held(camera: Camera) -> tuple[HeldSetting, ...] | None:
     return camera.read_back() if isinstance(camera, ReadsBack) else None
 
 
-def _shown(one: HeldSetting) -> str:
-    if one.held is None:
+def _shown(setting: HeldSetting) -> str:
+    if setting.held is None:
         return "not offered"
-    held = f"{one.held:g}" if isinstance(one.held, float) else str(one.held)
-    # Asked for and held are nearly always the same; where not, both are wanted.
-    return held if one.wanted in (None, one.held) else f"{held} (asked for {one.wanted})"
+    held = f"{setting.held:g}" if isinstance(setting.held, float) else str(setting.held)
+    # Both values are shown only where they differ, which is rare.
+    return held if setting.wanted in (None, setting.held) else f"{held} (asked for {setting.wanted})"
 
 
-def _dark(at: Workplace, bench: LightBench) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:
-    """Return what covered cameras see, and pictures of it."""
-    clock = at.wires.clock
-    for turn in range(MOST_ASKED):
-        at.person.tell(numbered("put the caps on both lenses", turn))
+def _dark(workplace: Workplace, bench: LightBench) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:
+    """Record covered cameras, and return their findings and images."""
+    clock = workplace.wires.clock
+    for attempt in range(MOST_ASKED):
+        workplace.person.tell(numbered("put the caps on both lenses", attempt))
         until_ns = clock.now_ns() + int(PATIENCE_S * 1e9)
         while True:
-            at.say("waiting for dark images")
+            workplace.say("waiting for dark images")
             short: dict[str, Image] = {}
-            # Both lengths: what a longer exposure adds is light, what both have is the black level.
+            # Two exposure times: light grows with the exposure time, the black level does not.
             for exposure_us in (SHORT_US, None):
-                report = fired(bench, at.rig, exposure_us)
+                report = fired(bench, workplace.rig, exposure_us)
                 if report.fault is not None:
-                    # No picture without a trigger: which is wrong is what the next step would say, word for word.
+                    # Without a trigger there is no image; report the findings of the next step instead.
                     return list(trigger_findings(report.ledger)), {}
                 frames = {side: bench.frames(side, PULSES)[-DARK_FRAMES:] for side in SIDES}
                 short = short or {side: images.copy() for side, images in frames.items()}
-            seen = {side: see_dark(images, short[side]) for side, images in frames.items()}
+            figures = {side: see_dark(images, short[side]) for side, images in frames.items()}
             last = {side: images[-1].copy() for side, images in frames.items()}
-            if all(one.covered for one in seen.values()):
-                return _judged(at, seen), _pictures(last)
+            if all(camera_figures.covered for camera_figures in figures.values()):
+                return _judged(workplace, figures), _pictures(last)
             if clock.now_ns() > until_ns:
                 break
             clock.sleep_s(PAUSE_S)
-    return _judged(at, seen), _pictures(last)
+    return _judged(workplace, figures), _pictures(last)
 
 
-def _judged(at: Workplace, seen: Mapping[str, DarkSeen]) -> list[Finding]:
-    # At the gain of the rig file, at which the pictures were taken.
-    noise = Instrument(at.rig).noise()
-    found: list[Finding] = []
-    for side, one in seen.items():
-        found += judge_dark(side, one, of_side(at.rig.camera, side).black_level_dn, of_side(noise, side).read_dn)
-    return found
+def _judged(workplace: Workplace, figures: Mapping[str, DarkSeen]) -> list[Finding]:
+    # At the gain of the rig file, with which the images were taken.
+    noise = Instrument(workplace.rig).noise()
+    findings: list[Finding] = []
+    for side, camera_figures in figures.items():
+        findings += judge_dark(
+            side, camera_figures, of_side(workplace.rig.camera, side).black_level_dn, of_side(noise, side).read_dn
+        )
+    return findings
 
 
 def _pictures(last: Mapping[str, Image]) -> dict[str, tuple[str, bytes]]:
@@ -181,10 +185,12 @@ def _pictures(last: Mapping[str, Image]) -> dict[str, tuple[str, bytes]]:
 
 
 def see_dark(frames: Image, short: Image) -> DarkSeen:
-    """Return the figures of images (n, h, w) uint8 of one camera, n >= 2; ``short`` (m, h, w) were exposed for a
-    fraction of the time."""
+    """Return the figures of images (n, h, w) uint8 of one camera, n >= 2.
+
+    ``short`` (m, h, w) were exposed for a fraction of the time.
+    """
     total, squares = np.zeros((2, *frames.shape[1:]))
-    # One after the other: as floating numbers all of them would fill a gigabyte.
+    # One frame at a time: as float64 all of them would fill a gigabyte.
     for frame in frames:
         values = frame.astype(np.float64)
         total += values
@@ -193,9 +199,9 @@ def see_dark(frames: Image, short: Image) -> DarkSeen:
     variance = np.maximum(squares / len(frames) - mean**2, 0.0) * len(frames) / (len(frames) - 1)
     level_dn = float(np.median(mean))
     hot = mean > level_dn + HOT_DN
-    # In parts: a leak beside the lens lights one corner, and the median of all knows nothing of it.
+    # In parts: a light leak beside the lens lights one corner, which does not change the median of the whole image.
     rows, columns = (np.linspace(0, size, PARTS + 1).astype(int) for size in mean.shape)
-    # Medians: a hot pixel is no light.
+    # Medians, so that hot pixels do not count as light.
     parts = [
         float(np.median(mean[rows[j] : rows[j + 1], columns[k] : columns[k + 1]]))
         for j in range(PARTS)
@@ -212,92 +218,101 @@ def see_dark(frames: Image, short: Image) -> DarkSeen:
     )
 
 
-def judge_dark(side: str, seen: DarkSeen, black_level_dn: float, expected_dn: float) -> tuple[Finding, ...]:
+def judge_dark(side: str, figures: DarkSeen, black_level_dn: float, expected_dn: float) -> tuple[Finding, ...]:
     """Judge a covered camera: light, black level against the rig file's, noise against the data sheet's, hot pixels.
 
     ``expected_dn`` is the standard deviation that a dark grey value should have, rounding included.
     """
     name = f"camera.{side}"
-    return _light(name, seen), _black(name, seen, black_level_dn), _noise(name, seen, expected_dn), _hot(name, seen)
+    return (
+        _light(name, figures),
+        _black(name, figures, black_level_dn),
+        _noise(name, figures, expected_dn),
+        _hot(name, figures),
+    )
 
 
-def _light(name: str, seen: DarkSeen) -> Finding:
-    above_dn = seen.brightest_dn - seen.level_dn
-    said = f"the longer exposure is {seen.rise_dn:.1f} grey values brighter than a short one, the brightest part {above_dn:.1f} above the rest"
+def _light(name: str, figures: DarkSeen) -> Finding:
+    above_dn = figures.brightest_dn - figures.level_dn
+    statement = f"the longer exposure is {figures.rise_dn:.1f} grey values brighter than a short one, the brightest part {above_dn:.1f} above the rest"
     remedy = "put the cap on, darken the room, look for light between lens and sensor and for LEDs inside"
-    numbers = {"rise_dn": seen.rise_dn, "above_dn": above_dn}
-    return judged(f"{name} light", seen.covered, said, f"up to {LIT_DN:g}", remedy, **numbers)
+    numbers = {"rise_dn": figures.rise_dn, "above_dn": above_dn}
+    return judged(f"{name} light", figures.covered, statement, f"up to {LIT_DN:g}", remedy, **numbers)
 
 
-def _black(name: str, seen: DarkSeen, wanted_dn: float) -> Finding:
-    limits = f"{wanted_dn:g} ± {BLACK_OFF_DN:g} (black_level_dn), at most {100.0 * CLIPPED_SHARE:g} % at zero"
-    numbers = {"level_dn": seen.level_dn, "at_zero_percent": 100.0 * seen.clipped}
-    said, remedy = f"black is {seen.level_dn:.2f} grey values; {100.0 * seen.clipped:.0f} % are zero", ""
-    if wanted_dn > 0.0 and seen.clipped > CLIPPED_SHARE:
+def _black(name: str, figures: DarkSeen, expected_dn: float) -> Finding:
+    limits = f"{expected_dn:g} ± {BLACK_OFF_DN:g} (black_level_dn), at most {100.0 * CLIPPED_SHARE:g} % at zero"
+    numbers = {"level_dn": figures.level_dn, "at_zero_percent": 100.0 * figures.clipped}
+    statement, remedy = f"black is {figures.level_dn:.2f} grey values; {100.0 * figures.clipped:.0f} % are zero", ""
+    if expected_dn > 0.0 and figures.clipped > CLIPPED_SHARE:
         remedy = f"raise BlackLevel under features of [{name}]: what is cut off at zero bends dark fringes"
-    elif abs(seen.level_dn - wanted_dn) > BLACK_OFF_DN:
-        remedy = f"set BlackLevel under features of [{name}], or black_level_dn of [{name}] to {seen.level_dn:.1f}"
-    return judged(f"{name} black", not remedy, said, limits, remedy, **numbers)
+    elif abs(figures.level_dn - expected_dn) > BLACK_OFF_DN:
+        remedy = f"set BlackLevel under features of [{name}], or black_level_dn of [{name}] to {figures.level_dn:.1f}"
+    return judged(f"{name} black", not remedy, statement, limits, remedy, **numbers)
 
 
-def _noise(name: str, seen: DarkSeen, expected_dn: float) -> Finding:
-    most_dn = MOST_NOISE * expected_dn + NOISE_FLOOR_DN
-    limits = f"above 0, up to {most_dn:.2f} (of the rig file's read_noise_e and full_well_e: {expected_dn:.2f})"
-    said, remedy = f"a pixel's noise is {seen.noise_dn:.2f} grey values", ""
-    if seen.noise_dn == 0.0:
+def _noise(name: str, figures: DarkSeen, expected_dn: float) -> Finding:
+    limit_dn = MOST_NOISE * expected_dn + NOISE_FLOOR_DN
+    limits = f"above 0, up to {limit_dn:.2f} (of the rig file's read_noise_e and full_well_e: {expected_dn:.2f})"
+    statement, remedy = f"a pixel's noise is {figures.noise_dn:.2f} grey values", ""
+    if figures.noise_dn == 0.0:
         remedy = "the images are all alike: switch the test pattern off, and raise the black level above zero"
-    elif seen.noise_dn > most_dn:
+    elif figures.noise_dn > limit_dn:
         remedy = f"switch gamma, tables and automatic gain off; set gain_db, read_noise_e and full_well_e of [{name}] as in the data sheet"
-    return judged(f"{name} noise", not remedy, said, limits, remedy, noise_dn=seen.noise_dn)
+    return judged(f"{name} noise", not remedy, statement, limits, remedy, noise_dn=figures.noise_dn)
 
 
-def _hot(name: str, seen: DarkSeen) -> Finding:
-    percent, most_percent = 100.0 * seen.hot, 100.0 * MOST_HOT
-    said = f"{percent:.3f} % of the pixels are more than {HOT_DN:g} grey values above black"
+def _hot(name: str, figures: DarkSeen) -> Finding:
+    percent, most_percent = 100.0 * figures.hot, 100.0 * MOST_HOT
+    statement = f"{percent:.3f} % of the pixels are more than {HOT_DN:g} grey values above black"
     remedy = "let the camera cool down; switch its defect correction on; exchange it"
-    ok = seen.hot <= MOST_HOT
-    return judged(f"{name} hot pixels", ok, said, f"up to {most_percent:g} %", remedy, hot_percent=percent)
+    ok = figures.hot <= MOST_HOT
+    return judged(f"{name} hot pixels", ok, statement, f"up to {most_percent:g} %", remedy, hot_percent=percent)
 
 
 def judge_link(side: str, link_mbps: int | None, slow: str | None) -> Finding:
-    """Judge the speed of a camera's link; ``slow`` is what the driver says against it."""
-    said = slow or ("its speed is not known" if link_mbps is None else f"{link_mbps} Mbit/s")
+    """Judge the speed of a camera's link; ``slow`` is the driver's objection to it."""
+    statement = slow or ("its speed is not known" if link_mbps is None else f"{link_mbps} Mbit/s")
     remedy = "plug the camera into a USB 3 port of its own, with a short cable for SuperSpeed, screwed tight"
-    return judged(f"camera.{side} link", slow is None, said, f"{LEAST_MBPS} Mbit/s and more", remedy, mbps=link_mbps)
+    return judged(
+        f"camera.{side} link", slow is None, statement, f"{LEAST_MBPS} Mbit/s and more", remedy, mbps=link_mbps
+    )
 
 
 def judge_settings(side: str, held: Sequence[HeldSetting]) -> tuple[Finding, Finding]:
-    """Judge what a camera holds of its settings, and whether its grey values are light."""
+    """Judge the settings that a camera holds, and whether its grey values are proportional to light."""
     name = f"camera.{side}"
-    made = [one for one in held if one.wanted is not None]
-    wrong = [one for one in made if not _alike(one.wanted, one.held)]
-    missing = [one.feature for one in held if one.held is None]
-    told = f"; not offered: {', '.join(missing)}" if missing else ""
-    said = ", ".join(f"{one.feature} is {one.held}, not {one.wanted}" for one in wrong)
-    said = said or f"all {len(made)} settings read back as they were set{told}"
+    assigned = [setting for setting in held if setting.wanted is not None]
+    wrong = [setting for setting in assigned if not _alike(setting.wanted, setting.held)]
+    missing = [setting.feature for setting in held if setting.held is None]
+    not_offered = f"; not offered: {', '.join(missing)}" if missing else ""
+    statement = ", ".join(f"{setting.feature} is {setting.held}, not {setting.wanted}" for setting in wrong)
+    statement = statement or f"all {len(assigned)} settings read back as they were set{not_offered}"
     remedy = f"set them under [{name}.features] of the rig file, in an order that this camera takes"
-    numbers: dict[str, float] = {"settings": len(made), "different": len(wrong)}
-    settings = judged(f"{name} settings", not wrong, said, "each as it was set", remedy, **numbers)
-    # Whoever asked for it is told all the same: scans take grey values for light.
-    said, remedy = "no gamma and no table is on", ""
-    if bent := _bent(held):
-        said = f"{' and '.join(bent)} bends grey values"
-        remedy = f'set "{bent[0]}" under [{name}.features]: GammaEnable = false, Gamma = 1.0, LUTEnable = false'
-    return settings, judged(f"{name} tone", not remedy, said, "gamma 1 or off, tables off", remedy)
+    numbers: dict[str, float] = {"settings": len(assigned), "different": len(wrong)}
+    settings = judged(f"{name} settings", not wrong, statement, "each as it was set", remedy, **numbers)
+    # Reported even where the rig file sets it: scans assume grey values proportional to light.
+    statement, remedy = "no gamma and no table is on", ""
+    if tone_features := _bent(held):
+        statement = f"{' and '.join(tone_features)} bends grey values"
+        remedy = (
+            f'set "{tone_features[0]}" under [{name}.features]: GammaEnable = false, Gamma = 1.0, LUTEnable = false'
+        )
+    return settings, judged(f"{name} tone", not remedy, statement, "gamma 1 or off, tables off", remedy)
 
 
 def _bent(held: Sequence[HeldSetting]) -> list[str]:
-    """Return the names of what bends grey values."""
-    values = {one.feature: one.held for one in held}
-    found = [name for name in ("GammaEnable", "LUTEnable") if values.get(name) is True]
+    """Return the names of features that make grey values no longer proportional to light."""
+    values = {setting.feature: setting.held for setting in held}
+    names = [name for name in ("GammaEnable", "LUTEnable") if values.get(name) is True]
     gamma = values.get("Gamma")
-    # Where it can be switched off and is, its number says nothing.
+    # Where gamma is switched off, its value has no effect.
     if isinstance(gamma, float) and abs(gamma - 1.0) > ROUNDED and values.get("GammaEnable") is not False:
-        found.append("Gamma")
-    return found
+        names.append("Gamma")
+    return names
 
 
-def _alike(wanted: FeatureValue | None, held: FeatureValue | None) -> bool:
-    if wanted is None or held is None or isinstance(wanted, bool | str) or isinstance(held, bool | str):
-        return wanted == held
-    return abs(held - wanted) <= ROUNDED * abs(wanted)
+def _alike(expected: FeatureValue | None, held: FeatureValue | None) -> bool:
+    if expected is None or held is None or isinstance(expected, bool | str) or isinstance(held, bool | str):
+        return expected == held
+    return abs(held - expected) <= ROUNDED * abs(expected)

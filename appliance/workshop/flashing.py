@@ -1,4 +1,4 @@
-"""Owns what goes onto a trigger board and a key pad: which files, and what the rig file says in one of them."""
+"""The firmware files for a trigger board and a keypad, with the values that the rig file sets in them."""
 
 from __future__ import annotations
 
@@ -31,31 +31,31 @@ SYNCS: Mapping[tuple[int, int, int], bool] = {
     (1280, 960, 60): POSITIVE,
     (1280, 1024, 60): POSITIVE,
 }
-"""Sign of the vertical sync, by width, height and rate of a mode whose published timings all agree about it (VESA DMT
-1.13, CTA-861). They do not about 1280x800, 1920x1080 or 1920x1200: reduced blanking, or the other standard, has the
-other sign."""
+"""Sign of the vertical sync by width, height and rate of a mode, where all published timings (VESA DMT 1.13, CTA-861)
+have the same. For 1280x800, 1920x1080 and 1920x1200 they do not: reduced blanking, or the other standard, has the other
+sign."""
 
 
 def sync_rises(projector: ProjectorRig) -> bool:
-    """Return whether the sync at the board's pin begins with a rising edge.
+    """Return True if the sync at the board's pin begins with a rising edge.
 
-    Raises BringupError where nobody has said so.
+    Raises BringupError where neither the rig file nor the published timings say so.
     """
     if projector.sync is not None:
         return projector.sync == "positive"
     mode = (projector.width_px, projector.height_px, round(projector.refresh_hz))
-    known = SYNCS.get(mode)
-    if known is None:
-        # A guess would shift every trigger by the width of the sync, and nothing would look broken.
+    rises = SYNCS.get(mode)
+    if rises is None:
+        # A wrong guess would shift every trigger by the width of the sync, which no check would notice.
         raise BringupError(
             f"projector: {mode[0]}x{mode[1]} at {mode[2]} Hz is made with either sign of the vertical sync; "
             'allowed: sync = "negative" or "positive" under [projector]; read it in the mode (docs/build/firmware.md)'
         )
-    return known
+    return rises
 
 
 def instrument_values(part: Part, rig: Rig) -> dict[str, int | bool]:
-    """Return what stands in the firmware's ``instrument.py``, by name. Raises BringupError."""
+    """Return the values of the firmware's ``instrument.py``, by name. Raises BringupError."""
     owner = rig.board if part == "board" else rig.keys
     values: dict[str, int | bool] = {"VENDOR": owner.vendor_id, "PRODUCT": owner.product_id}
     if part == "board":
@@ -83,11 +83,11 @@ def laid_out(part: Part, rig: Rig) -> dict[str, bytes]:
 
 
 def commands(part: Part, folder: Path) -> tuple[str, ...]:
-    """Return what is typed to bring ``folder`` onto a module with MicroPython; each may be repeated."""
+    """Return the shell commands that copy ``folder`` onto a module with MicroPython; each may be repeated."""
     return (
         f"./dev run mpremote mip install {LIBRARIES[part]}",
         f"./dev run mpremote cp -r {folder}/drivers :",
-        # Last: a module that was unplugged in between has no start, and shows its prompt.
+        # Last: a module that was unplugged before has no start file, and shows its prompt.
         f"./dev run mpremote cp {folder}/{START} :{START}",
     )
 

@@ -1,4 +1,4 @@
-"""Owns the walk through the steps of the guided bring-up: which is next, what is kept of each, and what ends it."""
+"""The walk through the steps of the guided bring-up: the next step, the records of finished ones, and the end."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from drivers.api import DeviceError, Wires
 
 @dataclass(frozen=True, slots=True)
 class GuideOptions:
-    """Wishes for one call of the guide."""
+    """Options of one call of the guide."""
 
     only: tuple[str, ...] = ()
-    """Steps to be done, although they are good, and no others; empty: on from the first that is not."""
+    """The only steps to do, even if they are good; empty: continue from the first that is not good."""
     minutes: float = 10.0
     """Length of the endurance run."""
     plane_mm: float | None = None
@@ -41,17 +41,17 @@ class GuideOptions:
 
 @dataclass(frozen=True, slots=True)
 class Walked:
-    """Outcome of one call."""
+    """Result of one call of the guide."""
 
     good: bool
-    """Every step that was asked for is good; without ``only``: all are."""
+    """True if every step of ``only`` is good; without ``only``: if all steps are."""
     steps: Mapping[str, StepRecord]
-    """Everything that is known now, by step, in their order."""
+    """Records by step, in their order."""
     done: tuple[str, ...]
     """Steps that this call did."""
     written: tuple[Path, ...]
     stopped: str | None = None
-    """Reason why the guide ended before its end; ``None``: it did not, or a step's findings say it."""
+    """Reason why the guide ended early; ``None``: it did not, or a step's findings have the reason."""
 
 
 def walk(
@@ -60,12 +60,12 @@ def walk(
     options: GuideOptions,
     person: Person,
     say: Progress,
-    told: Callable[[str, StepRecord], None],
+    on_step: Callable[[str, StepRecord], None],
 ) -> Walked:
     """Walk the steps from where the last call ended, and stop at the first that is not good.
 
-    ``told`` is called with each step that was done. State and page are written after each: whatever interrupts it, the
-    next call goes on. Raises ConfigError, StorageError (also where an instrument is running), DeviceError without
+    ``on_step`` is called with each finished step. State and page are written after each, so that the next call continues
+    after any interruption. Raises ConfigError, StorageError (also where an instrument is running), DeviceError without
     wires, BringupError for a damaged state.
     """
     rig = load_rig(rig_file)
@@ -76,7 +76,7 @@ def walk(
     ):
         place.prepare()
         state = replace(place.read(), rig_file=str(rig_file), about=_about(rig, wires))
-        return _Walk(rig_file, place, options, wires, person, say, told, state, steps.STEPS).walk()
+        return _Walk(rig_file, place, options, wires, person, say, on_step, state, steps.STEPS).walk()
 
 
 @dataclass(slots=True)
@@ -111,64 +111,66 @@ class _Walk:
         except GivenUp as error:
             stopped = str(error)
         self._keep()
-        asked = [by_name[name] for name in self.options.only] or self.steps
-        good = stopped is None and all(self._stands(step) for step in asked)
+        requested = [by_name[name] for name in self.options.only] or self.steps
+        good = stopped is None and all(self._stands(step) for step in requested)
         return Walked(good, self.state.steps, tuple(self.done), tuple(self.written), stopped)
 
     def _wanted(self) -> Iterator[GuideStep]:
-        """Yield what is to be done, each once, in the order of the guide."""
+        """Yield the steps to do, each once, in the order of the guide."""
         for step in self.steps:
-            # Here and not before: what stands is asked anew after each step that may have changed the rig file.
+            # In the loop, not before it: each step may have changed the rig file on which others rest.
             if self.options.only and step.name not in self.options.only:
                 continue
-            # Steps of one measurement are done together: the first of them does it for all.
+            # Steps of one measurement are done together by the first of them.
             if step.name not in self.done and (self.options.only or not self._stands(step)):
                 yield step
 
     def _do(self, step: GuideStep) -> None:
-        begun_ns = self.wires.clock.now_ns()
+        start_ns = self.wires.clock.now_ns()
         outcomes = self._outcomes(step)
-        duration_s = (self.wires.clock.now_ns() - begun_ns) / 1e9
+        duration_s = (self.wires.clock.now_ns() - start_ns) / 1e9
         when = self.wires.calendar.today().utc.isoformat(timespec="seconds")
-        for one, outcome in outcomes.items():
+        for done_step, outcome in outcomes.items():
             self._write({name: png for name, (_, png) in outcome.pictures.items()})
-            # Read again: keys may have been written, and the step rests on the file as it is now.
-            record = StepRecord.of(outcome, when, duration_s, self._inputs(one))
-            self.state = replace(self.state, steps={**self.state.steps, one.name: record})
-            self.done.append(one.name)
-        # Kept before it is told: whoever sees it and switches off has it.
+            # Read again: the step may have written keys, and rests on the file as it is now.
+            record = StepRecord.of(outcome, when, duration_s, self._inputs(done_step))
+            self.state = replace(self.state, steps={**self.state.steps, done_step.name: record})
+            self.done.append(done_step.name)
+        # Stored before it is shown: if the operator switches off then, it is not lost.
         self._keep()
-        for one in outcomes:
-            self.told(one.name, self.state.steps[one.name])
+        for done_step in outcomes:
+            self.told(done_step.name, self.state.steps[done_step.name])
 
     def _outcomes(self, step: GuideStep) -> dict[GuideStep, StepOutcome]:
-        """Do a step, and those of the same measurement; what ends it early is a finding like any other.
+        """Do a step, and those of the same measurement; an error that ends it early becomes a finding.
 
         Raises GivenUp, StorageError.
         """
         rig = load_rig(self.rig_file)
         plane_mm = self.options.plane_mm or rig.volume.working_mm
-        at = Workplace(rig, self.wires, self.person, self.say, self.options.minutes, plane_mm)
-        # Before minutes of measuring: a file that cannot be read is known by then.
+        workplace = Workplace(rig, self.wires, self.person, self.say, self.options.minutes, plane_mm)
+        # Before minutes of measuring, so that an unreadable file is reported first.
         text = self._rig_text()
         try:
-            outcomes = judge_together(self.steps, step.do, step.do(at), rig)
+            outcomes = judge_together(self.steps, step.do, step.do(workplace), rig)
             keys = keys_of(outcomes.values())
             new = with_keys(text, keys) if keys else text
         except DeviceError as error:
             return {step: StepOutcome((refusal(error),))}
         except BringupError as error:
-            said, _, remedy = str(error).partition("; ")
-            finding = Finding("measurement", False, said, "", remedy or "see the findings before")
+            statement, _, remedy = str(error).partition("; ")
+            finding = Finding("measurement", False, statement, "", remedy or "see the findings before")
             return {step: StepOutcome((finding,))}
         if new != text:
             replace_rig(self.rig_file, text, new)
-        return {one: outcome if keys else replace(outcome, keys={}) for one, outcome in outcomes.items()}
+        return {
+            outcome_step: outcome if keys else replace(outcome, keys={}) for outcome_step, outcome in outcomes.items()
+        }
 
     def _keep(self) -> None:
-        """Write state and page, the state first: it is what the next call goes by."""
-        text, known = self._rig_text(), self.state.steps
-        in_order = {step.name: known[step.name] for step in self.steps if step.name in known}
+        """Write state and page, the state first, since the next call starts from it."""
+        text, records = self._rig_text(), self.state.steps
+        in_order = {step.name: records[step.name] for step in self.steps if step.name in records}
         self.state = replace(self.state, rig_sha256=hashlib.sha256(text.encode()).hexdigest(), steps=in_order)
         page = guide_page(self.state, self.steps, text, self.place.pictures(self.state))
         self._write({STATE: STATE_FILE.encode(self.state), PAGE: page.encode()})
@@ -187,31 +189,31 @@ class _Walk:
 
 
 def stands(state: GuideState, step: GuideStep, inputs: Mapping[str, Any]) -> bool:
-    """Tell whether a step was good, and the keys of the rig file that it rests on are still these."""
+    """Return True if a step was good, and the keys of the rig file that it rests on have not changed."""
     record = state.steps.get(step.name)
     return record is not None and record.good and record.inputs == inputs
 
 
 def judge_together(
-    steps: Sequence[GuideStep], do: Callable[[Workplace], Any], found: Any, rig: Rig
+    steps: Sequence[GuideStep], do: Callable[[Workplace], Any], result: Any, rig: Rig
 ) -> dict[GuideStep, StepOutcome]:
-    """Return the outcome of each step that is done by ``do``, which ``found`` it."""
-    return {step: step.judge(found, rig) for step in steps if step.do == do}
+    """Return the outcome of each step that shares the measurement ``do``, from its result."""
+    return {step: step.judge(result, rig) for step in steps if step.do == do}
 
 
 def keys_of(outcomes: Collection[StepOutcome]) -> dict[KeyValue, Value]:
-    """Return the keys that follow from one measurement: all or nothing.
+    """Return the keys of the rig file that follow from one measurement: all or none.
 
-    A mirrored picture's latency is right, but who puts the picture right measures again.
+    A mirrored picture's latency would be right, but after its correction the projector is measured again.
     """
-    if not all(one.good for one in outcomes):
+    if not all(outcome.good for outcome in outcomes):
         return {}
-    return {place: value for one in outcomes for place, value in one.keys.items()}
+    return {place: value for outcome in outcomes for place, value in outcome.keys.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class ProjectorReport:
-    """Outcome of measuring a projector outside of the guide."""
+    """Result of measuring a projector outside of the guide."""
 
     findings: tuple[Finding, ...]
     timing: LightTiming
@@ -224,7 +226,7 @@ class ProjectorReport:
 
 
 def projector_report(rig: Rig, rig_text: str, say: Progress) -> ProjectorReport:
-    """Measure the projector of ``rig`` on a white wall, which the instrument stands before.
+    """Measure the projector of ``rig`` on a white wall before the instrument.
 
     ``rig_text``: of its rig file; empty: it is not to be changed. Raises DeviceError, BringupError, StorageError.
     """
@@ -233,7 +235,7 @@ def projector_report(rig: Rig, rig_text: str, say: Progress) -> ProjectorReport:
     outcomes, findings = outcomes_in_order(judge_together(steps.STEPS, measure_on_wall, measured, rig).values())
     keys = keys_of(outcomes)
     page = outcomes_page("Kingfisher: the projector, as its own cameras see it", findings, outcomes)
-    pictures = {name: data for one in outcomes for name, (_, data) in one.pictures.items()}
+    pictures = {name: data for outcome in outcomes for name, (_, data) in outcome.pictures.items()}
     return ProjectorReport(
         tuple(findings),
         measured.lamp.timing,
@@ -244,8 +246,8 @@ def projector_report(rig: Rig, rig_text: str, say: Progress) -> ProjectorReport:
 
 
 def _about(rig: Rig, wires: Wires) -> dict[str, tuple[str, ...]]:
-    """Return versions, and what is on the buses now."""
-    there = whatever_is_there(rig, wires)
+    """Return versions, and the devices that are on the buses now."""
+    inventory = whatever_is_there(rig, wires)
     versions = (
         f"kingfisher {appliance.__version__}",
         f"Python {platform.python_version()}",
@@ -254,8 +256,8 @@ def _about(rig: Rig, wires: Wires) -> dict[str, tuple[str, ...]]:
     )
     return {
         "Versions": versions,
-        "Cameras on the buses": there.cameras,
-        "Serial ports": there.ports,
-        "HID devices": there.hid,
-        "Video": there.connectors,
+        "Cameras on the buses": inventory.cameras,
+        "Serial ports": inventory.ports,
+        "HID devices": inventory.hid,
+        "Video": inventory.connectors,
     }

@@ -1,5 +1,4 @@
-"""Owns the folder of a guided bring-up: what was found in each step, what that rests on, the page about it, and its
-pictures."""
+"""The folder of a guided bring-up: records of its steps, their inputs, the page, and its pictures."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ STATE, PAGE = "bringup.json", "bringup.html"
 
 @dataclass(frozen=True, slots=True)
 class StepRecord:
-    """One step that was done."""
+    """The record of one finished step."""
 
     good: bool
     when: str
@@ -35,7 +34,7 @@ class StepRecord:
 
     @classmethod
     def of(cls, outcome: StepOutcome, when: str, duration_s: float, inputs: Mapping[str, Any]) -> StepRecord:
-        """Return what is kept of an outcome."""
+        """Return the record of an outcome."""
         pictures = {name: caption for name, (caption, _) in outcome.pictures.items()}
         written = {".".join(place): value for place, value in outcome.keys.items()}
         findings, duration_s = outcome.findings, round(duration_s, 3)
@@ -44,7 +43,7 @@ class StepRecord:
 
 @dataclass(frozen=True, slots=True)
 class GuideState:
-    """Everything that is kept."""
+    """The state of the guide that is stored."""
 
     rig_file: str
     rig_sha256: str
@@ -68,7 +67,7 @@ STATE_FILE = SealedFile(
 class GuideFolder:
     """Reads and writes the folder.
 
-    Every file is replaced whole, so that a cut-off call leaves the old one or the new one.
+    Every file is replaced atomically, so that an interrupted call leaves the old one or the new one.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -80,7 +79,7 @@ class GuideFolder:
         self._fs.make_folders(self.folder)
 
     def read(self) -> GuideState:
-        """Return the state; an empty one where there is none. Raises BringupError for one that cannot be read."""
+        """Return the state, or an empty one if there is none. Raises BringupError for one that cannot be read."""
         try:
             return STATE_FILE.load(self.folder / STATE) or NOTHING_YET
         except ContentError as error:
@@ -93,13 +92,13 @@ class GuideFolder:
         return [self.folder / name for name in files]
 
     def pictures(self, state: GuideState) -> dict[str, bytes]:
-        """Return the pictures that the state names; one that somebody took away is left out. Raises StorageError."""
-        found = {}
+        """Return the pictures that the state names; missing ones are left out. Raises StorageError."""
+        pictures = {}
         for record in state.steps.values():
-            # A name as the state has it leads nowhere but into this folder.
-            for name in (one for one in record.pictures if Path(one).name == one):
-                path = self.folder / name
+            # Only plain names, which do not lead out of this folder.
+            for file_name in (one for one in record.pictures if Path(one).name == one):
+                path = self.folder / file_name
                 if path.is_file():
                     with StorageError.naming("cannot read", path):
-                        found[name] = path.read_bytes()
-        return found
+                        pictures[file_name] = path.read_bytes()
+        return pictures
