@@ -38,7 +38,7 @@ def needed(module: str, package: str, what: str) -> ModuleType:
         lacking = error.name or module
         # If the library is installed but lacks a dependency, the dependency is named.
         missing = package if lacking.partition(".")[0] == module.partition(".")[0] else lacking
-        # After `pip install kingfisher` it is the other program that is installed.
+        # The name alone is that of another program on PyPI, which may be the one installed.
         raise MissingLibraryError(
             "; ".join(filter(None, (f"{what} needs {missing}: pip install '{EXTRA}'", other_program())))
         ) from error
