@@ -1,1 +1,1 @@
-"""Frames that other rigs took: a description of what they show, decoding by it, and tests of whether it is true."""
+"""Import of foreign frames: the image set description, decoding by it, and tests of the description on the images."""

@@ -35,12 +35,12 @@ from appliance.desk.foreign.assumptions import (
     examine_references,
     fits_or_unchecked,
 )
-from appliance.desk.foreign.camera import DecodedCamera, placed_again
+from appliance.desk.foreign.camera import DecodedCamera, place_again
 from appliance.desk.foreign.cameras import ForeignRig
 from appliance.desk.foreign.decode import Reason, place
 from appliance.desk.foreign.description import AxisConvention, Description
 from appliance.desk.foreign.phase import Floats
-from appliance.desk.foreign.points import depths_of, own_px
+from appliance.desk.foreign.points import depths_of, pixel_coordinates
 from appliance.desk.foreign.texture import Offset, Textures, texture_offset, textures_of
 from appliance.measure import (
     CurveError,
@@ -88,7 +88,7 @@ class _Geometry:
     index: float
     left_px: Maps
     right_px: Maps
-    """For a projector, the coordinates of its own pixels."""
+    """The coordinates of its own pixels, if it is a projector."""
     textures: Textures | None
     """``None`` where the other direction is compared instead, or there is no second image."""
     projector: bool
@@ -187,7 +187,7 @@ def examine_cameras(
     if size.outcome is Outcome.WRONG:
         return [size]
     textures = textures_of(left.grey, right.grey) if right is not None and description.one_direction else None
-    right_px = own_px(rig.rig.right) if right is None else _maps(right)
+    right_px = pixel_coordinates(rig.rig.right) if right is None else _maps(right)
     geometry = _Geometry(rig.rig.left, rig.rig.right, rig.index, _maps(left), right_px, textures, right is None)
     described = _collect_evidence(geometry, description)
     hypotheses = _pose_hypotheses(geometry, rig)
@@ -335,7 +335,7 @@ def _pattern_hypotheses(geometry: _Geometry, description: Description, left: Dec
             for convention in axes
             if convention not in description.axes
         ]
-        moved_px = _maps(placed_again(left, replace(description, axes=axes)))
+        moved_px = _maps(place_again(left, replace(description, axes=axes)))
         hypotheses.append(
             _Hypothesis(changed[0].split(" ")[0], " and ".join(changed), {"left_px": moved_px}, corrections)
         )

@@ -29,11 +29,11 @@ from appliance.desk.foreign.phase import (
     TURN,
     Floats,
     SineFit,
+    correct_response,
     fit_sine,
     misfit_samples,
     misfit_share,
     some_pixels,
-    unbend,
 )
 from appliance.measure import choose_fringes
 
@@ -191,7 +191,7 @@ def measure(images: ImageSet, axis: AxisConvention) -> AxisMeasurement:
     usable = ~(weak | saturated)
     shares = [misfit_share(sample, usable) for sample in samples]
     bends = [
-        unbend(phase, usable, len(steps_deg), share)
+        correct_response(phase, usable, len(steps_deg), share)
         for phase, steps_deg, share in zip(turns, axis.steps_deg, shares, strict=False)
     ]
     return AxisMeasurement(

@@ -1,4 +1,4 @@
-"""Owns which image files of a folder belong to which camera: by folders of their own, or by their names."""
+"""Assignment of the image files of a folder to cameras: by folders, or by names."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from appliance.measure import SIDES
 
 LEAST_IMAGES, MOST_FILES = 3, 2000
 WIDE, HIGH = 2.0, 1.2
-"""Width over height from which on, and height over width above which a picture may be two."""
+"""Least width over height, and least height over width, of a picture that may show both cameras."""
 _RIGHT = re.compile(r"(^|[^a-z])(right|r|slave)([^a-z]|$)|right", re.IGNORECASE)
 _LEFT = re.compile(r"(^|[^a-z])(left|l|master)([^a-z]|$)|left", re.IGNORECASE)
 _SIDE = re.compile(
     r"left|right|master|slave|(?:cam(?:era)?|view|sensor)[_-]?\d+|(?<![a-z])[lrc]\d?(?![a-z0-9])", re.IGNORECASE
 )
 _ASIDE = re.compile(r"calib|chess|board|checker|charuco|result|output|depth|mask", re.IGNORECASE)
-"""Folders and files beside a sequence, left out where the names tell nothing otherwise."""
+"""Names of folders and files that are no part of a sequence, ignored where other names remain."""
 
 
 def camera_files(folder: Path) -> dict[str, ImageFiles]:
@@ -33,14 +33,14 @@ def camera_files(folder: Path) -> dict[str, ImageFiles]:
     stacks = _stacks(folder)
     if stacks is not None:
         return stacks
-    found = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
-    if not LEAST_IMAGES <= len(found) <= MOST_FILES:
+    paths = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
+    if not LEAST_IMAGES <= len(paths) <= MOST_FILES:
         raise ForeignError(
-            f"{folder}: {len(found)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of "
+            f"{folder}: {len(paths)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of "
             "one set"
         )
-    names = [str(path.relative_to(folder)) for path in found]
-    # What lies beside a sequence first goes; where everything is called so, it is the sequence.
+    names = [str(path.relative_to(folder)) for path in paths]
+    # Ignore files beside a sequence; if all files are called so, they are the sequence.
     best = _best([name for name in names if not _ASIDE.search(name)]) or _best(names)
     if best is None:
         raise ForeignError(
@@ -56,7 +56,7 @@ def camera_files(folder: Path) -> dict[str, ImageFiles]:
 
 
 def _by_side(frames: Mapping[str, tuple[Frame, ...]]) -> dict[str, ImageFiles]:
-    """Return the images of one or two cameras by side, from those by the names of their files."""
+    """Return the images of one or two cameras by side, from the images by file name."""
     ordered = sorted(frames, key=natural_key)
     if len(ordered) == 2 and (_RIGHT.search(ordered[0]) or _LEFT.search(ordered[1])) and not _LEFT.search(ordered[0]):
         ordered.reverse()
@@ -64,8 +64,8 @@ def _by_side(frames: Mapping[str, tuple[Frame, ...]]) -> dict[str, ImageFiles]:
 
 
 def _stacks(folder: Path) -> dict[str, ImageFiles] | None:
-    """Return the one or two stacks of images below ``folder``; ``None`` where there is none, or more than that."""
-    found: dict[str, tuple[Frame, ...]] = {}
+    """Return the one or two stacks of images below ``folder``; ``None`` for any other number."""
+    frames_by_name: dict[str, tuple[Frame, ...]] = {}
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() not in (*STACKS, *PAGED) or not path.is_file():
             continue
@@ -76,14 +76,14 @@ def _stacks(folder: Path) -> dict[str, ImageFiles] | None:
             except ForeignError:
                 continue  # no stack of images
             if len(frames) >= LEAST_IMAGES:
-                found[f"{name}#{array}" if array else name] = frames
-    if not 1 <= len(found) <= 2 or len({len(frames) for frames in found.values()}) != 1:
+                frames_by_name[f"{name}#{array}" if array else name] = frames
+    if not 1 <= len(frames_by_name) <= 2 or len({len(frames) for frames in frames_by_name.values()}) != 1:
         return None
-    return _by_side(found)
+    return _by_side(frames_by_name)
 
 
 def in_halves(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
-    """Yield two cameras that share each picture, beside or above each other, where its shape allows it."""
+    """Yield two cameras that share each picture, side by side or one above the other, if its shape allows it."""
     head = frame_head(camera.frames[0])
     if head is not None:
         height_px, width_px = head.shape
@@ -93,8 +93,8 @@ def in_halves(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
             yield _shared(camera, "left above right")
 
 
-def taken_in_turns(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
-    """Yield the ways in which two cameras may share one sequence: by turns, and one after the other."""
+def in_turns(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
+    """Yield the ways in which two cameras may share one sequence: in turns, or one after the other."""
     count = len(camera.frames)
     if count % 2 == 0 and count >= 2 * LEAST_IMAGES:
         yield _shared(camera, "left right")
@@ -105,14 +105,14 @@ def _shared(camera: ImageFiles, sides: str) -> dict[str, ImageFiles]:
     return {side: replace(camera, sides=sides, frames=tuple(of_side(camera.frames, sides, side))) for side in SIDES}
 
 
-def other_way_round(cameras: Mapping[str, ImageFiles]) -> dict[str, ImageFiles]:
-    """Return two cameras of which the left is the right one."""
-    sides = re.sub("left|right", lambda found: SIDES[found[0] == "left"], cameras["left"].sides)
+def exchange_sides(cameras: Mapping[str, ImageFiles]) -> dict[str, ImageFiles]:
+    """Return two cameras with left and right exchanged."""
+    sides = re.sub("left|right", lambda match: SIDES[match[0] == "left"], cameras["left"].sides)
     return {side: replace(cameras[other], sides=sides) for side, other in zip(SIDES, SIDES[::-1], strict=True)}
 
 
 def _best(names: list[str]) -> dict[str, list[str]] | None:
-    """Return the images of one or two cameras by the pattern of their names; ``None`` where the names do not tell."""
+    """Return the images of one or two cameras by the pattern of their names; ``None`` if no pattern fits."""
     best: dict[str, list[str]] | None = None
     for patterns in zip(*(_patterns(name) for name in names), strict=True):
         groups: dict[str, list[str]] = defaultdict(list)
@@ -120,7 +120,7 @@ def _best(names: list[str]) -> dict[str, list[str]] | None:
             groups[pattern].append(name)
         sizes = {len(group) for group in groups.values()}
         if "" not in groups and len(groups) <= 2 and len(sizes) == 1 and sizes.pop() >= LEAST_IMAGES:
-            # Two cameras are likelier than one whose images are named in two ways.
+            # Two cameras are likelier than one with two kinds of names.
             if len(groups) == 2:
                 return groups
             best = best or groups
@@ -128,15 +128,14 @@ def _best(names: list[str]) -> dict[str, list[str]] | None:
 
 
 def _patterns(name: str) -> Iterator[str]:
-    """Yield the patterns that a name may share with the others of its camera, the likeliest first; empty where it has
-    no such part."""
+    """Yield the patterns that a name may share with others of its camera, the likeliest first; empty for a missing part."""
     path = Path(name)
     yield str(path.with_name(f"*{path.suffix}"))
-    # One of the numbers in a name counts the images: the last one, or the one before, …
+    # One of the numbers in a name counts the images: the last, or the one before it, …
     numbers = list(re.finditer(r"\d+", name))[::-1]
     for place in range(4):
         yield f"{name[: numbers[place].start()]}*{name[numbers[place].end() :]}" if place < len(numbers) else ""
-    # Whatever stands about a word for one of two cameras: 00_left.png, bright_R.png, cam0_gray_03.png.
+    # Replace all but a word for one of two cameras: 00_left.png, bright_R.png, cam0_gray_03.png.
     *_, side = [None, *_SIDE.finditer(path.name)]
-    # A wildcard stands for no part of a folder's name.
+    # A wildcard does not match a part of a folder's name.
     yield str(path.with_name(f"{'*' if side.start() else ''}{side[0]}*{path.suffix}")) if side else ""

@@ -1,5 +1,7 @@
-"""Owns how images that another rig took are imported: what a description, headers and files of numbers tell is looked
-at before anything that computes is loaded; then come decoding and points.
+"""Entry to the import of foreign images.
+
+Description, file headers and camera numbers are checked before modules that compute are loaded; then come decoding and
+points.
 """
 
 from __future__ import annotations
@@ -17,28 +19,27 @@ if TYPE_CHECKING:  # brings NumPy
     from appliance.desk.foreign.images import ImageSet
 
 MOST_PX = 65_535
-"""Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each.
-"""
+"""Largest width and height of an image with two directions: pixel indices are packed into 16 bits each."""
 
 
 def check_import(path: Path, out: Path) -> None:
-    """Refuse whatever can be refused at once: words, images that are not there, cameras' numbers, and what ``out``
-    cannot be.
+    """Check all that can be checked without decoding: words, image files, camera numbers, and ``out``.
 
-    ``out`` without a suffix is a scan folder. Nothing is decoded, and no kernel is needed. Raises ForeignError,
-    ExportError, MissingLibraryError.
+    ``out`` without a suffix is a scan folder. No kernel is needed. Raises ForeignError, ExportError, MissingLibraryError.
     """
-    # A wrong word is the usual end of a first try, as is a picture that is not there.
-    said = load_description(path)
+    # Wrong words and missing images are the usual faults of a first try.
+    described = load_description(path)
     from appliance.desk.foreign.images import first_of_side
 
-    description, images, _ = check_images(path, said, {side: first_of_side(said, side) for side in said.files})
+    description, images, _ = check_images(
+        path, described, {side: first_of_side(described, side) for side in described.files}
+    )
     if out.suffix:
         from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
 
         checked_suffix(out, SCAN_SUFFIXES, "a cloud")
         require_library(out)
-    longest_px = max(max(one.shape) for one in images.values())
+    longest_px = max(max(image_set.shape) for image_set in images.values())
     if "right" not in images:
         longest_px = max(longest_px, *description.projector_px)
     if longest_px > MOST_PX and not description.one_direction:
@@ -59,8 +60,10 @@ def check_import(path: Path, out: Path) -> None:
 def import_images(
     source: Path, out: Path, progress: Progress, *, as_described: bool = False, reasons: Path | None = None
 ) -> dict[str, Any]:
-    """Import the images below the folder ``source``, or those that the description ``source`` describes, and return
-    the report. Raises as ``import_folder`` and ``import_described``."""
+    """Import the images below the folder ``source``, or those that the description ``source`` describes.
+
+    Returns the report. Raises as ``import_folder`` and ``import_described``.
+    """
     if source.is_dir():
         from appliance.desk.foreign.folder import import_folder
 
@@ -71,17 +74,17 @@ def import_images(
 
 
 def check_images(
-    path: Path, said: Description, sets: Mapping[str, ImageSet]
+    path: Path, described: Description, sets: Mapping[str, ImageSet]
 ) -> tuple[Description, Mapping[str, ImageSet], ForeignRig]:
     """Return the description with its images counted, the images, and the cameras that took them.
 
-    Raises ForeignError where they do not belong together.
+    Raises ForeignError if they do not belong together.
     """
     from appliance.desk.foreign.cameras import read_rig
 
-    description = with_counts(said, sets["left"].shown)
+    description = with_counts(described, sets["left"].shown)
     if "right" in sets and set(sets["right"].shown) != set(sets["left"].shown):
         raise ForeignError(f"{path}: left and right have other images; name the same for both")
-    sizes_px = {side: (one.shape[1], one.shape[0]) for side, one in sets.items()}
+    sizes_px = {side: (image_set.shape[1], image_set.shape[0]) for side, image_set in sets.items()}
     sizes_px.setdefault("right", description.projector_px)
     return description, sets, read_rig(description, sizes_px)

@@ -1,10 +1,13 @@
-"""Owns where a single image of a foreign set lies: a file of its own, a page of a TIFF, or one of an array that NumPy
-wrote, and the arrays in NumPy's files: what each is by its header alone, and its numbers once their size is allowed.
+"""Places and arrays of single foreign images.
+
+* ``Frame``: one image: a file of its own, a page of a TIFF, or one of an array of NumPy.
+* ``array_heads``, ``load_array``: the arrays in NumPy's files, by their headers alone, and their numbers once their size
+  is allowed.
 
 Stacks are (n, h, w), or (h, w, n) as MATLAB's programs leave them: n is the least of the three; colours are a fourth
 dimension, blue first, as OpenCV has them. An array of several in an ``.npz`` is named behind ``#``:
-``frames.npz#left``. Five megabytes of an ``.npz`` may unpack to as many gigabytes, so that nothing is unpacked to learn
-its shape. Format: NEP 1, versions 1 to 3.
+``frames.npz#left``. Five megabytes of an ``.npz`` may unpack to as many gigabytes: shapes are read without unpacking.
+Format: NEP 1, versions 1 to 3.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ from appliance.desk.foreign.problem import ForeignError
 from appliance.store import picture_head
 
 HEADER_BYTES = 16 * 1024
-"""Bytes that are read for a header; those of arrays of numbers have some hundred."""
+"""Number of bytes that are read for a header; those of arrays of numbers have some hundred."""
 MOST_ARRAYS = 1000
 ZIPPED = ".npz"
 _SUFFIX = ".npy"
@@ -37,37 +40,37 @@ _SUFFIX = ".npy"
 def array_heads(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``.npz`` by name, or the one of an ``.npy``, whose name is empty. Raises ValueError.
 
-    Shapes and types are theirs; numbers are not read, and none has room of its own.
+    They have shape and type, but no numbers and no memory of their own.
     """
-    with _told(path):
+    with _as_value_error(path):
         if path.suffix.lower() != ZIPPED:
             with path.open("rb") as file:
                 return {"": _head(file)}
         with zipfile.ZipFile(path) as archive:
             names = [name for name in archive.namelist() if name.endswith(_SUFFIX)]
-            found = {}
+            heads = {}
             for name in names[: MOST_ARRAYS + 1]:
                 with archive.open(name) as member:
-                    found[name.removesuffix(_SUFFIX)] = _head(member)
+                    heads[name.removesuffix(_SUFFIX)] = _head(member)
     if len(names) > MOST_ARRAYS:
         raise ValueError(f"{len(names)} arrays; allowed are up to {MOST_ARRAYS}")
-    return found
+    return heads
 
 
-def load_array(path: Path, name: str, most_bytes: int) -> NDArray[Any]:
-    """Return one of ``array_heads``; of an ``.npy`` the file is mapped, not read.
+def load_array(path: Path, name: str, max_bytes: int) -> NDArray[Any]:
+    """Return an array by its name in ``array_heads``; an ``.npy`` is mapped, not read.
 
-    Raises ValueError for one of more than ``most_bytes``.
+    Raises ValueError for an array of more than ``max_bytes``.
     """
     if path.suffix.lower() == ZIPPED:
         head = array_heads(path)[name]
         size_bytes = head.size * head.itemsize
-        if size_bytes > most_bytes:
+        if size_bytes > max_bytes:
             raise ValueError(
-                f"array {name} unpacks to {size_bytes / 1e9:.3g} GB; allowed are {most_bytes / 1e9:.3g} GB; save it as "
+                f"array {name} unpacks to {size_bytes / 1e9:.3g} GB; allowed are {max_bytes / 1e9:.3g} GB; save it as "
                 ".npy, of which only what is needed is read"
             )
-    with _told(path):
+    with _as_value_error(path):
         if path.suffix.lower() != ZIPPED:
             return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
         with np.load(path, allow_pickle=False) as content:
@@ -75,7 +78,7 @@ def load_array(path: Path, name: str, most_bytes: int) -> NDArray[Any]:
 
 
 def _head(file: IO[bytes]) -> NDArray[Any]:
-    # A header may state its own length in four bytes: no more than these few are unpacked for it.
+    # A header may state any length in four bytes: unpack no more than this for it.
     few = io.BytesIO(file.read(HEADER_BYTES))
     version = np.lib.format.read_magic(few)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -84,8 +87,8 @@ def _head(file: IO[bytes]) -> NDArray[Any]:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Turn whatever a damaged file makes NumPy and zipfile raise into ValueError."""
+def _as_value_error(path: Path) -> Iterator[None]:
+    """Raise ValueError in place of the errors that NumPy and zipfile raise for a damaged file."""
     try:
         refuse_irregular(path)
         yield
@@ -112,9 +115,9 @@ class Frame:
     array: str = ""
     """Name in an ``.npz``."""
     channel: str = ""
-    """The one colour of its picture that is this image; empty: whatever the description says of all."""
+    """Colour of the picture that is this image; empty: the channel that the description gives for all."""
     half: str = ""
-    """The half of its picture that is this image; empty: all of it."""
+    """Half of the picture that is this image; empty: all of it."""
 
     @property
     def name(self) -> str:
@@ -136,9 +139,9 @@ class Frame:
 
 
 def split_name(pattern: str) -> tuple[str, str]:
-    """Return the name of files and that of an array in them, empty where none is named."""
-    found = _ARRAY.fullmatch(pattern)
-    return (found["file"], found["array"]) if found else (pattern, "")
+    """Return the name of files and that of an array in them; the latter is empty if none is named."""
+    match = _ARRAY.fullmatch(pattern)
+    return (match["file"], match["array"]) if match else (pattern, "")
 
 
 def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
@@ -147,7 +150,7 @@ def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
     suffix = path.suffix.lower()
     if suffix in PAGED:
         _refuse_other_files(path)
-        with suppress(cv2.error):  # whoever reads it says what is wrong
+        with suppress(cv2.error):  # the reader raises the error
             count = cv2.imcount(str(path))
         count = None if count == 1 else count
     elif suffix in STACKS:
@@ -159,7 +162,7 @@ def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
 
 
 def arrays_in(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an ``.npz`` that may be stacks of images; none where it is something else."""
+    """Return the names of the arrays in an ``.npz`` that may be stacks of images; none for another file."""
     try:
         return tuple(name for name, head in array_heads(path).items() if head.ndim >= 3)
     except ValueError:
@@ -167,7 +170,7 @@ def arrays_in(path: Path) -> tuple[str, ...]:
 
 
 class FrameReader:
-    """Reads images one after the other; a stack, or a picture that is several images, is opened once."""
+    """Reader of images in order; a stack, or a picture that holds several images, is opened once."""
 
     def __init__(self) -> None:
         self._last: tuple[Frame, NDArray[Any]] | None = None
@@ -184,8 +187,7 @@ class FrameReader:
 
 
 def frame_head(frame: Frame) -> NDArray[Any] | None:
-    """Return an image (h, w) by its file's header: its size and type, and no number; ``None`` where nothing but reading
-    it tells."""
+    """Return an image (h, w) with size and type by the file's header; ``None`` if only reading gives them."""
     if frame.path.suffix.lower() in STACKS:
         head = _stack(frame.path, frame.array, head=True)
         head = head if frame.page is None else head[frame.page]
@@ -207,7 +209,7 @@ def _read(frame: Frame) -> NDArray[Any]:
         if frame.page is None:
             raw = read_bounded(frame.path, MOST_FILE_BYTES)
             stated = picture_head(raw)
-            # A decoder makes room for as many pixels as a few bytes promise.
+            # A decoder allocates as many pixels as the header states.
             if stated is not None and stated[0] * stated[1] > MOST_PIXELS:
                 raise ForeignError(
                     f"{frame.path}: {stated[0]} x {stated[1]} px; allowed are up to {MOST_PIXELS} pixels; cut it"
@@ -244,9 +246,9 @@ def _stack(path: Path, array: str, head: bool = False) -> NDArray[Any]:
         heads = array_heads(path)
         name = array or (next(iter(heads)) if len(heads) == 1 else "")
         if name not in heads:
-            said = f"has no array {array}" if array else f"has {len(heads)} arrays"
+            reason = f"has no array {array}" if array else f"has {len(heads)} arrays"
             raise ForeignError(
-                f"{path}: {said} ({', '.join(list(heads)[:20])[:200]}); name one of them: {path.name}#NAME"
+                f"{path}: {reason} ({', '.join(list(heads)[:20])[:200]}); name one of them: {path.name}#NAME"
             )
         content = heads[name] if head else load_array(path, name, MOST_STACK_BYTES)
     except ValueError as error:

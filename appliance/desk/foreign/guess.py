@@ -45,7 +45,7 @@ from appliance.desk.foreign.cameras import read_rig
 from appliance.desk.foreign.cross_checks import WHICH_IS_LEFT, examine
 from appliance.desk.foreign.decode import chance_misfit, place_by_periods
 from appliance.desk.foreign.description import EACH, LEAST_STEPS, AxisConvention, Description, ImageFiles, equal_steps
-from appliance.desk.foreign.files import camera_files, in_halves, other_way_round, taken_in_turns
+from appliance.desk.foreign.files import camera_files, exchange_sides, in_halves, in_turns
 from appliance.desk.foreign.frames import Frame, FrameReader
 from appliance.desk.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures, of_channel
 from appliance.desk.foreign.order import (
@@ -205,7 +205,7 @@ MOST_PIXELS = 400_000
 BY_LOOKS = "what each image looks like"
 MOST_TRIED = 10
 SURE, NEARLY = 0.9, 0.3
-"""From this explained share on, hypotheses are skipped whose appearance agrees less than the best one's by the second
+"""Explained share above which hypotheses are skipped whose appearance agrees less than the best one's by the second
 number."""
 ROUNDS = 3
 EVERY = 4
@@ -337,7 +337,7 @@ def _ways(folder: Path, table: Mapping[str, Any], camera: ImageFiles) -> list[di
         with suppress(ForeignError):
             is_stereo = not camera_numbers(folder, Table("cameras.", table), of_projector=True).has_projector
     alone = {"left": camera}
-    return [*in_halves(camera), *taken_in_turns(camera), alone] if is_stereo else [alone, *taken_in_turns(camera)]
+    return [*in_halves(camera), *in_turns(camera), alone] if is_stereo else [alone, *in_turns(camera)]
 
 
 def _candidates(folder: Path, cameras: Mapping[str, ImageFiles], pictures: _ReducedPictures) -> list[TriedSequence]:
@@ -535,7 +535,7 @@ def _with_instead(candidate: TriedSequence) -> TriedSequence:
         if assumption.outcome is not Outcome.WRONG:
             continue
         if assumption.subject == WHICH_IS_LEFT:
-            description = replace(description, files=other_way_round(description.files))
+            description = replace(description, files=exchange_sides(description.files))
         for key, value in assumption.corrections.items():
             # Tests of one camera name the word of a direction alone; tests by rays name the direction, too.
             name, _, word = (key if "." in key else f"{assumption.subject.rpartition(': ')[2][0]}.{key}").partition(".")

@@ -1,8 +1,8 @@
-"""Owns the images of a foreign set: which files a description means, and their grey values.
+"""Images of a foreign set: the files that a description names, and their grey values.
 
-Any format that OpenCV reads, pages of a TIFF and NumPy's stacks (``frames``), 8 or 16 bits, grey or colour; files of
-one name with wildcards come in natural order (2 before 10). Pictures are read when they are asked for, and what is
-small is kept.
+They may have any format that OpenCV reads, pages of a TIFF and NumPy's stacks (``frames``), 8 or 16 bits, grey or
+colour. Files of one name with wildcards come in natural order (2 before 10). Images are read on demand, and small sets
+are kept.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from appliance.desk.foreign.problem import ForeignError
 from appliance.measure import SIDES
 
 FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
-"""Grey values of saturation that sensors have."""
+"""Usual grey values of saturation."""
 CHANNEL_NUMBER = {"blue": 0, "green": 1, "red": 2}
 KEPT_BYTES = 40_000_000
-"""Images of one camera that are kept once they were read; others are read again."""
+"""Largest size of one camera's images that are kept after reading; others are read again."""
 
 
 @dataclass(slots=True, eq=False)
@@ -46,7 +46,7 @@ class Pictures:
     def of(cls, frames: Sequence[Frame], channel: str) -> Pictures:
         """Return the images ``frames``, which must be alike.
 
-        Raises ForeignError for others, and for files that are none.
+        Raises ForeignError for images that differ, and for files without an image.
         """
         heads = [frame_head(frame) for frame in frames]
         first = heads[0]
@@ -66,7 +66,7 @@ class Pictures:
         frame = self.frames[number]
         image = frame.cut(_grey(frame, self._reader.raw(frame), frame.channel or self.channel))
         self._alike(frame, image)
-        # Bright and dark are asked for by each direction, and small sets by every test.
+        # Each direction reads the bright and dark frames again, and each test reads small sets again.
         if image.nbytes * (len(self._kept) + 1) <= KEPT_BYTES:
             self._kept[number] = image
         return image
@@ -83,7 +83,7 @@ class Pictures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSet:
-    """One camera's images."""
+    """Images of one camera with their roles."""
 
     shown: tuple[ShownImage, ...]
     files: tuple[Frame, ...]
@@ -99,32 +99,34 @@ class ImageSet:
 
     def image(self, shows: Shows, axis: str = "", index: int = 0) -> NDArray[Any] | None:
         """Return an image (h, w) of the first period; ``None`` where there is none."""
-        wanted = ShownImage(shows, axis, index)
-        return self.images[self.shown.index(wanted)] if wanted in self.shown else None
+        role = ShownImage(shows, axis, index)
+        return self.images[self.shown.index(role)] if role in self.shown else None
 
     def all_of(self, shows: Shows, axis: str, period: int = 0) -> NDArray[Any]:
         """Return all images (n, h, w) of a kind, in their order."""
-        wanted = [k for k, one in enumerate(self.shown) if (one.shows, one.axis, one.period) == (shows, axis, period)]
-        # In one piece, which is given back as such.
-        found = np.empty((len(wanted), *self.shape), self.images.dtype)
-        for place, k in enumerate(wanted):
-            found[place] = self.images[k]
-        return found
+        indices = [
+            k for k, role in enumerate(self.shown) if (role.shows, role.axis, role.period) == (shows, axis, period)
+        ]
+        # One allocation, which can be freed as a whole.
+        images = np.empty((len(indices), *self.shape), self.images.dtype)
+        for slot, k in enumerate(indices):
+            images[slot] = self.images[k]
+        return images
 
 
 def natural_key(text: str) -> list[tuple[int, int, str]]:
-    """Return what sorts names as people do: ``a2`` before ``a10``."""
+    """Return the sort key of a name in natural order: ``a2`` before ``a10``."""
     parts = re.split(r"(\d+)", text)
     return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in parts if part]
 
 
 def read_side(description: Description, side: str) -> ImageSet:
-    """Return the images of one camera, of which those of 16 bits are read.
+    """Return the images of one camera; those of 16 bits are read for their saturation.
 
     Raises ForeignError for files that are missing, of different sizes, or no images.
     """
-    found = first_of_side(description, side)
-    return replace(found, white=description.white or _white(found.images))
+    images = first_of_side(description, side)
+    return replace(images, white=description.white or _white(images.images))
 
 
 def first_of_side(description: Description, side: str) -> ImageSet:
@@ -132,19 +134,21 @@ def first_of_side(description: Description, side: str) -> ImageSet:
 
     Raises ForeignError for files that are missing, of different sizes, or no images.
     """
-    kept = [
-        (file, one) for file, one in zip(*named_files(description, side), strict=True) if one.shows is not Shows.OTHER
+    used = [
+        (file, role)
+        for file, role in zip(*named_files(description, side), strict=True)
+        if role.shows is not Shows.OTHER
     ]
-    if not kept:
+    if not used:
         raise ForeignError("all images are named -; name what they show")
-    files, shown = zip(*kept, strict=True)
+    files, shown = zip(*used, strict=True)
     return ImageSet(shown, files, Pictures.of(files, description.channel), description.white or FULL_SCALES[0])
 
 
 def _white(images: Pictures) -> float:
     """Return the least grey value of saturation that no pixel exceeds.
 
-    Sensors of fewer bits may lie at the upper end of 16, where each value is a multiple of their last one.
+    Values of sensors with fewer bits may be shifted to the upper end of 16, as multiples of their last bit.
     """
     if images.dtype == np.uint8:
         return FULL_SCALES[0]
@@ -152,7 +156,7 @@ def _white(images: Pictures) -> float:
     for k in range(len(images)):
         brightest = max(brightest, int(images[k].max()))
         bits |= int(np.bitwise_or.reduce(images[k], axis=None))
-    scale = next(one for one in FULL_SCALES if brightest <= one)
+    scale = next(full_scale for full_scale in FULL_SCALES if brightest <= full_scale)
     return scale - (bits & -bits) + 1.0 if scale == FULL_SCALES[-1] else scale
 
 
@@ -171,68 +175,70 @@ def _grey(frame: Frame, image: NDArray[Any], channel: str) -> NDArray[Any]:
 
 
 def named_files(description: Description, side: str) -> tuple[list[Frame], tuple[ShownImage, ...]]:
-    """Return the files of one camera and what they show.
+    """Return the files of one camera and their roles.
 
     Raises ForeignError for files that are missing, too few or too many.
     """
-    wanted = description.files[side]
-    key = f"images.{'both' if wanted.sides else side}"
-    named = [
+    files = description.files[side]
+    key = f"images.{'both' if files.sides else side}"
+    frame_words = [
         (frame, word)
-        for pattern, word in zip_longest(wanted.patterns, wanted.kinds, fillvalue="")
-        for frame in matching(description.folder, pattern, f"{key}.{word}" if word else key)
+        for pattern, word in zip_longest(files.patterns, files.kinds, fillvalue="")
+        for frame in matching_frames(description.folder, pattern, f"{key}.{word}" if word else key)
     ]
-    found = of_channel(of_side([frame for frame, _ in named], wanted.sides, side), description.channel)
+    frames = of_channel(of_side([frame for frame, _ in frame_words], files.sides, side), description.channel)
     if description.order is None:
-        # Each kind's own images, and three times as many where every channel is one.
-        return found, number_images([word for _, word in named for _ in range(len(found) // len(named))], key)
-    if len(found) != len(description.order):
+        # Three images of each file where every channel is an image.
+        return frames, number_images(
+            [word for _, word in frame_words for _ in range(len(frames) // len(frame_words))], key
+        )
+    if len(frames) != len(description.order):
         raise ForeignError(
-            f"{key}: {len(found)} images ({found[0].name} to {found[-1].name}), and images.order names "
+            f"{key}: {len(frames)} images ({frames[0].name} to {frames[-1].name}), and images.order names "
             f"{len(description.order)} images; "
             "name as many, with - for what shows something else"
         )
-    return found, description.order
+    return frames, description.order
 
 
 def of_channel(frames: Sequence[Frame], channel: str) -> list[Frame]:
     """Return the images of pictures: three of each where every channel is one."""
     channels = ("red", "green", "blue") if channel == EACH else ("",)
-    return [replace(frame, channel=one) for frame in frames for one in channels]
+    return [replace(frame, channel=name) for frame in frames for name in channels]
 
 
 def of_side(frames: Sequence[Frame], sides: str, side: str) -> list[Frame]:
-    """Return one camera's images of those that both share, ``sides`` saying how; all where it is empty.
+    """Return the images of one camera among those of both, by the words ``sides``; all if that is empty.
 
     Raises ForeignError.
     """
     if sides in HALVES:
         return [replace(frame, half=HALVES[sides][SIDES.index(side)]) for frame in frames]
-    turns = words_in(sides, "images.sides") or [side]
-    if len(frames) % len(turns):
+    order_of_sides = words_in(sides, "images.sides") or [side]
+    if len(frames) % len(order_of_sides):
         raise ForeignError(
-            f"images.both: {len(frames)} images, which are no whole number of turns of {len(turns)}; correct "
+            f"images.both: {len(frames)} images, which are no whole number of turns of {len(order_of_sides)}; correct "
             "images.sides, or name the images "
             "that belong to it"
         )
-    return [frame for k, frame in enumerate(frames) if turns[k % len(turns)] == side]
+    return [frame for k, frame in enumerate(frames) if order_of_sides[k % len(order_of_sides)] == side]
 
 
-def matching(folder: Path, named: str, key: str) -> list[Frame]:
-    """Return the images of the files that a name with wildcards means, in natural order.
+def matching_frames(folder: Path, name: str, key: str) -> list[Frame]:
+    """Return the images of the files that match a name with wildcards, in natural order.
 
-    Raises ForeignError where there is none.
+    Raises ForeignError if there are none.
     """
-    pattern, array = split_name(named)
-    place = Path(pattern)
+    pattern, array = split_name(name)
+    absolute = Path(pattern)
     try:
-        if place.is_absolute():
-            found = list(Path(place.anchor).glob(str(place.relative_to(place.anchor))))
+        if absolute.is_absolute():
+            paths = list(Path(absolute.anchor).glob(str(absolute.relative_to(absolute.anchor))))
         else:
-            found = list(folder.glob(pattern))
+            paths = list(folder.glob(pattern))
     except (ValueError, NotImplementedError, OSError) as error:
         raise ForeignError(f"{key}: {pattern!r:.80} is no name of files ({error}); correct it") from error
-    files = sorted((path for path in found if path.is_file()), key=lambda path: natural_key(str(path)))
+    files = sorted((path for path in paths if path.is_file()), key=lambda path: natural_key(str(path)))
     if not files:
         raise ForeignError(f"{key}: no file is called {pattern!r:.80} in {folder.absolute()}; correct the name")
     return [frame for path in files for frame in frames_in(path, array)]

@@ -1,14 +1,14 @@
-"""Owns the words in which a description says what each image shows, and in which order.
+"""Words for the roles of images and their order, and the sequences of known programs.
 
-``bright dark gray-x*6 sine-x*4`` is one such text; ``(gray-x ~gray-x)*10`` repeats two images ten times, the second one
+``bright dark gray-x*6 sine-x*4`` is such a text; ``(gray-x ~gray-x)*10`` repeats two images ten times, the second one
 with its stripes inverted; ``sine-x2`` is of the second period of X; ``modulated-x*9`` is nine images of fringes times a
-carrier, ``micro-x*12`` twelve of many periods; ``-`` is an image that shows something else.
+carrier, ``micro-x*12`` twelve of many periods; ``-`` is an image without a role.
 
-It also owns the sequences of images that known programs project: one row each, from which hypotheses about a folder are
-made.
+* ``parse_order``, ``words_in``, ``join_words``, ``number_images``: from words to images and back.
+* ``SEQUENCES``: the sequences of known programs, one row each, from which ``hypotheses`` about a folder are made.
 
-``{x}`` and ``{y}`` stand for the numbers of bits of a direction, ``{s}`` for a number of steps; everything else is the
-language of ``images.order``. A row says what its images show; how wide its stripes are follows from the projector.
+``{x}`` and ``{y}`` stand for the numbers of bits of a direction, ``{s}`` for a number of steps; all other words are the
+language of ``images.order``. A row gives the roles of its images; the width of stripes follows from the projector.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ WORDS = (
 
 
 class Shows(Enum):
-    """Kinds of images."""
+    """Image roles."""
 
     BRIGHT = "bright"
     DARK = "dark"
     GRAY = "gray"
-    """One bit of the stripes' numbers."""
+    """One bit of the stripe number."""
     INVERSE = "~gray"
     """The same bit with bright and dark exchanged."""
     SINE = "sine"
@@ -61,7 +61,7 @@ FRINGES = (Shows.SINE, Shows.MODULATED, Shows.MICRO)
 
 @dataclass(frozen=True, slots=True)
 class ShownImage:
-    """One image of a sequence."""
+    """Role of one image of a sequence."""
 
     shows: Shows
     axis: str = ""
@@ -84,36 +84,38 @@ def parse_order(text: str, key: str) -> tuple[ShownImage, ...]:
     return number_images(words_in(text, key), key)
 
 
-def words_in(text: str, key: str, most: int = MOST_IMAGES) -> list[str]:
-    """Return the words of ``text`` with repetitions spelt out, up to ``most`` of them.
+def words_in(text: str, key: str, max_words: int = MOST_IMAGES) -> list[str]:
+    """Return the words of ``text`` with repetitions spelt out, up to ``max_words`` of them.
 
     Raises ForeignError, which names ``key``.
     """
 
-    def spelt_out(found: re.Match[str]) -> str:
-        words, count = (found["group"] or found["word"] or "").split(), int(found["count"] or 1)
-        if found["count"] and not 1 <= count * len(words) <= most:
-            raise ForeignError(f"{key}: *{count} repeats {count} times; allowed are 1 and more, {most} images in all")
+    def spelt_out(match: re.Match[str]) -> str:
+        words, count = (match["group"] or match["word"] or "").split(), int(match["count"] or 1)
+        if match["count"] and not 1 <= count * len(words) <= max_words:
+            raise ForeignError(
+                f"{key}: *{count} repeats {count} times; allowed are 1 and more, {max_words} images in all"
+            )
         return f" {' '.join(words * count)} "
 
-    spelt, before = text, ""
-    while spelt != before:
+    spelt, previous = text, ""
+    while spelt != previous:
         if len(spelt) > MOST_LETTERS:
-            raise ForeignError(f"{key} names more than {most} images, or too much else; shorten it")
+            raise ForeignError(f"{key} names more than {max_words} images, or too much else; shorten it")
         # The innermost brackets, and words beside them.
-        before, spelt = spelt, _REPEATED.sub(spelt_out, spelt)
+        previous, spelt = spelt, _REPEATED.sub(spelt_out, spelt)
     for sign, wrong in _LEFT_OVER.items():
         if sign in spelt:
             raise ForeignError(f"{key} is {text!r:.80}: {wrong}; correct it")
     words = spelt.split()
-    if len(words) > most:
-        raise ForeignError(f"{key} names {len(words)} images; allowed are up to {most}; shorten it")
+    if len(words) > max_words:
+        raise ForeignError(f"{key} names {len(words)} images; allowed are up to {max_words}; shorten it")
     return words
 
 
 def join_words(words: Sequence[str]) -> str:
     """Return words with repetitions written as such: ``gray-x*6``, ``(gray-x ~gray-x)*6``."""
-    said: list[str] = []
+    parts: list[str] = []
     k = 0
     while k < len(words):
         for length in (1, 2):
@@ -121,13 +123,13 @@ def join_words(words: Sequence[str]) -> str:
             while list(words[k + count * length : k + (count + 1) * length]) == unit:
                 count += 1
             if count > 1 and len(set(unit)) == length:
-                said.append(f"{unit[0] if length == 1 else '(' + ' '.join(unit) + ')'}*{count}")
+                parts.append(f"{unit[0] if length == 1 else '(' + ' '.join(unit) + ')'}*{count}")
                 k += count * length
                 break
         else:
-            said.append(words[k])
+            parts.append(words[k])
             k += 1
-    return " ".join(said)
+    return " ".join(parts)
 
 
 def number_images(words: list[str], key: str) -> tuple[ShownImage, ...]:
@@ -135,13 +137,13 @@ def number_images(words: list[str], key: str) -> tuple[ShownImage, ...]:
     counts: dict[tuple[Shows, str, int], int] = {}
     images = []
     for word in words:
-        found = _WORD.fullmatch(word)
-        if found is None:
+        match = _WORD.fullmatch(word)
+        if match is None:
             raise ForeignError(f"{key}: {word!r:.40} is no image; allowed: {WORDS}; correct it")
         shows, axis, period = (
-            Shows(found[1] or found[2] or found[4]),
-            found[3] or found[5] or "",
-            int(found[6] or 1) - 1,
+            Shows(match[1] or match[2] or match[4]),
+            match[3] or match[5] or "",
+            int(match[6] or 1) - 1,
         )
         if period < 0:
             raise ForeignError(f"{key}: {word!r} names period 0; the first one is sine-x or sine-x1")
@@ -154,7 +156,7 @@ def number_images(words: list[str], key: str) -> tuple[ShownImage, ...]:
 
 
 NUMBERS = {"x": range(3, 13), "y": range(3, 13), "s": range(3, 17)}
-"""Bits of both directions and steps that programs have."""
+"""Usual numbers of bits of both directions and of steps."""
 ROWS_LESS_COLUMNS = range(-2, 2)
 """Bits of the rows less those of the columns: a picture is up to four times as wide as high, or twice as high."""
 EXCHANGED = {Shows.BRIGHT: Shows.DARK, Shows.DARK: Shows.BRIGHT}
@@ -167,7 +169,7 @@ class ProjectedSequence:
     program: str
     order: str = ""
     conventions: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of the conventions of all directions that the program fixes."""
+    """Values of fields of the conventions that the program fixes, for all directions."""
     shown: tuple[ShownImage, ...] = ()
     """Images that ``order`` names; empty in the table, where numbers are left open."""
 
@@ -224,23 +226,24 @@ SEQUENCES = (
 
 
 def hypotheses(count: int) -> Iterator[ProjectedSequence]:
-    """Yield what ``count`` images may show, by the rows of the table whose numbers of bits and steps come out;
-    references both ways."""
+    """Yield the sequences of ``count`` images that the rows of the table allow, with bright and dark in both orders."""
     for row in SEQUENCES:
         names = [name for name in NUMBERS if f"{{{name}}}" in row.order]
-        ones = dict.fromkeys(NUMBERS, 1)
-        # Each word counts as many images whatever its number: two lengths tell all of them.
-        fewest = _count(row, ones)
-        more = [_count(row, {**ones, name: 2}) - fewest for name in names]
+        least_numbers = dict.fromkeys(NUMBERS, 1)
+        # The count is linear in each number: the counts of two numbers give all others.
+        fewest = _count(row, least_numbers)
+        images_each = [_count(row, {**least_numbers, name: 2}) - fewest for name in names]
         for numbers in product(*(NUMBERS[name] for name in names)):
-            chosen = ones | dict(zip(names, numbers, strict=True))
-            if fewest + sum((n - 1) * each for n, each in zip(numbers, more, strict=True)) != count:
+            chosen = least_numbers | dict(zip(names, numbers, strict=True))
+            if fewest + sum((n - 1) * each for n, each in zip(numbers, images_each, strict=True)) != count:
                 continue
             if "y" in names and chosen["y"] - chosen["x"] not in ROWS_LESS_COLUMNS:
                 continue
             shown = parse_order(row.order.format(**chosen), row.program)
             yield replace(row, shown=shown)
-            yield replace(row, shown=tuple(replace(one, shows=EXCHANGED.get(one.shows, one.shows)) for one in shown))
+            yield replace(
+                row, shown=tuple(replace(image, shows=EXCHANGED.get(image.shows, image.shows)) for image in shown)
+            )
 
 
 def _count(row: ProjectedSequence, numbers: Mapping[str, int]) -> int:

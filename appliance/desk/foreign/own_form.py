@@ -1,8 +1,7 @@
-"""Owns which foreign sets are scans of our own form: what ``PatternSequence`` promises, if the images are put into
-another order; and the scan folder of these.
+"""Foreign sets that have the form of our own scans, and the scan folder of these.
 
-Such a set becomes a scan folder that everything else accepts; of any other one the reason is said, and there is a
-cloud.
+A set has that form if it keeps the promise of ``PatternSequence`` after its images are put into another order. It
+becomes a scan folder like any of ours; of any other set the reason is given, and only a cloud can be written.
 """
 
 from __future__ import annotations
@@ -36,23 +35,23 @@ from appliance.store import Instrument, Rig, ScanRecord, SequenceInfo, StoredSca
 
 _FOUR_DEG = [0, 90, 180, 270]
 METHOD = "foreign"
-"""Method of a calibration that was made by others."""
+"""Method of a foreign calibration."""
 LEAST_WITHIN = 0.5
 """Least share of the points that lie within the instrument's own depths, for a scan folder."""
 
 
 def own_sequence(description: Description, images: ImageSet) -> PatternSequence | str:
-    """Return the sequence that a set keeps, or why there is none, in words."""
+    """Return the sequence of a set that has our form, else the reason why it has not, in words."""
     if "right" not in description.files:
         return "there is no second camera"
     if description.one_direction:
         return f"it has fringes of one direction only, {description.axes[0].name}"
     if images.images.dtype != np.uint8:
         return "its images have 16 bits"
-    if not {Shows.BRIGHT, Shows.DARK} <= {one.shows for one in images.shown}:
+    if not {Shows.BRIGHT, Shows.DARK} <= {role.shows for role in images.shown}:
         return "it has no bright and dark image"
     for axis in description.axes:
-        reason = _other_form(axis)
+        reason = _reason_against(axis)
         if reason is not None:
             return f"{axis.name}: {reason}"
     periods = {axis.period_px for axis in description.axes}
@@ -70,14 +69,14 @@ def own_sequence(description: Description, images: ImageSet) -> PatternSequence 
 
 
 def own_frames(sequence: PatternSequence, description: Description, images: ImageSet) -> NDArray[np.uint8]:
-    """Return one camera's images (n, h, w) uint8 in the order of ``sequence``, which ``own_sequence`` has found."""
+    """Return the images (n, h, w) uint8 of one camera in the order of ``sequence``, from ``own_sequence``."""
     frames = [images.image(Shows.BRIGHT), images.image(Shows.DARK)]
     for axis in description.axes:
         bits = range(axis.bits)[::-1] if axis.fine_first else range(axis.bits)
-        # Images before the most significant bit that is needed are dark all over.
+        # Images before the most significant bit that is needed are entirely dark.
         frames += [images.image(Shows.GRAY, axis.name, bit) for bit in bits[axis.bits - _bits(sequence, axis) :]]
         frames += [images.image(Shows.SINE, axis.name, _steps(axis).index(_FOUR_DEG[step])) for step in sequence.steps]
-    return np.stack([one for one in frames if one is not None])
+    return np.stack([frame for frame in frames if frame is not None])
 
 
 def _bits(sequence: PatternSequence, axis: AxisConvention) -> int:
@@ -85,17 +84,17 @@ def _bits(sequence: PatternSequence, axis: AxisConvention) -> int:
 
 
 def _order(description: Description) -> tuple[int, ...]:
-    """Return in which of our orders the steps were projected; the rising one where it was another order."""
-    shown = {tuple(_FOUR_DEG.index(step) for step in _steps(axis)) for axis in description.axes}
-    return next((order for order in STEP_ORDERS if shown == {order}), STEP_ORDERS[-1])
+    """Return the order of our steps in which they were projected; the rising one for any other order."""
+    orders = {tuple(_FOUR_DEG.index(step) for step in _steps(axis)) for axis in description.axes}
+    return next((order for order in STEP_ORDERS if orders == {order}), STEP_ORDERS[-1])
 
 
 def _steps(axis: AxisConvention) -> list[int]:
-    """Return what each image adds to our phase, in whole degrees 0 to 359."""
+    """Return the phase that each image adds to ours, in whole degrees 0 to 359."""
     return [round(axis.begins_deg[0] + step) % 360 for step in axis.signed_deg[0]]
 
 
-def _other_form(axis: AxisConvention) -> str | None:
+def _reason_against(axis: AxisConvention) -> str | None:
     if len(axis.periods_px) != 1:
         return f"it has {len(axis.periods_px)} periods"
     if axis.period_px != round(axis.period_px):
@@ -114,15 +113,15 @@ def _other_form(axis: AxisConvention) -> str | None:
 
 
 def required_sequence(path: Path, out: Path, description: Description, images: ImageSet) -> PatternSequence:
-    """Return the sequence that a set keeps. Raises ForeignError where it keeps none."""
-    found = own_sequence(description, images)
-    if isinstance(found, str):
-        raise ForeignError(f"{path}: no scan folder can be made: {found}; write a cloud with --out {out.name}.ply")
-    return found
+    """Return the sequence of a set that has our form. Raises ForeignError for any other set."""
+    sequence = own_sequence(description, images)
+    if isinstance(sequence, str):
+        raise ForeignError(f"{path}: no scan folder can be made: {sequence}; write a cloud with --out {out.name}.ply")
+    return sequence
 
 
 def settled_sequence(path: Path, out: Path, scan: ForeignScan) -> PatternSequence:
-    """Return the sequence of a scan folder. Raises ForeignError where none can be made, whatever the points."""
+    """Return the sequence of a scan folder. Raises ForeignError if none can be made."""
     sequence = required_sequence(path, out, scan.description, scan.cameras["left"].images)
     if not scan.rig.scale_known:
         raise ForeignError(
@@ -134,11 +133,11 @@ def settled_sequence(path: Path, out: Path, scan: ForeignScan) -> PatternSequenc
 
 
 def write_own(
-    path: Path, out: Path, scan: ForeignScan, found: ForeignCloud, sequence: PatternSequence
+    path: Path, out: Path, scan: ForeignScan, points: ForeignCloud, sequence: PatternSequence
 ) -> dict[str, Any]:
-    """Make the scan folder ``out``, and return what there is of it, JSON-ready. Raises ForeignError, StorageError."""
+    """Write the scan folder ``out``, and return its JSON-ready summary. Raises ForeignError, StorageError."""
     limits = QualityLimits()
-    depth_mm = found.cloud.points_mm[..., 2][found.cloud.mask]
+    depth_mm = points.cloud.points_mm[..., 2][points.cloud.mask]
     within = float(np.mean((depth_mm > limits.min_depth_mm) & (depth_mm < limits.max_depth_mm)))
     if within < LEAST_WITHIN:
         raise ForeignError(
@@ -147,7 +146,7 @@ def write_own(
         )
     calibration = calibration_of(scan)
     rig = _rig(scan, calibration)
-    frames = {side: own_frames(sequence, scan.description, one.images) for side, one in scan.cameras.items()}
+    frames = {side: own_frames(sequence, scan.description, camera.images) for side, camera in scan.cameras.items()}
     water = calibration.water
     record = ScanRecord(
         SequenceInfo.of(sequence), rig.rig_hash, calibration.hash, __version__, None, False, 0,
@@ -161,7 +160,7 @@ def write_own(
 
 
 def calibration_of(scan: ForeignScan) -> Calibration:
-    """Return the calibration file that says what the description says of the cameras."""
+    """Return the calibration with the numbers that the description gives. Raises ForeignError."""
     if scan.rig.calibration is not None:
         return scan.rig.calibration
     water = scan.description.water
@@ -186,8 +185,8 @@ def _rig(scan: ForeignScan, calibration: Calibration) -> Rig:
     serials = calibration.camera_serials or tuple(f"{scan.description.name} {side}" for side in SIDES)
 
     def camera(side: str, serial: str) -> Any:
-        seen: HousedCamera = of_side(scan.rig.rig, side)
-        return replace(of_side(rig.camera, side), serial=serial, width_px=seen.width_px, height_px=seen.height_px)
+        housed: HousedCamera = of_side(scan.rig.rig, side)
+        return replace(of_side(rig.camera, side), serial=serial, width_px=housed.width_px, height_px=housed.height_px)
 
     width_px, height_px = scan.description.projector_px
     return replace(

@@ -13,7 +13,7 @@ from appliance.desk.foreign.camera import DecodedCamera, clean, decode_camera
 from appliance.desk.foreign.decode import Reason
 from appliance.desk.foreign.description import parse_description, with_counts
 from appliance.desk.foreign.images import ImageSet
-from appliance.desk.foreign.phase import TURN, fit_sine, unbend
+from appliance.desk.foreign.phase import TURN, correct_response, fit_sine
 
 Lines = NDArray[np.float64]
 SIZE_PX, ROWS = 1024, 40
@@ -153,7 +153,7 @@ def test_bright_places_have_more_noise_than_dark_ones_and_a_point_says_how_much(
 def test_phases_that_no_response_has_bent_stay_as_they_are(turns: Lines, share: float | None, remains: float) -> None:
     wrapped = (turns - np.rint(turns)).astype(np.float32)
     before = wrapped.copy()
-    assert unbend(wrapped, np.ones(wrapped.shape, np.bool_), 4, share) == pytest.approx(remains, abs=1e-4)
+    assert correct_response(wrapped, np.ones(wrapped.shape, np.bool_), 4, share) == pytest.approx(remains, abs=1e-4)
     assert np.array_equal(wrapped, before)
 
 
@@ -161,7 +161,7 @@ def test_three_harmonics_of_a_bend_are_taken_away() -> None:
     even = np.linspace(-0.5, 0.5, 100_001)[None, 1:]
     bends = [size * np.sin(n * TURN * even) for n, size in ((4, 0.004), (8, 0.001), (12, 0.001))]
     turns = (even + sum(bends)).astype(np.float32)
-    assert unbend(turns, np.ones(turns.shape, np.bool_), 4, None) < 0.001
+    assert correct_response(turns, np.ones(turns.shape, np.bool_), 4, None) < 0.001
     assert float((turns - even).std()) < 0.0003
 
 

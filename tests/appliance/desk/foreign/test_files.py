@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from appliance.desk.foreign.description import ImageFiles
-from appliance.desk.foreign.files import camera_files, in_halves, other_way_round, taken_in_turns
+from appliance.desk.foreign.files import camera_files, exchange_sides, in_halves, in_turns
 from appliance.desk.foreign.frames import Frame
 from appliance.desk.foreign.problem import ForeignError
 
@@ -71,8 +71,8 @@ def test_only_a_long_picture_may_be_two(tmp_path: Path, shape: tuple[int, int], 
 @pytest.mark.parametrize(("count", "wanted"), [(4, []), (7, []), (6, ["024", "135", "012", "345"])])
 def test_an_even_number_of_images_may_be_taken_in_turns(count: int, wanted: list[str]) -> None:
     one = ImageFiles(("*.png",), frames=tuple(Frame(Path(str(k))) for k in range(count)))
-    ways = list(taken_in_turns(one))
+    ways = list(in_turns(one))
     assert ["".join(frame.name for frame in side.frames) for way in ways for side in way.values()] == wanted
-    turned = [other_way_round(way)["left"] for way in ways]
+    turned = [exchange_sides(way)["left"] for way in ways]
     assert [one.frames for one in turned] == [way["right"].frames for way in ways]
     assert [one.sides for one in turned] == ["right left", "right*3 left*3"][: len(ways)]

@@ -142,7 +142,7 @@ def test_what_decoding_leaves_out_keeps_its_reason() -> None:
     assert (cloud.reason_map[:10] == Reason.WEAK).all()
     assert (cloud.reason_map[20:30] == Reason.SATURATED).all()
     assert cloud.reasons[Reason.WEAK] == cloud.reasons[Reason.SATURATED] == 10 * W
-    assert cloud.lit == W * H - 20 * W
+    assert cloud.decoded_pixels == W * H - 20 * W
 
 
 def nothing_seen(camera: DecodedCamera) -> DecodedCamera:
