@@ -1,7 +1,7 @@
 """Owns what happens to a sequence: identify → coarse cloud → judge → compensate → full cloud.
 
-It is written once, as the generator ``SequenceProcessor.steps``. The instrument's worker, the desk, the warm-up, the
-benches and the tests all run it, so that the same frames get the same points and the same verdicts everywhere.
+It is written once, as the generator ``SequenceProcessor.steps``. The instrument's worker and the desk run it, so that the
+same frames get the same points and the same verdicts. Pieces of the warm-up, and benches of one stage, drive the pipeline alone.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ bytes can be restored exactly:
     32 bytes    sha256 of everything before
 
 Checksums are those of the decoded pixels, so that equal frames provably give equal points with any encoder. The codec
-is ``imagecodecs``, of the desk: an instrument has none, and neither packs nor reads packed files.
+``imagecodecs`` belongs to the desk. An instrument loads this module but has no codec: it neither packs nor decodes.
 """
 
 from __future__ import annotations
