@@ -9,23 +9,23 @@ from appliance.base import lazy_face
 
 if TYPE_CHECKING:
     from .capture.grabber import (
-        Grabber,  # Runs one camera in its own thread. A context manager
+        Grabber,  # Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera
         SideRecording,  # One side of a sequence being recorded. Filled by the camera's thread, read after done
         Timeouts,  # Time limits of a sequence. At 60 Hz and faster the seconds count, at slower rates the periods
     )
     from .capture.ledger import (
-        Ledger,  # Testimony of the four witnesses. flips … are in order of arrival; frames by side
-        SyncError,  # The board's vertical sync does not follow the projector's; the text says by how much
+        Ledger,  # Records of the four witnesses. Flips and pulses are in order of arrival; frames by side
+        SyncError,  # The board's vsync does not follow the projector's; the text gives the difference
         SyncMap,  # Board vsync count is the blank of flip; board time converts to host time around it
         synchronise,  # Ask the board until two queries agree (at most ten). Raises SyncError
     )
     from .capture.scan import (
-        CaptureReport,  # Outcome of a scan. With a fault there is no cloud; the frames are evidence only
-        ScanRecorder,  # Records sequences with devices that are open and patterns that are loaded (index = frame
+        CaptureReport,  # Result of a capture. With a fault there is no cloud; the frames are evidence only
+        ScanRecorder,  # Records sequences with open devices and loaded patterns (index = frame, idle = dark)
         ScanSettings,  # Settings of a sequence's trigger
     )
     from .capture.store import (
-        FrameStore,  # Slots for one or more sequences of both cameras, allocated once. A context manager
+        FrameStore,  # Slots for one or more sequences of both cameras, allocated once
     )
     from .machine.ashore import (
         ASHORE,  # What to do ashore about a fault, by its code

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.ranging.measure import Dot, Dots
+from appliance.instrument.ranging.ranger import Dot, Dots
 from appliance.instrument.ranging.reach import Range
 from appliance.instrument.service.settings import live_light_of
 from appliance.store.config import load_rig
@@ -41,7 +41,7 @@ def _used(dot: Dot | None, measured: Range | None) -> bool:
     """Whether a distance was told from a dot: from both on one surface, else from one of them."""
     if dot is None or measured is None:
         return False
-    return measured.tilt_deg is not None or dot.place_mm[2] == measured.distance_mm
+    return measured.tilt_deg is not None or dot.position_mm[2] == measured.distance_mm
 
 
 def _pair(
@@ -86,7 +86,7 @@ def row(one: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dic
     )
     places = [None if dot is None else one.ranger.frame.from_left(rig_to_left(one.truth, dot[None])[0]) for dot in dots]
     dot_errors = [
-        None if got is None or place is None else float(got.place_mm[2] - place[2])
+        None if got is None or place is None else float(got.position_mm[2] - place[2])
         for got, place in zip((found.left, found.right), places, strict=True)
     ]
     here = [float(place[2]) for place in places if place is not None]
@@ -102,7 +102,7 @@ def row(one: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dic
         "one_sees": sum(views["left", k] != views["right", k] for k in range(2)),
         "distance_mm": None if measured is None else measured.distance_mm,
         "sigma_mm": None if measured is None else measured.sigma_mm,
-        "dots": len(found.found),
+        "dots": len(found.present),
         "cameras": [None if got is None else got.cameras for got in (found.left, found.right)],
         "contrast_dn": [None if got is None else got.contrast_dn for got in (found.left, found.right)],
         "error_mm": None if measured is None or true_mm is None else measured.distance_mm - true_mm,

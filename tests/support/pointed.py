@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.ranging.measure import Ranger
+from appliance.instrument.ranging.ranger import Ranger
 from appliance.instrument.service.settings import live_light_of, pointers_of
 from appliance.store.config import load_rig
 from hw_sim.optics.view import Surface

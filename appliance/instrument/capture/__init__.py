@@ -1,1 +1,1 @@
-"""A scan as it is recorded: arm, play, collect, and the witnesses that say whether it happened as planned."""
+"""Capture of one scan: arm, play, collect, and compare the witnesses."""

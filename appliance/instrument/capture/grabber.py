@@ -1,12 +1,11 @@
-"""Owns the thread of one camera: what it waits for, and where its frames go.
+"""Frame grabber: the thread of one camera.
 
     Grabber          one camera in its own thread, ``kf-camera-left`` or ``kf-camera-right``; a context manager
     SideRecording    one side of a sequence being recorded
-    Timeouts         how long a capture waits for what the projector paces: in its periods, and never less than a host
-                     may be late
+    Timeouts         time limits of a capture: in the projector's periods, and never less than a host may be late
 
-The thread alone calls the camera. Others give orders (idle, live, record) and read results. A lost camera ends the
-thread; the service opens a new one.
+Only this thread calls the camera. Other threads give orders (idle, live, record) and read results. A lost camera ends
+the thread; the service opens a new one.
 """
 
 from __future__ import annotations
@@ -34,23 +33,22 @@ class Timeouts:
 
     @property
     def ready_s(self) -> float:
-        """Time for both cameras to leave their live views, and again for both to start: their images come as slowly."""
+        """Time for both cameras to leave their live views, and again for both to start."""
         return self._at_least(2.0, 12)
 
     @property
     def first_frame_s(self) -> float:
-        """Time from a camera that is ready to its first frame: the other one, the heartbeat, the blank to begin
-        with."""
+        """Time from a ready camera to its first frame: the other camera, the heartbeat, the first blank."""
         return self._at_least(2.0, 24)
 
     @property
     def next_frame_s(self) -> float:
-        """A frame that has not come by then was lost."""
+        """Time after which a frame counts as lost."""
         return self._at_least(0.15, 9)
 
     @property
     def silence_s(self) -> float:
-        """Two vertical blanks, and a little, in which no frame may follow the last."""
+        """Time of a little over two vertical blanks after the last frame, in which no other may come."""
         return self._at_least(0.035, 2.1)
 
     @property
@@ -65,13 +63,15 @@ class Timeouts:
 
     @property
     def margin_s(self) -> float:
-        """Time beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
+        """Time beyond the length of the sequence: to find the vertical blank, and to wait for missing frames."""
         return self._at_least(5.0, 40)
 
 
 LIVE_TIMEOUT_S = 0.15
-"""Longest time that an order to stop waits for a live image: the board fires no more by then. One that comes later,
-where the projector is slow, is waited for again."""
+"""Longest wait for a live image, during which an order to stop is not heard.
+
+With a slow projector, a later image is waited for again.
+"""
 JOIN_TIMEOUT_S = 5.0
 
 
@@ -80,14 +80,14 @@ class SideRecording:
     """One side of a sequence being recorded. Filled by the camera's thread, read after ``done``."""
 
     slots: NDArray[np.uint8]
-    """(n, h, w) uint8: where the frames go."""
+    """Memory for the frames, (n, h, w) uint8."""
     on_frame: Callable[[int], None]
     """Called in the camera's thread after each complete frame, with its index. Must not block."""
     ready: bool = False
     done: bool = False
     cancelled: bool = False
     frames: list[Frame] = field(default_factory=list)
-    """Frames in order of arrival; ends with the first frame that is not complete."""
+    """Frames in order of arrival; the first incomplete frame is the last."""
     clock: ClockReading | None = None
     """The camera's clock just before the sequence."""
     lost: str | None = None
@@ -95,16 +95,15 @@ class SideRecording:
 
     @property
     def complete(self) -> bool:
-        """All frames arrived whole (their ids are the ledger's business)."""
+        """True if all frames arrived complete. The ledger checks their ids."""
         return self.done and len(self.frames) == len(self.slots) and self.frames[-1].status is FrameStatus.COMPLETE
 
 
 class Grabber:
-    """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera's life."""
+    """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera."""
 
     def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings, timeouts: Timeouts) -> None:
-        """Prepare the thread, with the ``settings`` that the camera has, and the ``timeouts`` with frames of a
-        sequence."""
+        """Prepare the thread. ``settings``: those that the camera has."""
         self.side = side
         self._camera = camera
         self._clock = clock
@@ -132,23 +131,23 @@ class Grabber:
 
     @property
     def lost(self) -> str | None:
-        """Reason why the camera was lost; ``None`` while it is there."""
+        """Reason why the camera was lost; ``None`` while it works."""
         with self._changed:
             return self._lost
 
     @property
     def temperature_c(self) -> float | None:
-        """The camera's own temperature when it last was idle."""
+        """Temperature of the camera when it was idle last."""
         with self._changed:
             return self._temperature_c
 
     def expose(self, exposure_us: float, gain_db: float) -> None:
-        """Set the exposure from the next start of the camera on; ``live`` and ``record`` start it."""
+        """Set the exposure for the next start of the camera; ``live`` and ``record`` start it."""
         with self._changed:
             self._wanted = replace(self._settings, exposure_us=exposure_us, gain_db=gain_db)
 
     def live(self) -> None:
-        """Show what the camera sees, at whatever rate the board triggers."""
+        """Record live images, at the rate of the board's pulses."""
         self._set("live")
 
     def leave(self) -> None:
@@ -156,7 +155,7 @@ class Grabber:
         self._set("idle")
 
     def idle(self, timeout_s: float = 2.0) -> bool:
-        """Stop the camera; True when it has stopped (or is lost)."""
+        """Stop the camera; return True when it has stopped (or is lost)."""
         self._set("idle")
         with self._changed:
             return self._clock.wait_for(
@@ -164,10 +163,9 @@ class Grabber:
             )
 
     def latest(self, newer_than: int) -> tuple[int, NDArray[np.uint8]] | None:
-        """Return the newest live image (h, w) uint8 as a copy and its running number, if newer than ``newer_than``."""
+        """Return a copy of the newest live image (h, w) uint8 and its number, if above ``newer_than``."""
         with self._changed:
-            # The copy is made under the lock: the other half of the double buffer is being filled, and after the next
-            # frame this one will be.
+            # Copied under the lock: the driver fills the other half of the double buffer, and then this one.
             if self._live_count <= newer_than or self._live_count == 0:
                 return None
             return self._live_count, self._live[self._live_count % 2].copy()
@@ -179,7 +177,7 @@ class Grabber:
         """
         recording = SideRecording(slots, on_frame)
         with self._changed:
-            # A camera that is lost ends the recording here: its thread is over, and nobody else would.
+            # The thread of a lost camera is over, so the recording is ended here.
             if self._lost is not None:
                 recording.lost, recording.done = self._lost, True
                 return recording
@@ -233,10 +231,10 @@ class Grabber:
 
     def _start(self) -> None:
         with self._changed:
-            wanted = self._wanted
-        if wanted != self._settings:
-            self._camera.configure(wanted)
-            self._settings = wanted
+            settings = self._wanted
+        if settings != self._settings:
+            self._camera.configure(settings)
+            self._settings = settings
         self._camera.start()
 
     def _run_live(self) -> None:
@@ -265,7 +263,7 @@ class Grabber:
             recording = self._recording
         assert recording is not None
         self._start()
-        # Read while the camera waits for its first pulse: a question during the stream would compete with the frames.
+        # Read while the camera waits for its first pulse: later it would compete with the frames for the bus.
         clock = self._camera.read_clock()
         with self._changed:
             recording.clock = clock
@@ -279,8 +277,7 @@ class Grabber:
             with self._changed:
                 recording.frames.append(frame)
                 stop = recording.cancelled or frame.status is not FrameStatus.COMPLETE
-            # The first bad frame ends the recording: whatever follows cannot make a cloud, and the play ends at the
-            # next blank.
+            # The first bad frame ends the recording: later ones cannot make a cloud, and the play ends at the next blank.
             if stop:
                 break
             recording.on_frame(index)
@@ -297,7 +294,7 @@ class Grabber:
             self._changed.notify_all()
 
     def _expect_silence(self, recording: SideRecording) -> None:
-        """Check that nothing follows the last frame: a frame too many is evidence like one too few."""
+        """Record any frame after the last one: too many is evidence like too few."""
         frame = self._camera.next_frame(self._live[0], self._timeouts.silence_s)
         if frame.status is not FrameStatus.TIMEOUT:
             with self._changed:

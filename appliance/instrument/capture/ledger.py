@@ -1,12 +1,11 @@
-"""Owns the comparison of the four witnesses of a sequence: flips, pulses, left frames, right frames.
+"""Comparison of the four witnesses of a sequence: flips, pulses, left frames, right frames.
 
-    Ledger, audit          what the witnesses say, and their first disagreement
-    SyncMap, map_vsync     which of the board's vertical syncs is which flip of the projector, between three clocks
-    agreed_frames, …       how far they agree, and what is wrong with one side alone
+    Ledger, audit          records of the witnesses, and their first disagreement
+    SyncMap, map_vsync     which of the board's vsyncs is which flip of the projector, between three clocks
+    agreed_frames, …       number of frames on which all agree, and faults of one side alone
 
-Each witness alone can be fooled; together they cannot: a flip that came late, a pulse that was not fired, a frame that
-was dropped, doubled, swapped or cut all make two of them disagree. Any disagreement is a named fault. Nothing is
-interpolated.
+Each witness alone can be fooled; together they cannot: a late flip, a missing pulse, and a frame that is lost, doubled,
+swapped or cut all make two of them disagree. Any disagreement is a named fault. Nothing is interpolated.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from appliance.measure import Fault, FaultCode
 from drivers.api import Board, ClockReading, Flip, Frame, FrameStatus, Pulse, Vsync
 
 MAX_PHASE_ERROR = 0.3
-"""Largest distance, in periods, between a vertical sync as the board dates it and as the kernel does."""
+"""Largest difference, in periods, between the times of a vsync by the board and by the kernel."""
 MAX_QUERIES = 10
 
 
 class SyncError(Exception):
-    """The board's vertical sync does not follow the projector's; the text says by how much."""
+    """The board's vsync does not follow the projector's; the text gives the difference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,39 +35,41 @@ class SyncMap:
     count: int
     host_minus_board_ns: int
     phase_error: float
-    """Phase error in periods, signed: board's vertical sync minus the kernel's flip time."""
+    """Board's vsync minus the kernel's flip time, in periods."""
 
     def host_ns(self, board_time_us: int) -> int:
-        """Return the host time of a board time near the query (clock drift of 50 ppm makes 25 µs in half a second)."""
+        """Return the host time of a board time near the query.
+
+        A clock drift of 50 ppm makes 25 µs in half a second.
+        """
         return board_time_us * 1000 + self.host_minus_board_ns
 
 
 def map_vsync(flip: Flip, vsync: Vsync, period_ns: float) -> SyncMap | None:
-    """Return the map that one query supports; ``None`` when the query took too long or the phase does not fit."""
-    # The board read its clock somewhere within the query: half of it is the error of the middle, here a quarter of a
-    # period, of which 0.3 are allowed.
+    """Return the map from one query; ``None`` if the query took too long or the phase does not fit."""
+    # The board read its clock at some time within the query: the error of the middle is half of it, here a quarter of
+    # a period, of which 0.3 are allowed.
     if vsync.host_received_ns - vsync.host_sent_ns > 0.5 * period_ns:
         return None
     middle_ns = (vsync.host_sent_ns + vsync.host_received_ns) // 2
     host_minus_board_ns = middle_ns - vsync.board_now_us * 1000
     blanks = (vsync.board_time_us * 1000 + host_minus_board_ns - flip.time_ns) / period_ns
-    whole = round(blanks)
-    if abs(blanks - whole) > MAX_PHASE_ERROR:
+    blank_count = round(blanks)
+    if abs(blanks - blank_count) > MAX_PHASE_ERROR:
         return None
-    return SyncMap(flip, vsync.count - whole, host_minus_board_ns, blanks - whole)
+    return SyncMap(flip, vsync.count - blank_count, host_minus_board_ns, blanks - blank_count)
 
 
 def synchronise(board: Board, flip: Flip, period_ns: float) -> SyncMap:
     """Ask the board until two queries agree (at most ten). Raises SyncError, and the board's DeviceError."""
     counts: list[int] = []
     for _ in range(MAX_QUERIES):
-        found = map_vsync(flip, board.vsync(), period_ns)
-        if found is not None:
-            # Two that agree, wherever they come among the ten: a late answer may be wrong by a whole period, but hardly
-            # twice by the same.
-            if found.count in counts:
-                return found
-            counts.append(found.count)
+        sync = map_vsync(flip, board.vsync(), period_ns)
+        if sync is not None:
+            # Any two of the ten may agree: a late answer may be wrong by a whole period, but hardly twice by the same.
+            if sync.count in counts:
+                return sync
+            counts.append(sync.count)
     raise SyncError(
         f"{MAX_QUERIES} queries gave the vertical sync numbers {counts} for one flip; two must agree; "
         "check the board's tap of the projector's video"
@@ -76,34 +77,34 @@ def synchronise(board: Board, flip: Flip, period_ns: float) -> SyncMap:
 
 
 MAX_SKEW_NS = 200_000
-"""Exposure starts of left and right, and of frame and pulse, may wander by this much against each other …"""
+"""Largest difference of exposure starts of left and right, and of frame and pulse, in a short sequence."""
 CLOCKS_PPM = 200.0
-"""Rate by which two clocks of 100 ppm each may drift apart, where a sequence is so long that this is more."""
+"""Rate by which two clocks of 100 ppm each may drift apart; in long sequences it exceeds MAX_SKEW_NS."""
 MAX_APART_NS = 500_000
-"""First exposures of left and right, by the host's clock, beyond what reading the cameras' clocks leaves open."""
+"""Largest difference of the first exposures by the host's clock, beyond the error of reading the cameras' clocks."""
 LEAST_REGULAR = 3
-"""Frames of which two steps between them can be alike."""
+"""Least number of frames whose intervals can be compared."""
 MAX_FLIP_PHASE = 0.4
 """Pulse minus flip minus trigger delay, in periods."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Testimony of the four witnesses. ``flips`` … are in order of arrival; ``frames`` by side."""
+    """Records of the four witnesses. Flips and pulses are in order of arrival; ``frames`` by side."""
 
     expected: int
     period_ns: float
     start_sequence: int | None
     """Vertical-blank number planned for the first pattern; ``None`` where the display has no counter."""
     start_vsync: int | None
-    """The board's number of the blank of its light; ``None`` when the board was never armed."""
+    """The board's number of the first pattern's vsync; ``None`` if the board was never armed."""
     delay_us: int
     flips: tuple[Flip, ...]
     pulses: tuple[Pulse, ...]
     frames: Mapping[str, tuple[Frame, ...]]
     sync: SyncMap | None
     clocks: Mapping[str, ClockReading] = field(default_factory=dict, hash=False)
-    """The cameras' clocks as read before the sequence; a camera that cannot be asked is missing."""
+    """The cameras' clocks as read before the sequence; a camera without readable clock is missing."""
     latency_blanks: int = 0
     """Blanks from a flip to its light, as the rig file states them."""
 
@@ -142,11 +143,10 @@ class Ledger:
 
 
 def audit(ledger: Ledger) -> Fault | None:
-    """Return the first disagreement of the witnesses, most telling first; ``None`` when all agree."""
+    """Return the first disagreement of the witnesses, causes before effects; ``None`` if all agree."""
     return (
-        # In the order of cause and effect: a late flip moves everything behind it, a missing pulse takes a frame from
-        # both cameras, a missing frame concerns one. Times are compared only once all counts agree, so that the lists
-        # have equal lengths.
+        # In the order of cause and effect: a late flip delays all that follow, a missing pulse takes a frame from both
+        # cameras, a missing frame concerns one. Times are compared once all counts agree: the lists have equal lengths.
         _flips(ledger)
         or _pulses(ledger)
         or frame_fault(ledger, "left")
@@ -158,29 +158,30 @@ def audit(ledger: Ledger) -> Fault | None:
 
 
 def agreed_frames(ledger: Ledger) -> int:
-    """Return how many of the first frames all four witnesses agree on, however the rest of the sequence ended; 0 for
-    none."""
-    most = min(
+    """Return the number of first frames on which all four witnesses agree; 0 for none.
+
+    The rest of the sequence may have ended in any way.
+    """
+    largest_count = min(
         len(ledger.flips), len(ledger.pulses), *(len(frames) for frames in ledger.frames.values()), ledger.expected
     )
-    for count in range(most, 0, -1):
-        # What a sequence of so many frames would have been told: nothing that came later can make an earlier frame
-        # right.
-        begun = replace(
+    for count in range(largest_count, 0, -1):
+        # Audited as a shorter sequence: later frames cannot make an earlier one right.
+        shortened = replace(
             ledger,
             expected=count,
             flips=ledger.flips[:count],
             pulses=ledger.pulses[:count],
             frames={side: frames[:count] for side, frames in ledger.frames.items()},
         )
-        if audit(begun) is None:
+        if audit(shortened) is None:
             return count
     return 0
 
 
 def _flips(ledger: Ledger) -> Fault | None:
     for k, flip in enumerate(ledger.flips):
-        # Vertical blanks as the kernel counts them; where it does not, the time between flips in periods.
+        # Vertical blanks by the kernel's count; without one, the time between flips in periods.
         if flip.sequence is not None and ledger.start_sequence is not None:
             late = flip.sequence - (ledger.start_sequence + k)
         elif k > 0:
@@ -225,7 +226,7 @@ def _pulses(ledger: Ledger) -> Fault | None:
 
 
 def frame_fault(ledger: Ledger, side: str) -> Fault | None:
-    """Return what is wrong with one side's frames by themselves."""
+    """Return the fault of one side's frames by themselves."""
     device = f"camera.{side}"
     frames = ledger.frames.get(side, ())
     for k, frame in enumerate(frames):
@@ -237,7 +238,7 @@ def frame_fault(ledger: Ledger, side: str) -> Fault | None:
                 {"frame": k, "received": k, "expected": ledger.expected},
                 device,
             )
-    # The driver's own judgement of a frame comes first, then repetition, order, and number by the cameras' block ids.
+    # After the driver's own status come repetition, order, and number, by the cameras' block ids.
     arrived = [f for f in frames if f.status is FrameStatus.COMPLETE]
     ids = [f.block_id for f in arrived if f.block_id is not None]
     for k in range(1, len(ids)):
@@ -261,46 +262,48 @@ def frame_fault(ledger: Ledger, side: str) -> Fault | None:
 
 
 def _missing(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> Fault:
-    """Name the want of frames: of all, of all but each n-th, or of some; the first two are no chance, and come again."""
+    """Return the fault of missing frames: all, all but each n-th, or some.
+
+    The first two are systematic and come again.
+    """
     device = f"camera.{side}"
-    said = f"{device}: {len(arrived)} of {ledger.expected} frames arrived"
+    summary = f"{device}: {len(arrived)} of {ledger.expected} frames arrived"
     where = _first_gap(ledger, side, arrived) if arrived else 0
     numbers = {"frame": where, "received": min(len(arrived), ledger.expected - 1), "expected": ledger.expected}
     every = _every(ledger, arrived)
-    # To repeat the scan helps against chance alone: these two are settings or wiring, and come again each time.
+    # These two are due to settings or wiring: repeating the scan does not help.
     if len(ledger.pulses) == ledger.expected and not arrived:
         remedy = "check the trigger cable and trigger_source of this camera"
-        return Fault(FaultCode.CAMERA_SILENT, f"{said} of as many pulses; {remedy}", numbers, device)
+        return Fault(FaultCode.CAMERA_SILENT, f"{summary} of as many pulses; {remedy}", numbers, device)
     if every is not None:
         remedy = "its exposures do not overlap with reading out, or its frame rate or throughput is limited: look at its features"
-        said = f"{said}, one for every {every} pulses; {remedy}"
-        return Fault(FaultCode.CAMERA_TOO_SLOW, said, {**numbers, "every": every}, device)
-    return Fault(FaultCode.FRAME_MISSING, f"{said}; the first gap is at frame {where}", numbers, device)
+        summary = f"{summary}, one for every {every} pulses; {remedy}"
+        return Fault(FaultCode.CAMERA_TOO_SLOW, summary, {**numbers, "every": every}, device)
+    return Fault(FaultCode.FRAME_MISSING, f"{summary}; the first gap is at frame {where}", numbers, device)
 
 
 def _every(ledger: Ledger, arrived: Sequence[Frame]) -> int | None:
-    """Return how many pulses a camera needs for each of its frames, by its clock; ``None`` where they lie otherwise.
+    """Return the number of pulses for each of a camera's frames, by its clock; ``None`` if irregular.
 
-    A camera that is still busy ignores a pulse, and takes the next one that finds it ready.
+    A camera that is still busy ignores a pulse, and takes the next one after it is ready.
     """
     times_ns = [frame.camera_time_ns for frame in arrived if frame.camera_time_ns is not None]
     if len(times_ns) < LEAST_REGULAR:
         return None
-    # Block ids cannot tell it: a pulse that was ignored uses none up.
+    # Block ids do not show it: an ignored pulse has none.
     steps = {round((after - before) / ledger.period_ns) for before, after in pairwise(times_ns)}
     every = min(steps)
     return every if len(steps) == 1 and every > 1 and len(arrived) == -(-ledger.expected // every) else None
 
 
 def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:
-    """Return the number of the first frame of one side that is not there, by block ids and by the camera's clock.
+    """Return the index of the first missing frame of one side, by block ids and by the camera's clock.
 
-    A camera that did not see a pulse uses no id up, but its clock goes on.
+    A camera that missed a pulse has no gap in its ids, but one in its clock.
     """
     late = _begins_late(ledger, side)
     for k, frame in enumerate(arrived):
-        # A frame that was lost on the way leaves a gap in the ids; a pulse that the camera missed leaves one only in
-        # its clock.
+        # A frame lost in transfer leaves a gap in the ids; a missed pulse leaves one only in the clock.
         by_id = by_clock = k
         if frame.block_id is not None and arrived[0].block_id is not None:
             by_id = frame.block_id - arrived[0].block_id + late
@@ -312,24 +315,27 @@ def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:
 
 
 def _begins_late(ledger: Ledger, side: str) -> int:
-    """Count the first frames that one side lacks and the other one has: by the host's clock; where cameras cannot be
-    asked for theirs, by block ids, which begin alike, since both cameras are started anew for every sequence."""
+    """Return the number of first frames that one side lacks and the other one has.
+
+    By the host's clock; if the cameras' clocks cannot be read, by block ids, which begin alike, since both cameras are
+    started again for every sequence.
+    """
     begun_ns = _begun_ns(ledger)
     if len(begun_ns) == 2:
-        # In periods: the reading of a camera's clock is uncertain by far less.
+        # In periods: the uncertainty of a camera's clock reading is far less.
         return round((begun_ns[side] - min(begun_ns.values())) / ledger.period_ns)
-    first_ids = {one: frames[0].block_id for one, frames in ledger.frames.items() if frames}
-    known = [block_id for block_id in first_ids.values() if block_id is not None]
-    own = first_ids.get(side)
-    return 0 if own is None else own - min(known)
+    first_ids = {name: frames[0].block_id for name, frames in ledger.frames.items() if frames}
+    block_ids = [block_id for block_id in first_ids.values() if block_id is not None]
+    first_id = first_ids.get(side)
+    return 0 if first_id is None else first_id - min(block_ids)
 
 
 def _flips_against_pulses(ledger: Ledger) -> Fault | None:
     if ledger.sync is None:
         return Fault(FaultCode.SYNC_LOST, "the board's vertical sync was never matched to the projector's", {}, "board")
     for flip, pulse in zip(ledger.flips, ledger.pulses, strict=True):
-        # Board time → host time by the matched vertical syncs, then pulse minus flip minus the delay that was asked
-        # for and the projector's latency: zero but for jitter.
+        # Board time → host time by the matched vsyncs; then pulse minus flip minus the trigger delay and the
+        # projector's latency is zero but for jitter.
         expected_ns = flip.time_ns + ledger.delay_us * 1000 + ledger.latency_blanks * ledger.period_ns
         after_ns = ledger.sync.host_ns(pulse.board_time_us) - expected_ns
         if abs(after_ns) > MAX_FLIP_PHASE * ledger.period_ns:
@@ -343,8 +349,10 @@ def _flips_against_pulses(ledger: Ledger) -> Fault | None:
 
 
 def _times(ledger: Ledger) -> Fault | None:
-    """Frames must follow the pulses in the cameras' own clocks, and each other; a clock's offset is free, its rate
-    to 100 ppm."""
+    """Return a fault if frames do not follow the pulses, or each other, in the cameras' own clocks.
+
+    A clock's offset is free, its rate is within 100 ppm.
+    """
     first_us = ledger.pulses[0].board_time_us
     relative: dict[str, list[int]] = {}
     for side, frames in ledger.frames.items():
@@ -371,10 +379,10 @@ def _times(ledger: Ledger) -> Fault | None:
 
 
 def _apart(ledger: Ledger) -> Fault | None:
-    """A camera that is late by the same time in every frame is seen by nothing but the host's clock beside the
-    cameras'.
+    """Return a fault if one camera is late by the same time in every frame.
 
-    Only the two are compared: which moment of an exposure a time stamp means is the maker's choice, and they are alike.
+    Only the cameras' clocks against the host's show that. The two are compared with each other only: which moment of an
+    exposure a time stamp means is the maker's choice, and they are alike.
     """
     begun_ns = _begun_ns(ledger)
     if len(begun_ns) < 2:
@@ -392,18 +400,17 @@ def _apart(ledger: Ledger) -> Fault | None:
 
 
 def _begun_ns(ledger: Ledger) -> dict[str, int]:
-    """Return when the first frame of each side was exposed, in the host's clock; without those of which it is not
-    known."""
-    found = {}
+    """Return the host time of the first exposure of each side, as far as it is known."""
+    begun_ns = {}
     for side, clock in ledger.clocks.items():
         frames = ledger.frames.get(side, ())
         if frames and frames[0].camera_time_ns is not None:
-            found[side] = frames[0].camera_time_ns + clock.offset_ns
-    return found
+            begun_ns[side] = frames[0].camera_time_ns + clock.offset_ns
+    return begun_ns
 
 
 def _wander_ns(least_ns: int, passed_ns: int) -> float:
-    """Return how far two clocks may be apart after a time in which each went as it pleases."""
+    """Return the largest difference that two clocks may gain in a time."""
     return max(least_ns, CLOCKS_PPM * 1e-6 * passed_ns)
 
 

@@ -1,6 +1,6 @@
-"""Owns the course of one scan: lasers off, cameras ready, board armed, patterns played, frames collected, audited.
+"""One capture: lasers off, cameras ready, board armed, patterns played, frames collected, audited.
 
-Called from the thread that owns the screens; the two camera threads fill the frame store meanwhile.
+It runs in the thread of the screens; meanwhile the two camera threads fill the frame store.
 """
 
 from __future__ import annotations
@@ -49,25 +49,25 @@ class ScanSettings:
 
     @property
     def timeouts(self) -> Timeouts:
-        """Time limits of everything that follows the projector."""
+        """Time limits of the capture, from the projector's rate."""
         return Timeouts(self.refresh_hz)
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureReport:
-    """Outcome of a scan. With a fault there is no cloud; the frames are evidence only."""
+    """Result of a capture. With a fault there is no cloud; the frames are evidence only."""
 
     fault: Fault | None
     ledger: Ledger
     recording_s: float
     board_events: tuple[BoardEvent, ...]
-    """Everything else the board said meanwhile (telemetry, resets), for whoever watches it."""
+    """Other events of the board during the capture (telemetry, resets)."""
 
 
 class Arming:
-    """One sequence that is being made ready: lasers off and proven off, then both cameras waiting for the first pulse.
+    """Preparation of one sequence: lasers proven off, then both cameras waiting for the first pulse.
 
-    Nothing in it waits, so that a heartbeat can go on meanwhile. Not ready in time is a fault like any other.
+    It never waits, so that the service's cycle goes on. Exceeding the time limit is a fault.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Arming:
         self._wait_on()
 
     def poll(self) -> bool:
-        """Go on; True when everything is ready, or there is a fault."""
+        """Go on; return True when both cameras are ready, or there is a fault."""
         if self.fault is not None:
             return True
         if not self.recordings:
@@ -114,7 +114,7 @@ class Arming:
         return self._late("did not start", self._ready)
 
     def let_go(self) -> None:
-        """No sequence follows: the cameras need not wait for it."""
+        """Cancel the preparation: the cameras stop waiting."""
         for side, recording in self.recordings.items():
             self._grabbers[side].cancel(recording)
             self._grabbers[side].leave()
@@ -127,7 +127,7 @@ class Arming:
             self.fault = Fault(FaultCode.LASER_ON, f"the {which} laser still conducts after switching off", {}, "board")
 
     def _read_away(self) -> None:
-        """Read away the reports of before: pulses of the live views are among them."""
+        """Discard earlier reports of the board: pulses of the live views are among them."""
         for _ in range(MAX_BOARD_EVENTS):
             event = self._board.next_event(0.0)
             if event is None:
@@ -145,15 +145,15 @@ class Arming:
         if self._clock.now_ns() < self._until_ns:
             return False
         side = next((side for side in self._grabbers if not done(side)), SIDES[0])
-        said = f"camera.{side} {what} in {self._ready_s:g} s"
-        self.fault = Fault(FaultCode.CAMERA_REFUSED, said, {}, f"camera.{side}")
+        detail = f"camera.{side} {what} in {self._ready_s:g} s"
+        self.fault = Fault(FaultCode.CAMERA_REFUSED, detail, {}, f"camera.{side}")
         return True
 
 
 class ScanRecorder:
-    """Records sequences with devices that are open and patterns that are loaded (index = frame, ``idle`` = dark).
+    """Records sequences with open devices and loaded patterns (index = frame, ``idle`` = dark).
 
-    What the patterns show is nothing to it: of a sequence it wants to know how many frames there are.
+    The content of the patterns does not matter, only their number.
     """
 
     def __init__(
@@ -178,10 +178,10 @@ class ScanRecorder:
         *,
         second: bool = False,
     ) -> Arming:
-        """Begin to make ready for one sequence into ``store``, the ``second`` one in the place for it; ``poll`` the
-        answer until it is done, then ``play``.
+        """Begin to prepare a sequence; ``poll`` the answer until it is done, then ``play``.
 
-        ``on_frame(side, index)`` is called in the camera threads as frames arrive.
+        The frames go into ``store``, those of a ``second`` sequence into its second part. ``on_frame(side, index)`` is
+        called in the camera threads as frames arrive.
         """
         slots = {side: store.frames(side, second=second)[: len(sequence)] for side in SIDES}
         return Arming(self._grabbers, self._board, self._clock, slots, on_frame, self._settings.timeouts.ready_s)
@@ -193,16 +193,16 @@ class ScanRecorder:
         on_frame: Callable[[str, int], None],
         abort: Callable[[], Fault | None],
     ) -> CaptureReport:
-        """Arm, wait and play; for who has nothing else to do meanwhile."""
+        """Arm, wait and play; for callers that may block."""
         arming = self.arm(sequence, store, on_frame)
         while not arming.poll():
             self._clock.sleep_s(ARM_POLL_S)
         return self.play(sequence, arming, abort)
 
     def play(self, sequence: Sized, arming: Arming, abort: Callable[[], Fault | None]) -> CaptureReport:
-        """Record what was armed. Never raises for a device: every failure is the report's fault.
+        """Record the armed sequence. Device errors are not raised, but become the report's fault.
 
-        ``abort()`` is asked at every vertical blank and ends the scan with the fault it returns. Ends within the
+        ``abort()`` is called at every vertical blank and ends the scan with the fault it returns. Ends within the
         sequence's length and the margin of ``Timeouts``.
         """
         period_ns, timeouts = 1e9 / self._settings.refresh_hz, self._settings.timeouts
@@ -220,13 +220,13 @@ class ScanRecorder:
             return fault is not None or any(r.done and not r.complete for r in recordings.values())
 
         def arm(flip: Flip) -> int | None:
-            found = synchronise(self._board, flip, period_ns)
-            # The board needs the vertical sync at which it begins, and the first flip must be on its way by then:
-            # blanks that passed while it was asked are added.
+            sync_map = synchronise(self._board, flip, period_ns)
+            # The board needs the vsync at which it begins, and the first flip must be queued by then: blanks that
+            # passed during the queries are added.
             lead = LEAD_BLANKS + round((self._clock.now_ns() - flip.time_ns) / period_ns)
-            first_light = found.count + lead + latency
+            first_light = sync_map.count + lead + latency
             self._board.arm(len(sequence), first_light, self._settings.trigger_delay_us, self._settings.exposure_us)
-            sync.append(found)
+            sync.append(sync_map)
             start.append(None if flip.sequence is None else flip.sequence + lead)
             start.append(first_light)
             return (flip.sequence or 0) + lead
@@ -234,11 +234,10 @@ class ScanRecorder:
         try:
             if fault is None:
                 flips = self._projector.play(range(len(sequence)), len(sequence), arm, should_stop)
-            # Cameras still deliver the last frames when the last pattern was flipped; after an early end they are
-            # cancelled instead.
-            whole = len(flips) == len(sequence)
+            # After the last flip the cameras still deliver the last frames; after an early end they are cancelled.
+            is_complete = len(flips) == len(sequence)
             for side in SIDES:
-                if whole:
+                if is_complete:
                     self._grabbers[side].wait(recordings[side], "done", timeouts.collect_s + latency * period_ns / 1e9)
         except SyncError as error:
             fault = Fault(FaultCode.SYNC_LOST, str(error), {}, "board")
@@ -247,14 +246,14 @@ class ScanRecorder:
         recording_s = (self._clock.now_ns() - begun_ns) / 1e9
         played = len(flips) == len(sequence) and fault is None
         if not played:
-            self._disarm()  # at once: what is left of the sequence would expose nothing but the dark
+            self._disarm()  # at once: the rest of the sequence would be dark
         for side, recording in recordings.items():
             if not recording.done:
                 self._grabbers[side].cancel(recording)
                 self._grabbers[side].wait(recording, "done", timeouts.collect_s)
-        # After the cameras: most of the reports have arrived by then.
+        # Collected after the frames: most of the reports have arrived by then.
         pulses = self._collect_pulses(len(sequence) if played else 0, events)
-        # A pulse is missing: the board may still be armed and would expose the live views.
+        # With a pulse missing, the board may still be armed and would expose the live views.
         if played and len(pulses) < len(sequence):
             self._disarm()
         ledger = Ledger(
@@ -296,7 +295,7 @@ class ScanRecorder:
 
 
 def device_fault(device: str, detail: str) -> Fault:
-    """Return the fault that a lost device makes of a scan."""
+    """Return the fault of a scan for a lost device."""
     codes = {"projector": FaultCode.PROJECTOR_LOST, "display": FaultCode.DISPLAY_LOST, "board": FaultCode.BOARD_LOST}
     code = FaultCode.CAMERA_LOST if device.startswith("camera") else codes.get(device, FaultCode.INTERNAL)
     return Fault(code, detail, {}, device)
@@ -305,9 +304,8 @@ def device_fault(device: str, detail: str) -> Fault:
 def _first_fault(
     fault: Fault | None, recordings: Mapping[str, SideRecording], events: list[BoardEvent], ledger: Ledger
 ) -> Fault | None:
-    """Lost devices explain everything else, so they come first; then what stopped the play; then the audit."""
-    # A lost camera looks like missing frames, a board that restarted like missing pulses: the cause is told, not the
-    # effect.
+    """Return the fault to report: a lost device, else the reason that stopped the play, else the audit's."""
+    # A lost camera looks like missing frames, a restarted board like missing pulses: the cause is reported.
     for side, recording in recordings.items():
         if recording.lost is not None:
             return device_fault(f"camera.{side}", recording.lost)
@@ -324,15 +322,15 @@ def _first_fault(
     if fault is not None:
         return fault
     if _ended_by_a_frame(ledger):
-        found = [fault for fault in (frame_fault(ledger, side) for side in SIDES) if fault is not None]
-        # The other camera was cancelled and lacks frames too: damage is the cause, missing frames may be the effect.
-        found.sort(key=lambda one: one.code is FaultCode.FRAME_MISSING)
-        return found[0] if found else audit(ledger)
+        frame_faults = [fault for fault in (frame_fault(ledger, side) for side in SIDES) if fault is not None]
+        # The other camera was cancelled and lacks frames, too: damage is the cause, missing frames may be the effect.
+        frame_faults.sort(key=lambda candidate: candidate.code is FaultCode.FRAME_MISSING)
+        return frame_faults[0] if frame_faults else audit(ledger)
     return audit(ledger)
 
 
 def _ended_by_a_frame(ledger: Ledger) -> bool:
-    """The flips were in time as far as they went, but not all were played: a bad frame is the cause."""
+    """Return True if a bad frame stopped the play: the flips were in time, but not all were played."""
     if len(ledger.flips) == ledger.expected or not ledger.flips:
         return False
     last = ledger.flips[-1].sequence

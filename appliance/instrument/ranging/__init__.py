@@ -1,1 +1,1 @@
-"""Measures the distance from the laser dots in single live images, and says whether the object is within reach."""
+"""Ranging: the distance of the object from the laser dots in single live images."""

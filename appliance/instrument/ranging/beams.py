@@ -1,11 +1,11 @@
-"""Owns the beams of the laser pointers, and the rig frame that they are given in.
+"""Beams of the laser pointers, and the rig frame in which they are given.
 
-    RigFrame       the instrument's own frame as a calibration states it; distances are told along its axis
-    PointerBeam    one pointer's beam: a line, as drawn at first, then as its dots show it
-    Pointers       both pointers as drawn
+    RigFrame       the rig frame that a calibration defines; distances are measured along its axis
+    PointerBeam    one pointer's beam: a line, nominal at first, then corrected by its dots
+    Pointers       both pointers as designed
 
-The line is x = x0 + sx (z − z0), y = y0 + sy (z − z0) in the rig frame. Its four values have a covariance, that of the
-drawing's tolerance in the beginning; each dot that both cameras saw makes it smaller (Kalman's update for a constant).
+The line is x = x0 + sx (z − z0), y = y0 + sy (z − z0) in the rig frame. Its four values have a covariance, at first
+that of the design's tolerance; each dot that both cameras see makes it smaller (Kalman's update for a constant).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class RigFrame:
 
     @classmethod
     def of(cls, rig: StereoRig) -> RigFrame:
-        """Return the frame with its origin in the middle between both projection centres, x towards the right one, z
-        along the mean of both axes.
+        """Return the frame with its origin in the middle between both projection centres.
 
-        Raises ValueError where the centres coincide or an axis runs along the baseline.
+        x points towards the right one, z along the mean of both axes. Raises ValueError where the centres coincide or
+        an axis runs along the baseline.
         """
         centres = [np.asarray(camera.translation_mm, np.float64) for camera in (rig.left, rig.right)]
         axes = [np.asarray(camera.rotation, np.float64)[:, 2] for camera in (rig.left, rig.right)]
@@ -60,15 +60,13 @@ class RigFrame:
 
 
 WINDOW_SD_MM = 0.7
-"""Standard deviation of the place where a beam as drawn leaves its window: mount, and the frame of a calibration
-against the drawing."""
+"""Standard deviation of where a nominal beam leaves its port: mount, and the calibration's frame against the design."""
 DOT_SD_MM = 0.5
-"""Standard deviation of a dot against its beam: on an edge of albedo its bright part is not its middle, and speckle
-moves it."""
+"""Standard deviation of a dot against its beam, from speckle and edges of the albedo."""
 FLOOR_SD_MM = 0.2
-"""However many dots were seen: what all of them share, as a calibration's error."""
+"""Least standard deviation, for errors that all dots share, such as the calibration's."""
 STEP_MM = 4.0
-"""A dot teaches only when it has moved so far along the beam since the last that did: what holds still is seen once."""
+"""Least movement of a dot along the beam for another update: dots at rest are not independent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +77,9 @@ class PointerBeam:
     line: tuple[float, float, float, float]
     """x0, y0 in mm, sx, sy."""
     covariance: tuple[tuple[float, ...], ...]
-    """(4, 4) of ``line``."""
+    """Covariance (4, 4) of ``line``."""
     learned: int = 0
-    """Dots that taught it."""
+    """Number of dots that updated the beam."""
     last_z_mm: float = math.inf
     """Depth of the latest of them."""
 
@@ -92,30 +90,31 @@ class PointerBeam:
         return np.stack([x0 + sx * ahead, y0 + sy * ahead, ahead + self.z0_mm], axis=-1)
 
     def sd_mm(self, z_mm: Array) -> Array:
-        """Return the standard deviation (...) of the beam's place across it at depths (...), the larger of both
-        directions."""
+        """Return the standard deviation (...) of the beam across its direction at depths (...).
+
+        The larger one of both directions.
+        """
         P = np.asarray(self.covariance)
         ahead = np.asarray(z_mm, np.float64) - self.z0_mm
-        # Variance of x0 + sx · (z − z0), with the covariance of both; never below what a dot itself leaves.
+        # Variance of x0 + sx · (z − z0), with the covariance of both, and the floor of errors that all dots share.
         x = P[0, 0] + 2.0 * ahead * P[0, 2] + ahead**2 * P[2, 2]
         y = P[1, 1] + 2.0 * ahead * P[1, 3] + ahead**2 * P[3, 3]
         return np.asarray(np.sqrt(np.maximum(x, y) + FLOOR_SD_MM**2))
 
-    def taught(self, dot_mm: Array) -> PointerBeam:
-        """Return the beam improved by one more dot (3,) that both cameras saw; itself where that dot says nothing
-        new."""
+    def updated(self, dot_mm: Array) -> PointerBeam:
+        """Return the beam updated by a dot (3,) that both cameras see; unchanged if the dot has not moved."""
         z = float(dot_mm[2])
         if abs(z - self.last_z_mm) < STEP_MM:
             return self
         ahead = z - self.z0_mm
         H = np.array([[1.0, 0.0, ahead, 0.0], [0.0, 1.0, 0.0, ahead]])
         P = np.asarray(self.covariance)
-        # Kalman update of a line that stands still: K = P Hᵀ (H P Hᵀ + R)⁻¹.
+        # Kalman update of a constant line: K = P Hᵀ (H P Hᵀ + R)⁻¹.
         gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + DOT_SD_MM**2 * np.eye(2))
         line = np.asarray(self.line) + gain @ (dot_mm[:2] - H @ np.asarray(self.line))
-        left = np.eye(4) - gain @ H
-        # Joseph's form stays symmetric and positive whatever is rounded; P − K H P does not over thousands of dots.
-        P = left @ P @ left.T + DOT_SD_MM**2 * gain @ gain.T
+        remainder = np.eye(4) - gain @ H
+        # Joseph's form stays symmetric and positive despite rounding; P − K H P does not over thousands of dots.
+        P = remainder @ P @ remainder.T + DOT_SD_MM**2 * gain @ gain.T
         x0, y0, sx, sy = (float(v) for v in line)
         rows = tuple(tuple(float(v) for v in row) for row in P)
         return replace(self, line=(x0, y0, sx, sy), covariance=rows, learned=self.learned + 1, last_z_mm=z)
@@ -123,17 +122,17 @@ class PointerBeam:
 
 @dataclass(frozen=True, slots=True)
 class Pointers:
-    """Both pointers as drawn, in the rig frame: the right one, which the left one mirrors."""
+    """Both pointers as designed, in the rig frame: values of the right one, mirrored for the left one."""
 
     window_mm: tuple[float, float, float]
     aim_mm: tuple[float, float, float]
     tolerance_deg: float
 
     def beams(self) -> tuple[PointerBeam, PointerBeam]:
-        """Return both beams as drawn, left and right."""
+        """Return the nominal beams, left and right."""
         (x, y, z), (to_x, to_y, to_z) = self.window_mm, self.aim_mm
         sx, sy = (to_x - x) / (to_z - z), (to_y - y) / (to_z - z)
-        lean = math.radians(self.tolerance_deg)
-        variances = (WINDOW_SD_MM**2, WINDOW_SD_MM**2, lean**2, lean**2)
+        tolerance = math.radians(self.tolerance_deg)
+        variances = (WINDOW_SD_MM**2, WINDOW_SD_MM**2, tolerance**2, tolerance**2)
         rows = tuple(tuple(v if i == k else 0.0 for k in range(4)) for i, v in enumerate(variances))
         return PointerBeam(z, (-x, y, -sx, sy), rows), PointerBeam(z, (x, y, sx, sy), rows)

@@ -1,7 +1,7 @@
-"""Owns the look for one pointer's dot in one image: along the curve where its beam is seen, and nowhere else.
+"""Search for one pointer's dot in one image, along the curve where its beam is seen.
 
-A dot is brighter than everything around it at a distance of four of its sigmas. That tells it from edges, stripes and
-squares, and from the streak that the beam itself makes in turbid water, which is as bright on one side of the dot.
+A dot is brighter than everything around it at a distance of four of its sigmas. That distinguishes it from edges,
+stripes and squares, and from the streak of the beam in turbid water, which is equally bright on one side of the dot.
 """
 
 from __future__ import annotations
@@ -19,42 +19,42 @@ from appliance.measure import STANDARD, HousedCamera, WorkingVolume
 Array = NDArray[np.float64]
 
 COARSE_PX = 400
-"""Width of the image in which dots are looked for; larger ones are averaged down to it."""
+"""Width of the image in which dots are searched; larger ones are averaged down to it."""
 _NEAREST_MM, _FARTHEST_MM = 350.0, 720.0
 _DEPTH_STEP_MM = 2.0
 BAND_SIGMAS = 3.5
 BAND_PX = 2.0
-"""Width in coarse px to each side of the beam's curve that is searched, too: what a dot's own width and texture do."""
+"""Additional half width of the searched band, in coarse px, for a dot's size and texture."""
 CORE_PX = 1.2
-"""Gaussian sigma of the smoothing before dots are looked for, in coarse px; a dot has about 1.5."""
+"""Gaussian sigma of the smoothing before the search, in coarse px; a dot has about 1.5."""
 RING_PX = 6
 LEAST_CONTRAST_DN = 7.0
 MOST = 4
-"""Candidates per image and beam."""
+"""Most candidates per image and beam."""
 CENTRE_TIMES = 3
 CENTRE_LEVEL = 0.25
-"""Share of the height over the background from which a pixel belongs to the centre."""
+"""Share of the height over the background from which a pixel counts for the centre."""
 EDGE_PX = RING_PX + 2
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """Something that looks like a dot."""
+    """A spot that may be a dot."""
 
     u_px: float
     v_px: float
-    """Row of the centre, in px of the whole image."""
+    """Row of the centre, in px of the full image."""
     contrast_dn: float
-    """Height of the dot over the brightest around it."""
+    """Grey value of the dot minus the brightest around it."""
 
 
 def dot_range_mm(volume: WorkingVolume) -> tuple[float, float]:
-    """Return the depths in the rig frame between which a dot is looked for: well before and behind the volume."""
+    """Return the range of depths in the rig frame in which dots are searched; it exceeds the volume."""
     return volume.scaled(_NEAREST_MM), volume.scaled(_FARTHEST_MM)
 
 
 def dot_depths_mm(volume: WorkingVolume) -> Array:
-    """Return depths (n,) over that range, so close that a beam between two of them is straight in every picture."""
+    """Return depths (n,) over that range, so close that a beam is straight between two of them."""
     return np.arange(*dot_range_mm(volume), volume.scaled(_DEPTH_STEP_MM))
 
 
@@ -72,7 +72,7 @@ class Lane:
         self._step = step = max(1, camera.width_px // COARSE_PX)
         z = dot_depths_mm(volume)
         curve = camera.project(frame.to_left(beam.at(z)), water_index)
-        # How many px a mm across the beam is: from a neighbour line, so that no pinhole is assumed.
+        # px per mm across the beam, from a neighbouring line, so that no pinhole is assumed.
         aside = camera.project(frame.to_left(beam.at(z) + np.array([0.0, 1.0, 0.0])), water_index)
         px_per_mm = np.linalg.norm(aside - curve, axis=1) / step
         curve = (curve + 0.5) / step - 0.5
@@ -93,7 +93,7 @@ class Lane:
         for row, inside_row in enumerate(self._band):
             off = np.hypot(x[:, None] - curve[:, 0], self._y0 + row - curve[:, 1]) - half
             inside_row[:] = (off <= 0.0).any(axis=1)
-        # A ring must fit around a dot: what is nearer to the image's border is not looked at.
+        # A ring must fit around a dot, so the border of the image is left out.
         for edge, rim in (
             (self._x0 == 0, np.s_[:, :EDGE_PX]),
             (self._x1 == w, np.s_[:, -EDGE_PX:]),
@@ -104,7 +104,7 @@ class Lane:
                 self._band[rim] = False
 
     def candidates(self, image: NDArray[np.uint8]) -> list[Candidate]:
-        """Find what looks like a dot in ``image`` (h, w) uint8, the clearest first; at most ``MOST``."""
+        """Return the candidates in ``image`` (h, w) uint8, by decreasing contrast; at most ``MOST``."""
         if self._empty:
             return []
         s = self._step
@@ -112,25 +112,27 @@ class Lane:
         size = (self._x1 - self._x0, self._y1 - self._y0)
         coarse = cv2.resize(part, size, interpolation=cv2.INTER_AREA) if s > 1 else part
         contrast = np.where(self._band, contrast_of(coarse), -np.inf)
-        found: list[Candidate] = []
+        dots: list[Candidate] = []
         for _ in range(MOST):
             row, column = divmod(int(np.argmax(contrast)), size[0])
             best = float(contrast[row, column])
             if best < LEAST_CONTRAST_DN:
                 break
             u, v = _centre(image, (self._x0 + column + 0.5) * s - 0.5, (self._y0 + row + 0.5) * s - 0.5, s)
-            # Around it nothing more is taken: the flank of a dot is not a second one.
-            found.append(Candidate(u, v, best))
+            # Its surroundings are left out from now on: the flank of a dot is not a second one.
+            dots.append(Candidate(u, v, best))
             contrast[
                 max(0, row - RING_PX) : row + RING_PX + 1, max(0, column - RING_PX) : column + RING_PX + 1
             ] = -np.inf
-        return found
+        return dots
 
 
 def contrast_of(coarse: NDArray[Any]) -> NDArray[np.float32]:
-    """Compute by how much each place (h, w) of an image of about ``COARSE_PX`` is brighter than the brightest on a ring
-    around it."""
-    # A dot has dark all around it; an edge or a bright area has something as bright on the ring.
+    """Return for each pixel (h, w) by how much it exceeds the brightest pixel on a ring around it.
+
+    ``coarse``: an image of about ``COARSE_PX`` width.
+    """
+    # A dot is surrounded by darkness; around an edge or a bright area the ring has equally bright pixels.
     smooth = cv2.GaussianBlur(coarse.astype(np.float32), (0, 0), CORE_PX)
     return np.asarray(smooth - cv2.dilate(smooth, _ring()), np.float32)
 
@@ -141,15 +143,17 @@ def _ring() -> NDArray[np.uint8]:
 
 
 def _centre(image: NDArray[np.uint8], u: float, v: float, step: int) -> tuple[float, float]:
-    """Return the centre of mass of what is bright around (u, v), the background taken off; saturated light counts as
-    it is."""
+    """Return the centre of mass of the bright pixels around (u, v), less the background.
+
+    Saturated grey values count as they are.
+    """
     radius = (RING_PX - 1) * step
     for _ in range(CENTRE_TIMES):
         x0, y0 = max(0, round(u) - radius), max(0, round(v) - radius)
         part = image[y0 : y0 + 2 * radius + 1, x0 : x0 + 2 * radius + 1].astype(np.float32)
         yy, xx = np.ogrid[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1]]
         away2 = (xx - u) ** 2 + (yy - v) ** 2
-        # The median of the rim is the background also where part of it is another bright thing.
+        # The median of the rim is the background even if part of it is bright.
         ground = float(np.median(part[away2 > (0.75 * radius) ** 2]))
         weight = part - ground - CENTRE_LEVEL * (float(part[away2 <= step * step].mean()) - ground)
         weight[(weight < 0.0) | (away2 > radius * radius)] = 0.0

@@ -1,4 +1,4 @@
-"""Owns what the laser dots tell the diver: whether the object is near and far enough, and where to aim.
+"""Advice to the diver from the laser dots: about the distance, and where to aim.
 
 Range, Reach, reach_of    distance and tilt of the object, and the advice about the distance
 Track, Marks, marks_of    where the dots will appear in the live images: marks for the diver to aim with
@@ -15,7 +15,7 @@ from appliance.instrument.ranging.beams import PointerBeam, RigFrame
 from appliance.measure import STANDARD, StereoRig, WorkingVolume
 
 HYSTERESIS_MM = 4.0
-"""A word stays until the distance is so far beyond its limit: hands tremble by 1 to 2 mm."""
+"""Distance beyond a limit at which the advice changes: hands tremble by 1 to 2 mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +23,9 @@ class Range:
     """Distance and tilt of the object before the instrument, from the laser dots on it."""
 
     distance_mm: float
-    """Distance on the instrument's axis, from the middle between both projection centres; one dot: the dot's own
-    depth."""
+    """Distance along the instrument's axis from the middle between both projection centres; with one dot its depth."""
     tilt_deg: float | None
-    """Turn of the surface about the vertical: positive where its right side is farther. ``None`` with one dot."""
+    """Rotation of the surface about the vertical: positive where its right side is farther. ``None`` with one dot."""
     sigma_mm: float
     """Standard uncertainty of the distance."""
     dots: int
@@ -40,33 +39,35 @@ class Reach(Enum):
     OK = "OK"
     BACK = "BACK"
     UNKNOWN = "UNKNOWN"
-    """No dot is seen: nobody knows."""
+    """No dot is seen."""
 
 
 def reach_of(measured: Range | None, before: Reach = Reach.UNKNOWN, volume: WorkingVolume = STANDARD) -> Reach:
-    """Return the word for a distance in a housing's volume; ``before``, the word shown now, is kept while the distance
-    is within ``HYSTERESIS_MM`` of the limit it crossed."""
+    """Return the advice for a distance in a housing's volume.
+
+    ``before``, the advice shown now, is kept within ``HYSTERESIS_MM`` of the limit that was crossed.
+    """
     if measured is None:
         return Reach.UNKNOWN
     distance_mm = measured.distance_mm
-    least = volume.nearest_mm + (
+    nearest_mm = volume.nearest_mm + (
         HYSTERESIS_MM if before is Reach.BACK else -HYSTERESIS_MM if before is Reach.OK else 0.0
     )
-    most = volume.farthest_mm + (
+    farthest_mm = volume.farthest_mm + (
         HYSTERESIS_MM if before is Reach.OK else -HYSTERESIS_MM if before is Reach.CLOSER else 0.0
     )
-    if distance_mm < least:
+    if distance_mm < nearest_mm:
         return Reach.BACK
-    return Reach.CLOSER if distance_mm > most else Reach.OK
+    return Reach.CLOSER if distance_mm > farthest_mm else Reach.OK
 
 
 Place = tuple[float, float]
-"""Position in shares of a picture's width and height, from its upper left corner."""
+"""Position as fractions of an image's width and height, from its upper left corner."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Track of one pointer's dot in one picture: at the near end, in the middle, and at the far end of the volume."""
+    """Track of one pointer's dot in one image: at the near end, the middle and the far end of the volume."""
 
     near: Place
     middle: Place
@@ -75,15 +76,14 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """The tracks in each camera's picture; a pointer whose dot would lie beside the picture has none."""
+    """Tracks in each camera's image; a pointer whose dot would lie outside has none."""
 
     left: tuple[Track, ...]
     right: tuple[Track, ...]
 
 
 def marks_of(rig: StereoRig, frame: RigFrame, water_index: float, beams: tuple[PointerBeam, PointerBeam]) -> Marks:
-    """Return the marks for beams as they are known now, by the calibration in use, through the windows and the
-    water."""
+    """Return the marks of the beams, by the calibration in use, through ports and water."""
     z_mm = np.array([rig.volume.nearest_mm, rig.volume.working_mm, rig.volume.farthest_mm])
     sides = []
     for camera in (rig.left, rig.right):

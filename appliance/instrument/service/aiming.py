@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.capture.aiming import WIDTH_PX, Aimed, look, moved_px, too_fast
+from appliance.instrument.capture.aiming import WIDTH_PX, LiveImage, displacement_px, measure_image, too_fast
 from appliance.instrument.machine import events as on
 from appliance.instrument.ranging.expected_light import DrawnLight
 from appliance.measure import NOMINAL, Calibration, Exposure, Fault, FaultCode
@@ -42,7 +42,7 @@ class _JudgedImage:
     live: int
     """Number of the live view that it was seen in."""
     number: int
-    aimed: Aimed
+    aimed: LiveImage
     faults: tuple[Fault, ...]
 
 
@@ -152,11 +152,11 @@ class AimingController:
         # Taken once: the heartbeat may begin another live view meanwhile, of which `poll` then knows.
         seen_by = self._seen_by
         shade, longer = (None, 1.0) if seen_by is None else (self._shade_of(*seen_by[:2]), seen_by[2])
-        aimed = look(image, self._black_dn, shade)
+        aimed = measure_image(image, self._black_dn, shade)
         faults = [aimed.fault(longer)]
         # Farther apart, corners have gone too far to be followed; numbers begin anew where a camera came back.
         if last is not None and 0 < number - last.number <= MOST_APART:
-            way_px = moved_px(last.aimed, aimed)
+            way_px = displacement_px(last.aimed, aimed)
             if way_px is not None:
                 faults.append(too_fast(way_px * self._mm_per_px / (self._live_s * (number - last.number))))
         known = tuple(_named(fault) for fault in faults if fault is not None)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
-from appliance.instrument.ranging.measure import SURELY_A_DOT_DN, Dot, Dots, Ranger, shines_in_the_dark
+from appliance.instrument.ranging.ranger import SURELY_A_DOT_DN, Dot, Dots, Ranger, shines_in_the_dark
 from appliance.instrument.ranging.reach import Marks, Range
 from appliance.instrument.service.remembered import BeamsFile
 from appliance.measure import METHOD as DRAWN
@@ -314,7 +314,7 @@ class RangingController:
         ]
 
     def _cleared(self, dots: Dots) -> list[on.Event]:
-        shines = any(dot.cameras == 2 and dot.contrast_dn >= SURELY_A_DOT_DN for dot in dots.found)
+        shines = any(dot.cameras == 2 and dot.contrast_dn >= SURELY_A_DOT_DN for dot in dots.present)
         self._clear = 0 if shines else self._clear + 1
         # Only while the lasers may not be on, as they may not while the condition lasts.
         if self._clear != CLEAR_PAIRS or self._wanted:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.instrument.capture.aiming import Aimed, look, moved_px, too_fast
+from appliance.instrument.capture.aiming import LiveImage, displacement_px, measure_image, too_fast
 from appliance.measure.fault import FaultCode
 
 BLACK_DN = 2.0
@@ -38,7 +38,7 @@ def picture(light_dn: float, glow_dn: float = 0.0, shift_px: tuple[float, float]
 def test_what_a_scan_would_fail_for_is_seen_in_the_live_picture(
     light_dn: float, glow_dn: float, code: FaultCode | None
 ) -> None:
-    fault = look(picture(light_dn, glow_dn), BLACK_DN).fault()
+    fault = measure_image(picture(light_dn, glow_dn), BLACK_DN).fault()
     assert (None if fault is None else fault.code) is code
     if fault is not None and glow_dn:
         assert fault.numbers["glow_dn"] == pytest.approx(glow_dn, abs=3.0)
@@ -54,7 +54,7 @@ def test_what_a_scan_would_fail_for_is_seen_in_the_live_picture(
 def test_turbid_is_what_shines_five_times_as_much_as_it_shows(
     detail_dn: float, glow_dn: float, code: FaultCode | None
 ) -> None:
-    fault = Aimed(np.zeros((1, 1), np.uint8), detail_dn, glow_dn).fault()
+    fault = LiveImage(np.zeros((1, 1), np.uint8), detail_dn, glow_dn).fault()
     assert (None if fault is None else fault.code) == code
     assert fault is None or dict(fault.numbers) == {"detail_dn": detail_dn, "glow_dn": glow_dn}
 
@@ -66,14 +66,14 @@ def test_detail_counts_from_a_fiftieth_of_the_picture_on(share: float, counts: b
     y, x = np.divmod(np.random.default_rng(1).choice(30 * 40, points // 9, replace=False), 40)
     for row, column in zip(10 * y, 10 * x, strict=True):  # spots of 3 x 3 px of the reduced image
         image[row : row + 6, column : column + 6] = 110
-    assert (look(image, 0.0).detail_dn > 50.0) == counts
+    assert (measure_image(image, 0.0).detail_dn > 50.0) == counts
 
 
 @pytest.mark.parametrize(("size", "small"), [((1200, 1600), (150, 200)), ((1, 900), (1, 200))])
 def test_images_are_looked_at_in_200_px_of_width_and_keep_their_form(
     size: tuple[int, int], small: tuple[int, int]
 ) -> None:
-    seen = look(np.full(size, 30, np.uint8), 4.0)
+    seen = measure_image(np.full(size, 30, np.uint8), 4.0)
     assert seen.small.shape == small
     assert np.all(seen.small == 30)
     assert (seen.detail_dn, seen.glow_dn) == pytest.approx((0.0, 26.0), abs=1e-3), "over the black level"
@@ -83,14 +83,14 @@ def test_detail_is_what_is_finer_than_a_fortieth_of_the_picture() -> None:
     x = np.arange(SIZE[1])
     stripes = np.tile(np.where(x // 20 % 2, 200, 0).astype(np.uint8), (SIZE[0], 1))
     sharp, soft = (
-        look(np.asarray(cv2.GaussianBlur(stripes, (0, 0), sd), np.uint8), 0.0).detail_dn for sd in (1.0, 8.0)
+        measure_image(np.asarray(cv2.GaussianBlur(stripes, (0, 0), sd), np.uint8), 0.0).detail_dn for sd in (1.0, 8.0)
     )
     assert sharp > 80.0
     assert 8.0 < soft < 45.0
     for periods in (1, 5):  # of a wave of 90 grey values, of which a blur of 5 px of 200 leaves that part
         wave = np.rint(100.0 + 90.0 * np.cos(periods * np.linspace(0.0, 2.0 * np.pi, SIZE[1]))).astype(np.uint8)
         left = np.exp(-0.5 * (5.0 * 2.0 * np.pi * periods / 200.0) ** 2)
-        seen = look(np.tile(wave, (SIZE[0], 1)), 0.0)
+        seen = measure_image(np.tile(wave, (SIZE[0], 1)), 0.0)
         assert seen.detail_dn == pytest.approx(90.0 * (1.0 - left), abs=1.5)
 
 
@@ -133,18 +133,18 @@ def turned() -> Image:
     ],
 )  # fmt: skip
 def test_motion_is_that_of_the_greater_part_in_px_of_the_reduced_image(after: Image, found_px: float) -> None:
-    found = moved_px(look(picture(200.0), BLACK_DN), look(after, BLACK_DN))
+    found = displacement_px(measure_image(picture(200.0), BLACK_DN), measure_image(after, BLACK_DN))
     assert found == (pytest.approx(found_px, rel=0.15, abs=0.05) if found_px else 0.0)
 
 
 def test_where_nothing_can_be_followed_no_motion_is_told() -> None:
-    flat = [look(np.full(SIZE, grey, np.uint8), BLACK_DN) for grey in (20, 200)]
-    weak = look(picture(8.0), BLACK_DN), look(picture(40.0, shift_px=(12.0, 0.0), seed=1), BLACK_DN)
-    assert moved_px(*flat) is moved_px(*weak) is None
-    still = look(picture(200.0), BLACK_DN)
-    other = look(np.asarray(255 - picture(200.0)[::-1, ::-1], np.uint8), BLACK_DN)
-    flickers = look(picture(230.0, seed=1), BLACK_DN)
-    assert all(moved_px(still, after) in (None, 0.0) for after in (other, flickers))
+    flat = [measure_image(np.full(SIZE, grey, np.uint8), BLACK_DN) for grey in (20, 200)]
+    weak = measure_image(picture(8.0), BLACK_DN), measure_image(picture(40.0, shift_px=(12.0, 0.0), seed=1), BLACK_DN)
+    assert displacement_px(*flat) is displacement_px(*weak) is None
+    still = measure_image(picture(200.0), BLACK_DN)
+    other = measure_image(np.asarray(255 - picture(200.0)[::-1, ::-1], np.uint8), BLACK_DN)
+    flickers = measure_image(picture(230.0, seed=1), BLACK_DN)
+    assert all(displacement_px(still, after) in (None, 0.0) for after in (other, flickers))
 
 
 @pytest.mark.parametrize(("speed_mm_s", "fast"), [(60.0, False), (70.0, False), (71.4, True), (100.0, True)])

@@ -23,7 +23,7 @@ def test_the_dot_of_one_pointer_is_not_told_as_the_other_pointers(bench: Bench, 
     found = bench.ranger().find(bench.pair((on(pointer, z_mm), HEIGHT_DN, HEIGHT_DN)))
     own, other = (found.left, found.right) if pointer == 0 else (found.right, found.left)
     assert own is not None
-    assert own.place_mm == pytest.approx(tuple(on(pointer, z_mm)), abs=0.3)
+    assert own.position_mm == pytest.approx(tuple(on(pointer, z_mm)), abs=0.3)
     assert other is None
 
 
@@ -35,7 +35,7 @@ def test_each_pointer_gets_its_own_of_two_dots(bench: Bench, measured: bool, lef
     found = ranger.find(bench.pair((a, 180.0, 180.0), (b, HEIGHT_DN, HEIGHT_DN)))
     for dot, place in ((found.left, a), (found.right, b)):
         assert dot is not None
-        assert dot.place_mm == pytest.approx(tuple(place), abs=0.5)
+        assert dot.position_mm == pytest.approx(tuple(place), abs=0.5)
     told = ranger.range_of(found)
     assert told is not None
     assert told.distance_mm == pytest.approx(a[2] - a[0] * (b[2] - a[2]) / (b[0] - a[0]), abs=0.5)

@@ -45,7 +45,7 @@ def test_dots_one_after_the_other_teach_what_least_squares_of_all_of_them_say() 
     dots[:, 2] = z
     beam = drawn
     for dot in dots:
-        beam = beam.taught(dot)
+        beam = beam.updated(dot)
     ahead = z - 30.0
     for axis in (0, 1):
         A = np.stack([np.ones(5), ahead], axis=1) / 0.5
@@ -61,6 +61,6 @@ def test_dots_one_after_the_other_teach_what_least_squares_of_all_of_them_say() 
 
 
 def test_a_dot_that_holds_still_is_seen_once() -> None:
-    once = POINTERS.beams()[0].taught(np.array([-21.0, 5.5, 500.0]))
+    once = POINTERS.beams()[0].updated(np.array([-21.0, 5.5, 500.0]))
     for z_mm, learned in ((503.5, 1), (496.5, 1), (504.0, 2), (496.0, 2)):
-        assert once.taught(np.array([-21.0, 5.5, z_mm])).learned == learned
+        assert once.updated(np.array([-21.0, 5.5, z_mm])).learned == learned

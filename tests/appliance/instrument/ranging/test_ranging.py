@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.instrument.ranging.measure import SURELY_A_DOT_DN, shines_in_the_dark
+from appliance.instrument.ranging.ranger import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.instrument.service.settings import live_light_of
 from appliance.measure.light.patterns import BRIGHT_CODE
 from appliance.store.config import load_rig
@@ -69,7 +69,7 @@ def test_with_the_lasers_off_nothing_is_taken_for_a_laser_and_nothing_is_told_of
     for dot, place in zip((found.left, found.right), places, strict=True):
         if dot is not None:
             assert place is not None
-            assert dot.place_mm[2] == pytest.approx(truth_of(taught, [place, None])[0], abs=2.0)
+            assert dot.position_mm[2] == pytest.approx(truth_of(taught, [place, None])[0], abs=2.0)
             assert dot.contrast_dn < SURELY_A_DOT_DN
 
 

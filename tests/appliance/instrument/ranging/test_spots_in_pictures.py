@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.ranging.beams import PointerBeam
 from appliance.instrument.ranging.dots import Lane, contrast_of
-from appliance.instrument.ranging.measure import Dots, Images, Ranger
+from appliance.instrument.ranging.ranger import Dots, Images, Ranger
 from hw_sim.truth import TrueRig, draw_truth, project
 from tests.support.truth import WATER, left_to_rig, true_calibration
 
@@ -80,7 +80,7 @@ def test_a_dot_is_where_both_cameras_see_it_and_the_nearer_the_more_certain(widt
     found = bench.ranger().find(bench.pair((on(0, z_mm), HEIGHT_DN, HEIGHT_DN)))
     assert found.right is None
     assert found.left is not None
-    assert found.left.place_mm == pytest.approx(tuple(on(0, z_mm)), abs=0.25)
+    assert found.left.position_mm == pytest.approx(tuple(on(0, z_mm)), abs=0.25)
     assert found.left.cameras == 2
     assert HEIGHT_DN / 3 < found.left.contrast_dn < HEIGHT_DN
     half_base_mm = 0.5 * float(np.linalg.norm(bench.rig.right.translation_mm))
@@ -158,7 +158,7 @@ def test_which_spots_are_dots_by_how_many_cameras(bench: Bench, spots: list[Spot
     assert tuple(0 if dot is None else dot.cameras for dot in dots) == cameras
     for pointer, z_mm, *_ in spots[:1]:
         dot = dots[pointer]
-        assert dot is None or dot.place_mm[2] == pytest.approx(z_mm, abs=0.5 * 3 ** (dot.cameras == 1))
+        assert dot is None or dot.position_mm[2] == pytest.approx(z_mm, abs=0.5 * 3 ** (dot.cameras == 1))
     ranger.learn(found)
     assert [beam.learned for beam in ranger.beams] == [int(seen == 2) for seen in cameras]
     assert bench.ranger().find(pair, (False, True)).left is None, "a pointer that is not lit is not looked for"
@@ -175,7 +175,7 @@ def test_a_dot_that_one_camera_sees_is_where_its_ray_meets_the_beam(bench: Bench
     dot = (found.left, found.right)[pointer]
     assert dot is not None
     assert dot.cameras == 1
-    assert dot.place_mm == pytest.approx(tuple(on(pointer, z_mm)), abs=0.1)
+    assert dot.position_mm == pytest.approx(tuple(on(pointer, z_mm)), abs=0.1)
     eye_mm = bench.frame.from_left(np.zeros(3) if pointer == 1 else np.array(bench.rig.right.translation_mm))
     ray, beam = on(pointer, z_mm) - eye_mm, on(pointer, 600.0) - on(pointer, 400.0)
     sine = np.linalg.norm(np.cross(ray, beam)) / np.linalg.norm(ray) / np.linalg.norm(beam)

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from appliance.instrument.ranging.beams import Pointers
-from appliance.instrument.ranging.measure import Dot, Dots, Ranger
+from appliance.instrument.ranging.ranger import Dot, Dots, Ranger
 from appliance.instrument.ranging.reach import Range, Reach, reach_of
 from appliance.measure.light.volume import STANDARD, WorkingVolume
 from hw_sim.truth import draw_truth

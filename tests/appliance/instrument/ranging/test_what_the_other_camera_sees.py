@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.instrument.ranging.dots import contrast_of
-from appliance.instrument.ranging.measure import OtherCamera, shines_in_the_dark
+from appliance.instrument.ranging.ranger import OtherCamera, shines_in_the_dark
 from tests.appliance.instrument.ranging.test_spots_in_pictures import Array, Bench, on
 from tests.support.truth import WATER
 
@@ -34,7 +34,7 @@ def nothing_like(bench: Bench, side: int, through_mm: Place, picture: NDArray[np
     own = np.full_like(picture, 77)
     images = (own, picture) if side == 0 else (picture, own)
     other = OtherCamera(bench.rig, bench.frame, WATER.index)
-    return other.sees_nothing_like(side, start, ahead / np.linalg.norm(ahead), images, CONTRAST_DN)
+    return other.sees_no_match(side, start, ahead / np.linalg.norm(ahead), images, CONTRAST_DN)
 
 
 def spot(bench: Bench, share: float, at: Array) -> NDArray[np.uint8]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.instrument.capture.aiming import WIDTH_PX, Aimed, Shade, look
+from appliance.instrument.capture.aiming import WIDTH_PX, LiveImage, Shade, measure_image
 from appliance.instrument.machine import events as on
 from appliance.instrument.service.aiming import DEVICE, AimingController
 from appliance.instrument.service.settings import drawn_light_of
@@ -133,11 +133,11 @@ SHADE = LIGHT.shade(Instrument(RIG).design().rig, Water().index, WIDTH_PX)
 MILKY = Water(attenuation_per_m=3.0, backscatter=0.35)
 
 
-def pictured(scene: Scene) -> Aimed:
+def pictured(scene: Scene) -> LiveImage:
     renderer = Renderer(draw_truth("realistic", 3, *SIZE, scene.water.index), scene)
     exposure_s = NOMINAL.time_us / 1e6
     lit = [LightSlice(LIGHT.codes, exposure_s)]
-    return look(
+    return measure_image(
         renderer.expose("left", lit, 0.0, exposure_s, NOMINAL.gain_db, (True, True), 1),
         RIG.camera.left.black_level_dn,
         SHADE,
@@ -193,5 +193,5 @@ SMALL: NDArray[np.uint8] = np.zeros((1, 1), np.uint8)
 def test_the_limits_of_light_in_the_shade(
     even: float, bright: float, glow: float, saturated: float, longer: float, code: FaultCode | None
 ) -> None:
-    fault = Aimed(SMALL, 50.0, glow, Shade(even, bright), saturated).fault(longer)
+    fault = LiveImage(SMALL, 50.0, glow, Shade(even, bright), saturated).fault(longer)
     assert (None if fault is None else fault.code) is code

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.ranging.beams import PointerBeam, Pointers, RigFrame
-from appliance.instrument.ranging.measure import Dot, Dots
+from appliance.instrument.ranging.ranger import Dot, Dots
 from appliance.instrument.service.ranging import RangingController, _Measured
 from appliance.instrument.service.remembered import BeamsFile
 from appliance.measure.fault import FaultCode
