@@ -95,29 +95,35 @@ def panel(name: str, dive: Dive) -> Panel:
 
 def page(table: Sequence[str]) -> str:
     """The whole of docs/thermal.md."""
-    return f"""# Warmth
+    return f"""# Heat
 
-Heat is what limits an instrument in a closed housing. What it does about it is decided in `appliance/instrument/machine/thermal.py`, from
-two temperatures (case, projector), with limits of the rig file (`[limits]`), each left only 3 °C below where it began:
+Heat limits an instrument in a closed housing. `appliance/instrument/machine/thermal.py` decides by two temperatures, of case and projector. Their
+limits are in the rig file (`[limits]`). Each band ends 3 °C below where it began:
 
 | band | what happens | the diver sees |
 |---|---|---|
-| normal | light rests after 180 s without a key | – |
-| warm | light rests after 30 s | WARM 51 °C |
-| hot | no light, no scans, until it has cooled down: state COOLING | HOT 61 °C, and about how long it will take |
-| too hot | what is in hand is saved, then it switches itself off | TOO HOT |
-| unknown: a sensor says nothing for 5 s | 20 s of light in a minute, of which aiming leaves 5 s for scans | TEMP ? |
+| normal | the light goes out after 180 s without a key | – |
+| warm | the light goes out after 30 s | WARM 51 °C |
+| hot | no light and no scans until it is cool: state COOLING | HOT 61 °C, and about how long it takes |
+| too hot | the current scan is saved, then the instrument switches off | TOO HOT |
+| unknown: a sensor is silent for 5 s | 20 s of light in a minute, 5 s of which aiming leaves for scans | TEMP ? |
 
-Light that rests comes back with the next key. How long cooling takes is the straight line through the last minute.
+The next key brings the light back. The time to cool follows from the straight line T(t) through the last minute:
 
-## A dive of {SCANS} scans
+    t = (T − T_end)/(−dT/dt)
 
-`./dev bench thermal --write-docs` makes this table and the picture: the instrument's own decisions, and the simulated housing
-(`hw_sim/heat.py`) that warms up by what is on. The diver aims for 25 s, looks at each cloud for 6 s, and keeps it. Light is the
-share of the time that the projector shines. The housing is a model: masses and conductances of an aluminium cylinder, not
-measured on one.
+## Figures: a dive of {SCANS} scans
+
+    ./dev bench thermal --write-docs
+
+The instrument decides, and the simulated housing (`hw_sim/heat.py`) warms up. The diver aims for 25 s, looks at each cloud for 6 s, and keeps
+it. *Light* is the share of the time that the projector shines.
 
 {chr(10).join(table)}
 
 ![Temperatures](pictures/{PICTURE.name})
+
+## Limits
+
+The housing is a model: masses and conductances of an aluminium cylinder, not measured on one.
 """
