@@ -14,7 +14,7 @@ loops whose numbers lie in one array at constant distances: LLVM turns them into
 Rows need no sines: where the depth is known, the fitted projector tells the row q to a tenth of a px, the same for both
 cameras, better than a hand leaves it. So points that lost sight of the y-sines, or moved along with them, stay.
 
-Legend of the kernels, per pixel number x of a list. Quantity ``Q`` of the scratch row ``s`` is ``s[Q + x]``::
+Legend of the kernels, per pixel number x of a list; ``s`` is a record of ``ROW``::
 
     t            depth, −1 … 1 (``displacement``); p, q pattern coordinates, px
     k            0 … 3, number of the x-sine
@@ -28,6 +28,7 @@ Legend of the kernels, per pixel number x of a list. Quantity ``Q`` of the scrat
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, cast
 
 import numba
@@ -59,7 +60,8 @@ from appliance.measure.motion.row_reader import (
     read_row,
 )
 
-Scratch = NDArray[np.float32]
+Scratch = NDArray[np.void]
+"""(1,) of ``ROW``. A kernel hands the array on, not its record: a record alone does not keep the memory alive."""
 
 BRIGHT, FIRST_GRAY = 4, 5
 """Places of the followed frames behind the 4 x-sines: the bright frame, then the Gray images of x, then those of y."""
@@ -82,33 +84,31 @@ LEAST_DOUBT = 1e-3
 """Least variance of the albedo, in variances of a grey value: it keeps the weight finite."""
 
 _SLOT = MAX_WIDTH_PX + 272
-_BEGIN = 8
-_NAMES = 42
-(
-    DEPTH, U, V, TURNS, GREY,  # t at the round's beginning; of the frame that is read: place, change of phase, grey value
-    GREY_0, GREY_1, GREY_2, GREY_3, NOISE_0, NOISE_1, NOISE_2, NOISE_3,  # of the sines
-    TURNS_0, COS_0, SIN_0, TURNS_1, COS_1, SIN_1, TURNS_2, COS_2, SIN_2, TURNS_3, COS_3, SIN_3,  # change of phase
-    EXPECTED, WEIGHT,  # e and w: the offset that the albedo makes expect
-    OFFSET, MODULATION, PHASE, VARIANCE, MISFIT,  # solved; the phase in turns, NaN where it is not good
-    PLAIN_OFFSET, PLAIN_SHARE, CONTRARY, RESPONSE,  # a without albedo and its variance; contradiction; response to a harmonic
-    P_0, P_1, P_2,  # the parabola of p
-    ORDER, AGREED,  # fringe order, and whether the Gray images bear it out (1 or 0)
-    GRAY,  # of each Gray image: −1 … 1, how clearly it is dark or bright, and the whole (half) periods that its phase is on
-) = (k * _SLOT + _BEGIN for k in range(_NAMES))  # fmt: skip
-CARRY = GRAY + MAX_GRAY * _SLOT
-COLUMN, NEARER, LINE, CHANGE = (CARRY + (MAX_GRAY + k) * _SLOT for k in range(4))
-"""p, the depth that follows from it, q there, and by how much the depth changed; NaN where the round led to nothing."""
-SIZE = CHANGE + _SLOT
-"""Number of places in a scratch row."""
+"""Room for a quantity of one row: so that equal places of two quantities do not compete for the same cache lines."""
+ROW = np.dtype([(name, np.float32, (*shape, _SLOT)) for name, shape in {
+    "depth": (),  # t at the round's beginning
+    "u": (), "v": (), "turns": (), "grey": (),  # of the frame that is read: place, change of phase, grey value
+    "sine_grey": (4,), "sine_noise": (4,), "sine_turns": (4,), "step_cosine": (4,), "step_sine": (4,),  # y_k, noise_k, ψ_k
+    "expected": (), "weight": (),  # e and w: the offset that the albedo makes expect
+    "offset": (), "modulation": (), "phase": (), "variance": (), "misfit": (),  # solved; phase in turns, NaN: not good
+    "plain_offset": (), "plain_share": (),  # a without the albedo and its variance
+    "contrary": (), "response": (),  # contradiction of the sines, and what a harmonic makes of it
+    "p_parabola": (3,),
+    "order": (), "agreed": (),  # fringe order, and whether the Gray images bear it out (1 or 0)
+    "clarity": (MAX_GRAY,), "carry": (MAX_GRAY,),  # of each Gray image: −1 … 1, how clearly it is dark or bright; whole (half)
+    # periods that its phase is on
+    "column": (), "nearer": (), "line": (), "change": (),  # p, the depth that follows from it, q there, by how much the depth
+    # changed; NaN where the round led to nothing
+}.items()])  # fmt: skip
+"""The quantities of one row of pixels. They lie in one piece of memory at constant distances, so that LLVM turns loops over them into
+vector instructions without asking whether one overlaps another."""
 _NAN, _ZERO, _QUARTER, _HALF, _ONE, _TWO, _THREE, _FOUR, _SIX, _MOST = (
     np.float32(x) for x in (np.nan, 0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 255.0)
 )
 _P, _Q, _FIRST_GRAY, _NONE = (cast(int, np.int64(k)) for k in (P_OF_T, Q_OF_T, FIRST_GRAY, 0))
 """Whole numbers of a type of their own: for plain ones, numba would compile what is called with them for each value."""
 _TURN, _TINY = np.float32(2.0 * np.pi), np.float32(1e-9)
-_C4, _C6, _C8 = (np.float32(1.0 / n) for n in (24.0, 720.0, 40320.0))
-_S3, _S5, _S7 = (np.float32(1.0 / n) for n in (6.0, 120.0, 5040.0))
-_A0, _A1, _A2, _A3, _A4, _A5, _A6 = ATAN_TURNS
+_TAYLOR = tuple(np.float32(1.0 / math.factorial(n)) for n in range(9))
 _LEAST_MODULATION = np.float32(MIN_MODULATION_DN)
 
 
@@ -184,29 +184,30 @@ def _row_depths(
     every: RowPixels,
     p_px: NDArray[np.float32],
     fill_px: int,
-    s: Scratch,
+    scratch: Scratch,
     t: NDArray[np.float32],
 ) -> None:
     """Write the depth of each pixel of a row by its column ``p_px`` (w,); where it has none, that of the nearest one.
 
     NaN where no column is nearer than ``fill_px``. ``every`` are all pixels of the row.
     """
+    s = scratch[0]
     width = p_px.size
     for k in range(3):
-        coefficient_row(at_row, every, _P + k, s[P_0 + k * _SLOT :][:width])
+        coefficient_row(at_row, every, _P + k, s.p_parabola[k][:width])
     for x in range(width):
         # t₁ = (p − c0) / c1, then t₁ − c2 t₁² / c1.
-        c1 = s[P_1 + x]
-        first = (p_px[x] - s[P_0 + x]) / c1
-        t[x] = first - s[P_2 + x] * first * first / c1
+        c1 = s.p_parabola[1, x]
+        first = (p_px[x] - s.p_parabola[0, x]) / c1
+        t[x] = first - s.p_parabola[2, x] * first * first / c1
     after = width + fill_px
     for x in range(width - 1, -1, -1):
         after = x if p_px[x] == p_px[x] else after
-        s[U + x] = after
+        s.u[x] = after
     # Of the two ends of a gap the nearer one; of equally near ones the right one.
     before = -fill_px - 1
     for x in range(width):
-        after = int(s[U + x])
+        after = int(s.u[x])
         if p_px[x] == p_px[x]:
             before = x
         elif after - x <= min(fill_px, x - before):
@@ -222,11 +223,11 @@ def depth_rows(p_px: NDArray[np.float32], field: DisplacementField, fill_px: int
     Where a pixel has no column, it gets the depth of the nearest one of its row, NaN beyond ``fill_px``.
     """
     (height, width), (_, nodes, coefficients) = p_px.shape, field.nodes.shape
-    at_row, s = np.empty((nodes, coefficients), np.float32), np.empty(SIZE, np.float32)
+    at_row, scratch = np.empty((nodes, coefficients), np.float32), np.empty(1, ROW)
     every = _every(width, field.step_px, nodes)
     for row in range(height):
         interpolate_row(field.nodes, field.step_px, row, at_row)
-        _row_depths(at_row, every, p_px[row], fill_px, s, t[row])
+        _row_depths(at_row, every, p_px[row], fill_px, scratch, t[row])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -254,7 +255,7 @@ def solve_rows(
     (height, width), (_, nodes, coefficients) = sources.p_px.shape, field.nodes.shape
     frames, step = sources.frames, field.step_px
     pictures = Pictures(frames.reshape(frames.size), sources.followed * (height * width), height, width)
-    at_row, s = np.empty((nodes, coefficients), np.float32), np.empty(SIZE, np.float32)
+    at_row, scratch = np.empty((nodes, coefficients), np.float32), np.empty(1, ROW)
     every = _every(width, step, nodes)
     column, cell = np.empty(width, np.int32), np.empty(width, np.int32)
     begun, rounds = np.empty(width, np.int32), np.empty(width, np.int32)
@@ -262,9 +263,10 @@ def solve_rows(
     decoded_t, found_t = np.empty(width, np.float32), np.empty(width, np.float32)
     # By how much the row above lies farther than its undecoded ripple said: the next one hardly differs.
     farther = np.zeros(width, np.float32)
+    s = scratch[0]
     for row in range(start, height, stride):
         interpolate_row(field.nodes, step, row, at_row)
-        _row_depths(at_row, every, sources.p_px[row], terms.fill_px, s, decoded_t)
+        _row_depths(at_row, every, sources.p_px[row], terms.fill_px, scratch, decoded_t)
         n = _NONE
         for x in range(width):
             # What a pixel without a coordinate has.
@@ -281,32 +283,32 @@ def solve_rows(
                 decoded_t[x] = rough
             column[n], rounds[n], begun[n] = x, 1, 0 if farther[x] != _ZERO else 1
             t = decoded_t[x] + farther[x]
-            s[DEPTH + n] = t if abs(t) < MAX_T else _NAN
+            s.depth[n] = t if abs(t) < MAX_T else _NAN
             n += 1
-        _expect_offsets(sources, terms, row, column[:n], s)
+        _expect_offsets(sources, terms, row, column[:n], scratch)
         for turn in range(BEGINNINGS * MAX_ROUNDS):
             if n == 0:
                 break
             chosen = locate(column[:n], step, share, begins)
-            _read_sines(pictures, at_row, chosen, row, cell, s)
-            _solve_sines(n, sources.gains, terms, s)
+            _read_sines(pictures, at_row, chosen, row, cell, scratch)
+            _solve_sines(n, sources.gains, terms, scratch)
             if stride > 1 and turn == 0:
-                _add_to_sums(sources, row, chosen.column, s, sums)
-            _number_fringes(pictures, at_row, chosen, row, terms, s)
-            _settle(at_row, chosen, terms, s)
+                _add_to_sums(sources, row, chosen.column, scratch, sums)
+            _number_fringes(pictures, at_row, chosen, row, terms, scratch)
+            _settle(at_row, chosen, terms, scratch)
             left = _NONE
             for i in range(n):
-                x, t = column[i], s[NEARER + i]
-                good = s[CHANGE + i] == s[CHANGE + i]
-                if good and (s[CHANGE + i] < terms.settled_t or rounds[i] == MAX_ROUNDS):
+                x, t = column[i], s.nearer[i]
+                good = s.change[i] == s.change[i]
+                if good and (s.change[i] < terms.settled_t or rounds[i] == MAX_ROUNDS):
                     # The row below begins with this correction; one that was carried on is averaged.
                     fresh = t - decoded_t[x]
                     farther[x] = _HALF * (farther[x] + fresh) if begun[i] == 0 else fresh
                     found_t[x] = t
-                    maps.p_px[row, x], maps.q_px[row, x] = s[COLUMN + i], s[LINE + i]
-                    maps.variance_px2[row, x], maps.misfit[row, x] = s[VARIANCE + i], s[MISFIT + i]
-                    maps.modulation_half_dn[row, x] = np.uint8(min(_TWO * s[MODULATION + i] + _HALF, _MOST))
-                    maps.offset_dn[row, x] = np.uint8(min(max(s[OFFSET + i] + _HALF, _ZERO), _MOST))
+                    maps.p_px[row, x], maps.q_px[row, x] = s.column[i], s.line[i]
+                    maps.variance_px2[row, x], maps.misfit[row, x] = s.variance[i], s.misfit[i]
+                    maps.modulation_half_dn[row, x] = np.uint8(min(_TWO * s.modulation[i] + _HALF, _MOST))
+                    maps.offset_dn[row, x] = np.uint8(min(max(s.offset[i] + _HALF, _ZERO), _MOST))
                     continue
                 rounds[left], begun[left] = rounds[i] + 1, begun[i]
                 if not good:
@@ -316,39 +318,40 @@ def solve_rows(
                     if begun[left] == BEGINNINGS or (begun[left] == 2 and abs(t - decoded_t[x]) <= terms.settled_t):
                         farther[x] = _ZERO
                         continue
-                column[left], s[DEPTH + left] = x, t
-                s[EXPECTED + left], s[WEIGHT + left] = s[EXPECTED + i], s[WEIGHT + i]
+                column[left], s.depth[left] = x, t
+                s.expected[left], s.weight[left] = s.expected[i], s.weight[i]
                 left += 1
             n = left
         n = _NONE
         for x in range(width):
             if found_t[x] == found_t[x]:
-                column[n], s[DEPTH + n] = x, found_t[x]
+                column[n], s.depth[n] = x, found_t[x]
                 n += 1
         maps.illuminated_columns[row, 0] = column[0] if n > 0 else 0
         maps.illuminated_columns[row, 1] = column[n - 1] + 1 if n > 0 else 0
         # The bright frame where the point was then: it colours the cloud.
         chosen, at = locate(column[:n], step, share, begins), FIRST_FRAME + FRAME_COEFFICIENTS * BRIGHT
-        u, v = s[U : U + n], s[V : V + n]
-        places_in_frame(at_row, chosen, at, row, s[DEPTH : DEPTH + n], u, v)
-        read_nearest(pictures, BRIGHT, u, v, s[GREY : GREY + n])
+        u, v = s.u[:n], s.v[:n]
+        places_in_frame(at_row, chosen, at, row, s.depth[:n], u, v)
+        read_nearest(pictures, BRIGHT, u, v, s.grey[:n])
         for i in range(n):
-            if s[GREY + i] == s[GREY + i]:
-                maps.bright[row, column[i]] = np.uint8(s[GREY + i])
+            if s.grey[i] == s.grey[i]:
+                maps.bright[row, column[i]] = np.uint8(s.grey[i])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _expect_offsets(sources: Sources, terms: Terms, row: int, column: NDArray[np.int32], s: Scratch) -> None:
+def _expect_offsets(sources: Sources, terms: Terms, row: int, column: NDArray[np.int32], scratch: Scratch) -> None:
     """Write the offset that the albedo makes expect, EXPECTED, and its WEIGHT against one grey value; 0 where it is not
     known."""
+    s = scratch[0]
     per_variance = 1.0 / (float(terms.noise_dn) * float(terms.noise_dn))
     for i in range(column.size):
         x = column[i]
-        s[EXPECTED + i], s[WEIGHT + i] = _ZERO, _ZERO
+        s.expected[i], s.weight[i] = _ZERO, _ZERO
         if terms.mean_share > _ZERO and sources.albedo_dn.size > 0 and sources.albedo_dn[row, x] > _ZERO:
             doubt = per_variance * float(sources.albedo_variance_dn2[row, x]) + LEAST_DOUBT
-            s[EXPECTED + i] = sources.backscatter_dn[row, x] + terms.mean_share * sources.albedo_dn[row, x]
-            s[WEIGHT + i] = np.float32(1.0 / (float(terms.mean_share) ** 2 * doubt))
+            s.expected[i] = sources.backscatter_dn[row, x] + terms.mean_share * sources.albedo_dn[row, x]
+            s.weight[i] = np.float32(1.0 / (float(terms.mean_share) ** 2 * doubt))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -359,8 +362,8 @@ def cosines(turns: NDArray[np.float32], cosine: NDArray[np.float32], sine: NDArr
         quarters = np.floor(_FOUR * turns[x] + _HALF)
         r = _TURN * (turns[x] - _QUARTER * quarters)
         r2 = r * r
-        c = _ONE - r2 * (_HALF - r2 * (_C4 - r2 * (_C6 - r2 * _C8)))
-        d = r * (_ONE - r2 * (_S3 - r2 * (_S5 - r2 * _S7)))
+        c = _ONE - r2 * (_TAYLOR[2] - r2 * (_TAYLOR[4] - r2 * (_TAYLOR[6] - r2 * _TAYLOR[8])))
+        d = r * (_ONE - r2 * (_TAYLOR[3] - r2 * (_TAYLOR[5] - r2 * _TAYLOR[7])))
         # The cosine's sign is that of 1, −1, −1, 1, the sine's that of 1, 1, −1, −1.
         number = quarters - _FOUR * np.floor(_QUARTER * quarters)
         odd = (number == _ONE) | (number == _THREE)
@@ -371,36 +374,42 @@ def cosines(turns: NDArray[np.float32], cosine: NDArray[np.float32], sine: NDArr
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _read_sines(
-    pictures: Pictures, at_row: NDArray[np.float32], chosen: RowPixels, row: int, cell: NDArray[np.int32], s: Scratch
+    pictures: Pictures,
+    at_row: NDArray[np.float32],
+    chosen: RowPixels,
+    row: int,
+    cell: NDArray[np.int32],
+    scratch: Scratch,
 ) -> None:
     """Read the four sines where points at DEPTH were: GREY, NOISE and TURNS of each."""
+    s = scratch[0]
     n = chosen.column.size
-    t, u, v = s[DEPTH : DEPTH + n], s[U : U + n], s[V : V + n]
+    t, u, v = s.depth[:n], s.u[:n], s.v[:n]
     for k in range(PHASE_STEPS):
         at = FIRST_FRAME + FRAME_COEFFICIENTS * k
-        grey, noise, turns = GREY_0 + k * _SLOT, NOISE_0 + k * _SLOT, TURNS_0 + 3 * k * _SLOT
         places_in_frame(at_row, chosen, at, row, t, u, v)
-        parabola_row(at_row, chosen, at + OF_PHASE, t, s[turns : turns + n])
-        read_row(pictures, k, u, v, cell, s[grey : grey + n])
-        noise_row(u, v, cell, s[noise : noise + n])
+        parabola_row(at_row, chosen, at + OF_PHASE, t, s.sine_turns[k][:n])
+        read_row(pictures, k, u, v, cell, s.sine_grey[k][:n])
+        noise_row(u, v, cell, s.sine_noise[k][:n])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, s: Scratch) -> None:
+def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, scratch: Scratch) -> None:
     """Solve the four sines of n pixels, with EXPECTED and WEIGHT of the albedo.
 
     Writes OFFSET, MODULATION, PHASE, VARIANCE and MISFIT, and what the harmonic and the sines' mean follow from.
     """
+    s = scratch[0]
     for k in range(PHASE_STEPS):
-        at = 3 * k * _SLOT
-        cosines(s[TURNS_0 + at :][:n], s[COS_0 + at :][:n], s[SIN_0 + at :][:n])
+        cosines(s.sine_turns[k][:n], s.step_cosine[k][:n], s.step_sine[k][:n])
     g0, g1, g2, g3 = gains[0], gains[1], gains[2], gains[3]
+    a0, a1, a2, a3, a4, a5, a6 = ATAN_TURNS
     most_contrary, px_per_rad, harmonic = _SIX * terms.noise_dn, terms.period_px / _TURN, terms.harmonic
     for x in range(n):
-        y0, y1, y2, y3 = s[GREY_0 + x] * g0, s[GREY_1 + x] * g1, s[GREY_2 + x] * g2, s[GREY_3 + x] * g3
+        y0, y1, y2, y3 = s.sine_grey[0, x] * g0, s.sine_grey[1, x] * g1, s.sine_grey[2, x] * g2, s.sine_grey[3, x] * g3
         # cos ψ_k and sin ψ_k, of which the turns lack the quarters k/4: (c, s), (−s, c), (−c, −s), (s, −c).
-        c0, s0, c1, s1 = s[COS_0 + x], s[SIN_0 + x], -s[SIN_1 + x], s[COS_1 + x]
-        c2, s2, c3, s3 = -s[COS_2 + x], -s[SIN_2 + x], s[SIN_3 + x], -s[COS_3 + x]
+        c0, s0, c1, s1 = s.step_cosine[0, x], s.step_sine[0, x], -s.step_sine[1, x], s.step_cosine[1, x]
+        c2, s2, c3, s3 = -s.step_cosine[2, x], -s.step_sine[2, x], s.step_sine[3, x], -s.step_cosine[3, x]
         # The contradiction's vector n: n_k = ± sums of x_ij = sin(ψ_j − ψ_i), of the steps other than k.
         x01, x02, x03 = s1 * c0 - c1 * s0, s2 * c0 - c2 * s0, s3 * c0 - c3 * s0
         x12, x13, x23 = s2 * c1 - c2 * s1, s3 * c1 - c3 * s1, s3 * c2 - c3 * s2
@@ -411,8 +420,8 @@ def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, s: Scratch) -
         n01, n02 = c0 + c1 + c2 + c3, -(s0 + s1 + s2 + s3)
         n11, n22 = c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3, s0 * s0 + s1 * s1 + s2 * s2 + s3 * s3
         n12 = -(c0 * s0 + c1 * s1 + c2 * s2 + c3 * s3)
-        w = s[WEIGHT + x]
-        e, n00 = w * s[EXPECTED + x], _FOUR + w
+        w = s.weight[x]
+        e, n00 = w * s.expected[x], _FOUR + w
         i00, i01, i02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
         i11, i12, i22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
         det = _FOUR * i00 + n01 * i01 + n02 * i02
@@ -423,17 +432,17 @@ def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, s: Scratch) -
         m_c, m_s = scale * (i01 * b0 + i11 * b1 + i12 * b2), scale * (i02 * b0 + i12 * b1 + i22 * b2)
         # The offset without the albedo: i00, i01 and i02 do not depend on w.
         per_det = _ONE / det
-        s[PLAIN_OFFSET + x] = per_det * (i00 * (b0 - e) + i01 * b1 + i02 * b2)
-        s[PLAIN_SHARE + x] = per_det * i00
+        s.plain_offset[x] = per_det * (i00 * (b0 - e) + i01 * b1 + i02 * b2)
+        s.plain_share[x] = per_det * i00
         contrary = per_size * (n0 * y0 + n1 * y1 + n2 * y2 + n3 * y3)
-        s[CONTRARY + x] = contrary
+        s.contrary[x] = contrary
         # Second harmonic: share · m cos 2(φ + ψ_k), with m cos 2φ = (m_c² − m_s²)/m and m sin 2φ = 2 m_c m_s/m.
         per_m = _ONE / (np.sqrt(m_c * m_c + m_s * m_s) + _TINY)
         co, si = (m_c * m_c - m_s * m_s) * per_m, _TWO * m_c * m_s * per_m
         h0, h1 = co * (c0 * c0 - s0 * s0) - si * (_TWO * s0 * c0), co * (c1 * c1 - s1 * s1) - si * (_TWO * s1 * c1)
         h2, h3 = co * (c2 * c2 - s2 * s2) - si * (_TWO * s2 * c2), co * (c3 * c3 - s3 * s3) - si * (_TWO * s3 * c3)
         response = per_size * (n0 * h0 + n1 * h1 + n2 * h2 + n3 * h3)
-        s[RESPONSE + x] = response
+        s.response[x] = response
         # The same solution once more, of what is left without the harmonic.
         b0 -= harmonic * (h0 + h1 + h2 + h3)
         b1 -= harmonic * (c0 * h0 + c1 * h1 + c2 * h2 + c3 * h3)
@@ -449,29 +458,29 @@ def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, s: Scratch) -
         abs_c, abs_s = abs(m_c), abs(m_s)
         z = min(abs_c, abs_s) / max(max(abs_c, abs_s), _TINY)
         z2 = z * z
-        phase = z * (_A0 + z2 * (_A1 + z2 * (_A2 + z2 * (_A3 + z2 * (_A4 + z2 * (_A5 + z2 * _A6))))))
+        phase = z * (a0 + z2 * (a1 + z2 * (a2 + z2 * (a3 + z2 * (a4 + z2 * (a5 + z2 * a6))))))
         phase = _QUARTER - phase if abs_s > abs_c else phase
         phase = _HALF - phase if m_c < _ZERO else phase
         phase = -phase if m_s < _ZERO else phase
         # ∂φ/∂y_k · m² = m_s w_c,k − m_c w_s,k, with each y's own noise, and of e, whose variance is 1 / w.
         f0, f1, f2 = m_s * i01 - m_c * i02, m_s * i11 - m_c * i12, m_s * i12 - m_c * i22
         d0, d1, d2, d3 = f0 + f1 * c0 - f2 * s0, f0 + f1 * c1 - f2 * s1, f0 + f1 * c2 - f2 * s2, f0 + f1 * c3 - f2 * s3
-        k0, k1, k2, k3 = s[NOISE_0 + x], s[NOISE_1 + x], s[NOISE_2 + x], s[NOISE_3 + x]
+        k0, k1, k2, k3 = s.sine_noise[0, x], s.sine_noise[1, x], s.sine_noise[2, x], s.sine_noise[3, x]
         spread = d0 * d0 * k0 + d1 * d1 * k1 + d2 * d2 * k2 + d3 * d3 * k3 + w * f0 * f0
         against = n0 * n0 * k0 + n1 * n1 * k1 + n2 * n2 * k2 + n3 * n3 * k3
         # V = (P/2π)² σ² · spread / m⁴; misfit: the contradiction squared over its variance, both by the noise at this
         # offset.
         grey_variance = terms.dark_dn2 + terms.shot_dn * a
         px_per_dn = px_per_rad * scale / modulation2
-        s[VARIANCE + x] = px_per_dn * px_per_dn * grey_variance * spread
-        s[MISFIT + x] = contrary * contrary * size2 / (against * grey_variance)
-        s[OFFSET + x], s[MODULATION + x] = a, modulation
-        s[PHASE + x] = phase - np.floor(phase) if good else _NAN
+        s.variance[x] = px_per_dn * px_per_dn * grey_variance * spread
+        s.misfit[x] = contrary * contrary * size2 / (against * grey_variance)
+        s.offset[x], s.modulation[x] = a, modulation
+        s.phase[x] = phase - np.floor(phase) if good else _NAN
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _number_fringes(
-    pictures: Pictures, at_row: NDArray[np.float32], chosen: RowPixels, row: int, terms: Terms, s: Scratch
+    pictures: Pictures, at_row: NDArray[np.float32], chosen: RowPixels, row: int, terms: Terms, scratch: Scratch
 ) -> None:
     """Write the fringe ORDER that the depth makes expect, and whether all Gray images have AGREED, each read where the
     point was.
@@ -479,91 +488,97 @@ def _number_fringes(
     P_0 … P_2 are written, too. All images but the last change at whole periods only: they number periods. Moving, a
     point may have been in the next period already when one of them was shown: that is known from its phase then.
     """
+    s = scratch[0]
     n = chosen.column.size
-    t, u, v = s[DEPTH : DEPTH + n], s[U : U + n], s[V : V + n]
+    t, u, v = s.depth[:n], s.u[:n], s.v[:n]
     for k in range(3):
-        coefficient_row(at_row, chosen, _P + k, s[P_0 + k * _SLOT :][:n])
+        coefficient_row(at_row, chosen, _P + k, s.p_parabola[k][:n])
     for x in range(n):
         # The order that makes period · (order + phase) − ½ nearest to the expected column.
-        expected_px = s[P_0 + x] + s[DEPTH + x] * (s[P_1 + x] + s[DEPTH + x] * s[P_2 + x])
-        s[ORDER + x] = np.floor((expected_px + _HALF) / terms.period_px - s[PHASE + x] + _HALF)
-        s[AGREED + x] = _ONE if s[PHASE + x] == s[PHASE + x] else _ZERO
+        expected_px = s.p_parabola[0, x] + s.depth[x] * (s.p_parabola[1, x] + s.depth[x] * s.p_parabola[2, x])
+        s.order[x] = np.floor((expected_px + _HALF) / terms.period_px - s.phase[x] + _HALF)
+        s.agreed[x] = _ONE if s.phase[x] == s.phase[x] else _ZERO
     last = terms.gray - 1
     for k in range(terms.gray):
-        at, gray, carry = FIRST_FRAME + FRAME_COEFFICIENTS * (_FIRST_GRAY + k), GRAY + k * _SLOT, CARRY + k * _SLOT
+        at = FIRST_FRAME + FRAME_COEFFICIENTS * (_FIRST_GRAY + k)
         places_in_frame(at_row, chosen, at, row, t, u, v)
-        parabola_row(at_row, chosen, at + OF_PHASE, t, s[TURNS : TURNS + n])
-        read_nearest(pictures, _FIRST_GRAY + k, u, v, s[GREY : GREY + n])
+        parabola_row(at_row, chosen, at + OF_PHASE, t, s.turns[:n])
+        read_nearest(pictures, _FIRST_GRAY + k, u, v, s.grey[:n])
         # All images but the last number whole periods; the last one halves them.
         per_period, shift = _ONE if k < last else _TWO, np.int32(last - k)
         for x in range(n):
             # Phase at that time, in half periods for the last image, in whole ones for the others.
-            s[carry + x] = np.floor(per_period * (s[PHASE + x] + s[TURNS + x]))
-            s[gray + x] = min(max((s[GREY + x] - s[OFFSET + x]) / max(s[OFFSET + x], _ONE), -_ONE), _ONE)
-            half = _TWO * s[ORDER + x] + (_TWO * s[carry + x] if k < last else s[carry + x])
+            s.carry[k, x] = np.floor(per_period * (s.phase[x] + s.turns[x]))
+            s.clarity[k, x] = min(max((s.grey[x] - s.offset[x]) / max(s.offset[x], _ONE), -_ONE), _ONE)
+            half = _TWO * s.order[x] + (_TWO * s.carry[k, x] if k < last else s.carry[k, x])
             # Gray code h ^ (h >> 1) of the half period h; of what is not known, nothing is asked.
-            h = np.int32(half if s[AGREED + x] > _ZERO else _ZERO)
+            h = np.int32(half if s.agreed[x] > _ZERO else _ZERO)
             shown = np.int32(((h ^ (h >> np.int32(1))) >> shift) & np.int32(1))
-            lit = np.int32(1) if s[GREY + x] > s[OFFSET + x] else np.int32(0)
-            s[AGREED + x] = s[AGREED + x] if (s[GREY + x] == s[GREY + x]) & (shown == lit) else _ZERO
+            lit = np.int32(1) if s.grey[x] > s.offset[x] else np.int32(0)
+            s.agreed[x] = s.agreed[x] if (s.grey[x] == s.grey[x]) & (shown == lit) else _ZERO
     for x in range(n):
-        if s[AGREED + x] == _ZERO and s[PHASE + x] == s[PHASE + x]:
-            _find_order(x, terms.gray, s)
+        if s.agreed[x] == _ZERO and s.phase[x] == s.phase[x]:
+            _find_order(x, terms.gray, scratch)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _find_order(x: int, gray: int, s: Scratch) -> None:
+def _find_order(x: int, gray: int, scratch: Scratch) -> None:
     """Look for an ORDER of pixel ``x`` that its ``gray`` images bear out, among those near the decoded and the expected
     one."""
+    s = scratch[0]
     number, bit = 0, 0
     for k in range(gray):
-        grey = s[GRAY + k * _SLOT + x]
+        grey = s.clarity[k, x]
         if grey != grey:
             return
         # Gray code to binary: each bit is the parity of those before.
         bit ^= int(grey > _ZERO)
         number = 2 * number + bit
     # Orders one beside the decoded one and one beside the expected one: the one that is contradicted least.
-    decoded, expected = number // 2, int(s[ORDER + x])
+    decoded, expected = number // 2, int(s.order[x])
     best, least = expected, _TWO
     for near in range(6):
         order = decoded + near - 1 if near < 3 else expected + near - 4
         contrary = _ZERO
         for k in range(gray):
-            carry = int(s[CARRY + k * _SLOT + x])
+            carry = int(s.carry[k, x])
             half = 2 * (order + carry) if k < gray - 1 else 2 * order + carry
             shown = ((half ^ (half >> 1)) >> (gray - 1 - k)) & 1
-            against = -s[GRAY + k * _SLOT + x] if shown == 1 else s[GRAY + k * _SLOT + x]
+            against = -s.clarity[k, x] if shown == 1 else s.clarity[k, x]
             contrary += max(against, _ZERO)
         if contrary < least:
             best, least = order, contrary
     if least <= MAX_CONTRARY:
-        s[ORDER + x], s[AGREED + x] = best, _ONE
+        s.order[x], s.agreed[x] = best, _ONE
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _settle(at_row: NDArray[np.float32], chosen: RowPixels, terms: Terms, s: Scratch) -> None:
+def _settle(at_row: NDArray[np.float32], chosen: RowPixels, terms: Terms, scratch: Scratch) -> None:
     """Write COLUMN, the depth NEARER that follows from it, the LINE there, and the CHANGE of the depth."""
+    s = scratch[0]
     n = chosen.column.size
     for x in range(n):
-        p = terms.period_px * (s[ORDER + x] + s[PHASE + x]) - _HALF
+        p = terms.period_px * (s.order[x] + s.phase[x]) - _HALF
         # t₁ = (p − c0) / c1, then t₁ − c2 t₁² / c1.
-        per_slope = _ONE / s[P_1 + x]
-        begun = (p - s[P_0 + x]) * per_slope
-        s[COLUMN + x], s[NEARER + x] = p, begun - s[P_2 + x] * begun * begun * per_slope
-    parabola_row(at_row, chosen, _Q, s[NEARER : NEARER + n], s[LINE : LINE + n])
+        per_slope = _ONE / s.p_parabola[1, x]
+        begun = (p - s.p_parabola[0, x]) * per_slope
+        s.column[x], s.nearer[x] = p, begun - s.p_parabola[2, x] * begun * begun * per_slope
+    parabola_row(at_row, chosen, _Q, s.nearer[:n], s.line[:n])
     for x in range(n):
-        p, q, t = s[COLUMN + x], s[LINE + x], s[NEARER + x]
+        p, q, t = s.column[x], s.line[x], s.nearer[x]
         inside = (p >= -_ONE) & (p <= terms.width_px) & (q >= -_ONE) & (q <= terms.height_px) & (abs(t) < MAX_T)
-        s[CHANGE + x] = abs(t - s[DEPTH + x]) if inside & (s[AGREED + x] > _ZERO) else _NAN
+        s.change[x] = abs(t - s.depth[x]) if inside & (s.agreed[x] > _ZERO) else _NAN
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _add_to_sums(sources: Sources, row: int, column: NDArray[np.int32], s: Scratch, sums: NDArray[np.float64]) -> None:
+def _add_to_sums(
+    sources: Sources, row: int, column: NDArray[np.int32], scratch: Scratch, sums: NDArray[np.float64]
+) -> None:
     """Add what the pixels of a row tell of the fringes' harmonic and the sines' mean to ``sums`` (2, 2)."""
+    s = scratch[0]
     for i in range(column.size):
         x = column[i]
-        contrary, response, share = float(s[CONTRARY + i]), float(s[RESPONSE + i]), float(s[PLAIN_SHARE + i])
+        contrary, response, share = float(s.contrary[i]), float(s.response[i]), float(s.plain_share[i])
         # Steps that are next to nothing leave no offset: what 32 bits make of it is not even noise.
         if not (abs(contrary) < MAX_CONTRARY_DN and 0.0 < share < MOST_SHARE):
             continue
@@ -572,5 +587,5 @@ def _add_to_sums(sources: Sources, row: int, column: NDArray[np.int32], s: Scrat
         albedo = float(sources.albedo_dn[row, x]) if sources.albedo_dn.size > 0 else 0.0
         if albedo > 0.0:
             # Mean light of the sines: a − backscatter = share · albedo, over the variance of a.
-            sums[1, 0] += (float(s[PLAIN_OFFSET + i]) - float(sources.backscatter_dn[row, x])) * albedo / share
+            sums[1, 0] += (float(s.plain_offset[i]) - float(sources.backscatter_dn[row, x])) * albedo / share
             sums[1, 1] += albedo * albedo / share

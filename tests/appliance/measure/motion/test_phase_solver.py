@@ -98,18 +98,19 @@ def test_sines_are_solved_by_least_squares_in_which_a_known_offset_is_one_more_v
     A = np.stack([np.ones(4), np.cos(psi), -np.sin(psi)], -1)
     row = np.sqrt(weight)
     (a, m_c, m_s), *_ = np.linalg.lstsq(np.vstack([A, [row, 0.0, 0.0]]), np.append(y, row * offset))
-    s = np.zeros(at.SIZE, np.float32)
+    scratch = np.zeros(1, at.ROW)
+    s = scratch[0]
     for k in range(4):
-        s[at.GREY_0 + k * (at.GREY_1 - at.GREY_0)], s[at.NOISE_0 + k * (at.NOISE_1 - at.NOISE_0)] = y[k], 1.0
-        s[at.TURNS_0 + k * (at.TURNS_1 - at.TURNS_0)] = steps_deg * k / 360.0 - 0.25 * k
-    s[at.EXPECTED], s[at.WEIGHT] = offset, weight
+        s["sine_grey"][k, 0], s["sine_noise"][k, 0] = y[k], 1.0
+        s["sine_turns"][k, 0] = steps_deg * k / 360.0 - 0.25 * k
+    s["expected"][0], s["weight"][0] = offset, weight
     # Noise that allows any contradiction: the four values are no sine.
-    at._solve_sines(1, np.ones(4, np.float32), terms._replace(noise_dn=np.float32(100.0)), s)
+    at._solve_sines(1, np.ones(4, np.float32), terms._replace(noise_dn=np.float32(100.0)), scratch)
     # Steps of 10° multiply what 32 bits round.
     within = 2e-3 if steps_deg == 10.0 else 2e-4
-    assert s[at.OFFSET] == pytest.approx(a, rel=within)
-    assert s[at.MODULATION] == pytest.approx(np.hypot(m_c, m_s), rel=within)
-    assert s[at.PHASE] == pytest.approx(np.arctan2(m_s, m_c) / (2.0 * np.pi) % 1.0, abs=within)
+    assert s["offset"][0] == pytest.approx(a, rel=within)
+    assert s["modulation"][0] == pytest.approx(np.hypot(m_c, m_s), rel=within)
+    assert s["phase"][0] == pytest.approx(np.arctan2(m_s, m_c) / (2.0 * np.pi) % 1.0, abs=within)
 
 
 def test_pixels_that_no_fringe_comes_near_are_not_asked() -> None:
@@ -127,13 +128,14 @@ def test_pixels_whose_steps_are_next_to_nothing_do_not_spoil_what_is_known_of_th
     sources, _, _ = moving_plane()
     albedo = np.full((HEIGHT, WIDTH), 150.0, np.float32)
     lit = sources._replace(albedo_dn=albedo, backscatter_dn=np.full_like(albedo, 20.0), albedo_variance_dn2=albedo)
-    s = np.zeros(at.SIZE, np.float32)
-    s[at.CONTRARY : at.CONTRARY + WIDTH], s[at.RESPONSE : at.RESPONSE + WIDTH] = 0.5, 10.0
-    s[at.PLAIN_OFFSET : at.PLAIN_OFFSET + WIDTH], s[at.PLAIN_SHARE : at.PLAIN_SHARE + WIDTH] = 95.0, 0.25
+    scratch = np.zeros(1, at.ROW).view(np.recarray)
+    s = scratch[0]
+    s.contrary[:WIDTH], s.response[:WIDTH] = 0.5, 10.0
+    s.plain_offset[:WIDTH], s.plain_share[:WIDTH] = 95.0, 0.25
     for x, share, offset_dn, response in (
         (10, -1e-3, 4e5, 10.0), (20, np.inf, np.inf, 1e9), (30, np.nan, np.nan, np.nan), (40, 1e5, -1e8, 1e7),
     ):  # fmt: skip
-        s[at.PLAIN_SHARE + x], s[at.PLAIN_OFFSET + x], s[at.RESPONSE + x] = share, offset_dn, response
+        s.plain_share[x], s.plain_offset[x], s.response[x] = share, offset_dn, response
     sums = np.zeros((2, 2))
-    at._add_to_sums.py_func(lit, 3, np.arange(WIDTH, dtype=np.int32), s, sums)
+    at._add_to_sums.py_func(lit, 3, np.arange(WIDTH, dtype=np.int32), scratch, sums)
     assert sums[:, 0] / sums[:, 1] == pytest.approx([0.05, 0.5])
