@@ -3,7 +3,7 @@
 Image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k with C = B cos φ and S = B sin φ: linear in A, C and
 S, so that their best values are fixed weights times the images (the pseudo-inverse of the columns 1, cos δ_k, −sin
 δ_k). The kernel stands beside the instrument's own for four steps (``appliance/measure/decode/phase.py``;
-``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``). Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
+``docs/foreign.md``). Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
 
 A non-linear response adds harmonics, of which N equal steps leave an error that repeats N times in a period. Phases
 that are spread evenly are then denser at some places than at others: the share of phases below one is its true value
