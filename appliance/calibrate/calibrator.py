@@ -13,7 +13,7 @@ plain values and, as its last argument, a progress.
 
 The limits of pose are wide enough for hand-held artefacts, and narrow enough that a recording fits one step only. The
 bars must be tilted in depth, because the method needs different distances. Which end is nearer, and how the planes are
-inclined, does not matter (``docs/calibrate-under-water.md``). Angles are in the rig frame, which follows from the
+inclined, does not matter (``tests/appliance/calibrate/test_poses.py``). Angles are in the rig frame, which follows from the
 calibration.
 """
 

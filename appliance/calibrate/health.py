@@ -101,7 +101,7 @@ MATTERS_DEG = 0.02
 SCANS_TO_FIND = 3
 LASTING = 2.5
 """Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add
-them up. By the rate of false alarms (``docs/calibration-health.md``): shapes of causes are only as good as the model of
+them up. Chosen by the rate of false alarms: shapes of causes are only as good as the model of
 the water."""
 TAKEN_WRONGLY = 0.4
 """Standard deviation of what is taken off an amplitude for backscatter, of it: as far as the model of the water is off
