@@ -21,7 +21,7 @@ from appliance.store import LocalFileSystem
 
 if TYPE_CHECKING:  # these bring OpenCV, which `--help` can do without
     from appliance.store import Rig
-    from appliance.workshop import Finding, Part, StepRecord, Walked
+    from appliance.workshop import Finding, GuideResult, Part, StepRecord
 
 ANSWERED_WITHIN_S = 3600.0
 """Time for which an Enter is waited for: whoever is away for longer calls again, and goes on where he was."""
@@ -202,7 +202,7 @@ def _line(stream: TextIO, timeout_s: float) -> str | None:
     return found.decode(errors="replace")
 
 
-def report_of(walked: Walked) -> dict[str, Any]:
+def report_of(walked: GuideResult) -> dict[str, Any]:
     """Return what came of a call, JSON-ready."""
     return {
         "good": walked.good,
@@ -216,7 +216,7 @@ def report_of(walked: Walked) -> dict[str, Any]:
     }
 
 
-def _end(walked: Walked, folder: Path, count: int) -> str:
+def _end(walked: GuideResult, folder: Path, count: int) -> str:
     good, page = sum(one.good for one in walked.steps.values()), folder / "bringup.html"
     if walked.good and good == count:
         return f"\nall {count} steps are good; the page is {page}; next: calibrate (docs/calibration.md)"
@@ -238,10 +238,10 @@ class LayOutFirmware(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        from appliance.workshop import commands, instrument_values, laid_out
+        from appliance.workshop import commands, firmware_files, instrument_values
 
         folder = self.out or Path("build") / self.part
-        files = laid_out(self.part, rig)
+        files = firmware_files(self.part, rig)
         _check(folder, files)
         with writing(folder):
             _write(folder, files)

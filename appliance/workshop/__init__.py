@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from .flashing import (
         Part,  # Boards that have firmware of ours
         commands,  # Return the shell commands that copy folder onto a module with MicroPython; each may be repeated
+        firmware_files,  # Return every file of one firmware by its path on the microcontroller
         instrument_values,  # Return the values of the firmware's instrument.py, by name. Raises BringupError
-        laid_out,  # Return every file of one firmware by its path on the microcontroller
     )
     from .guide import (
         GuideOptions,  # Options of one call of the guide
-        Walked,  # Result of one call of the guide
+        GuideResult,  # Result of one call of the guide
         projector_report,  # Measure the projector of rig on a white wall before the instrument
         walk,  # Walk the steps from where the last call ended, and stop at the first that is not good
     )

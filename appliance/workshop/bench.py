@@ -1,4 +1,4 @@
-"""The instrument on the bench: it plays and records pictures through the shipped drivers, as any scan does."""
+"""The instrument on the bench: it plays and records pictures through the shipped drivers."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Bench(Protocol):
         """
 
     def take(self, order: Sequence[int], shot: Shot) -> Mapping[str, Image]:
-        """Play the pictures ``order``, one per vertical blank, then dark, and return the images (n, h, w) by side.
+        """Play the pictures ``order``, one per vertical blank, then dark, and return images (n, h, w) by side.
 
         Raises BringupError where it cannot be recorded, DeviceError where a device is lost.
         """
@@ -84,8 +84,8 @@ def mean_levels(frames: Image, part: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.array([float(frame[part].mean()) for frame in frames])
 
 
-class _Ordered:
-    """A projector that plays its pictures in another order than they were loaded in; dark is the last of them."""
+class _ReorderedProjector:
+    """A projector that plays its pictures in another order than they were loaded in; the last is dark."""
 
     def __init__(self, projector: Projector, order: Sequence[int]) -> None:
         self._projector, self._order = projector, order
@@ -150,10 +150,10 @@ class LightBench:
         )
 
     def record(self, order: Sequence[int], shot: Shot) -> CaptureReport:
-        """Record ``order`` once and return the report, with or without a fault. Pictures must have been loaded."""
+        """Record the loaded pictures in ``order`` once and return the report, with or without a fault."""
         assert self._devices is not None, "pictures are loaded first"
         grabbers, board, projector = self._devices
-        played = _Ordered(projector, [*order, self._loaded])
+        played = _ReorderedProjector(projector, [*order, self._loaded])
         settings = ScanSettings(self.refresh_hz, shot.exposure_us, shot.delay_us, shot.blanks)
         recorder = ScanRecorder(grabbers, board, played, self._wires.clock, settings)
         # The cameras apply it at their next start, which comes with each recording.
@@ -162,7 +162,7 @@ class LightBench:
         return recorder.record(order, self._store, lambda _side, _index: None, lambda: None)
 
     def frames(self, side: str, count: int) -> Image:
-        """Return the first ``count`` images (count, h, w) of the last recording as a view, which the next one overwrites."""
+        """Return ``count`` images (count, h, w) of the last recording, a view that the next one overwrites."""
         return self._store.frames(side)[:count]
 
     def close(self) -> None:
@@ -179,7 +179,7 @@ class LightBench:
 
 
 def _nothing(_projector: Projector) -> None:
-    """Load nothing: each measurement brings its own pictures."""
+    """Load no pictures: each measurement brings its own."""
 
 
 @contextmanager
@@ -198,7 +198,7 @@ def light_bench(rig: Rig) -> Iterator[LightBench]:
 
 @contextmanager
 def bench_on(rig: Rig, wires: Wires) -> Iterator[LightBench]:
-    """Yield the bench, as ``light_bench`` does, where the caller has the instrument's lock and its wires already.
+    """Yield the bench to a caller that has the instrument's lock and its wires already.
 
     Raises DeviceError, BringupError.
     """

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from appliance.workshop.finding import Finding, judged
+from appliance.workshop.finding import Finding, finding_of
 from appliance.workshop.step import StepOutcome, Workplace
 from drivers import rig as drivers_rig
 from drivers.api import BoardBooted, BoardTime, Clock, LaserState, Telemetry
@@ -55,7 +55,7 @@ def _findings(workplace: Workplace, board: TriggerBoard) -> tuple[Finding, ...]:
     board.set_lasers(False, False)
     workplace.person.ask(EYES)
     lasers = {side: _laser(board, side, workplace.wires.clock) for side in ("left", "right")}
-    beats_us, readings, boots, last = _listened(board, workplace)
+    beats_us, readings, boots, last = _observe(board, workplace)
     info, counters = board.info, board.counters
     values = {} if last is None else _sensors(last)
     supply_low_v = workplace.rig.limits.supply_low_v
@@ -88,7 +88,7 @@ def _laser(board: TriggerBoard, side: str, clock: Clock) -> tuple[LaserState, La
     return before, while_on, after
 
 
-def _listened(
+def _observe(
     board: TriggerBoard, workplace: Workplace
 ) -> tuple[list[int], list[BoardTime], list[str], Telemetry | None]:
     """Return the times of heartbeats, readings of the clock, causes of restarts, and the last heartbeat."""
@@ -146,13 +146,13 @@ def judge_beats(beats_us: Sequence[int], lost_reports: int, damaged_lines: int) 
     numbers: dict[str, float] = {"lost_reports": lost_reports, "damaged_lines": damaged_lines}
     if len(beats_us) < 2:
         statement = f"{len(beats_us)} heartbeats were heard"
-        return judged("heartbeats", False, statement, limits, "flash the board's firmware anew", **numbers)
+        return finding_of("heartbeats", False, statement, limits, "flash the board's firmware anew", **numbers)
     # By the board's own clock: the time at which a line reaches the host depends on the host.
     longest_ms = max((after - before) / 1000.0 for before, after in pairwise(beats_us))
     ok = longest_ms <= LONGEST_BEAT_MS and lost_reports == 0 and damaged_lines == 0
     statement = f"{len(beats_us)} heartbeats, {longest_ms:.0f} ms apart at most; {lost_reports} reports lost, {damaged_lines} lines damaged"
     remedy = "give the board a USB port of its own and a short cable; if it goes on, look for supply dips at the board"
-    return judged("heartbeats", ok, statement, limits, remedy, **numbers, longest_ms=longest_ms)
+    return finding_of("heartbeats", ok, statement, limits, remedy, **numbers, longest_ms=longest_ms)
 
 
 def judge_clock(readings: Sequence[BoardTime]) -> Finding:
@@ -174,7 +174,7 @@ def judge_clock(readings: Sequence[BoardTime]) -> Finding:
     # The uncertainty counts in the board's favour.
     ok = abs(drift_ppm) - unsure_ppm <= MOST_DRIFT_PPM
     remedy = "let the board run from its crystal, not from an RC oscillator; check the clock in its firmware"
-    return judged("clock", ok, statement, limits, remedy, drift_ppm=drift_ppm, uncertainty_ppm=unsure_ppm)
+    return finding_of("clock", ok, statement, limits, remedy, drift_ppm=drift_ppm, uncertainty_ppm=unsure_ppm)
 
 
 def judge_laser(side: str, states: tuple[LaserState, LaserState, LaserState]) -> Finding:
@@ -196,7 +196,7 @@ def judge_laser(side: str, states: tuple[LaserState, LaserState, LaserState]) ->
         remedy = "look for a bridge between the two enables"
     elif not states_on[1] or any(other_states_on):
         remedy = "check its wires, its driver's supply, the shunt amplifier, and that the hardware gate sees heartbeats"
-    return judged(f"laser.{side}", not remedy, statement, "off, on, off", remedy)
+    return finding_of(f"laser.{side}", not remedy, statement, "off, on, off", remedy)
 
 
 def judge_sensor(name: str, fitted: bool, value: float | None, supply_low_v: float | None = None) -> Finding:
@@ -217,7 +217,7 @@ def judge_sensor(name: str, fitted: bool, value: float | None, supply_low_v: flo
         return Finding(word, False, "fitted, but does not answer", limits, remedy)
     ok, remedy = low <= value <= high, "check the sensor's type in the firmware's table, and its wires"
     statement = f"{value:g} {unit}" + ("" if ok else " is not plausible on a bench")
-    return judged(word, ok, statement, limits, _IMPLAUSIBLE.get(name, remedy), value=value)
+    return finding_of(word, ok, statement, limits, _IMPLAUSIBLE.get(name, remedy), value=value)
 
 
 def _on(state: LaserState, side: str) -> bool:

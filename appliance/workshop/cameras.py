@@ -1,4 +1,4 @@
-"""The step ``cameras``: each camera's link, its settings as read back, and its dark images with the cap on."""
+"""The step ``cameras``: each camera's link, its settings as read back, and its dark images."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from appliance.instrument import Devices, ask_devices
 from appliance.measure import SIDES, of_side
 from appliance.store import CameraRig, Instrument
 from appliance.workshop.bench import Image, LightBench, bench_on
-from appliance.workshop.finding import Finding, judged
+from appliance.workshop.finding import Finding, finding_of
 from appliance.workshop.page import side_by_side
-from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered, refusal
-from appliance.workshop.trigger import PULSES, fired, trigger_findings
+from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered_request, refusal
+from appliance.workshop.trigger import PULSES, fire_triggers, trigger_findings
 from drivers.api import Camera, CameraSettings, DeviceError, FeatureValue, HeldSetting, Projector, ReadsBack
 
 DARK_FRAMES = 16
@@ -45,7 +45,7 @@ LEAST_MBPS = 5000
 
 
 @dataclass(frozen=True, slots=True)
-class DarkSeen:
+class DarkFigures:
     """Figures of a camera's images without light."""
 
     level_dn: float
@@ -62,7 +62,7 @@ class DarkSeen:
     """Rise of the median from a short exposure to these frames: only light causes one, a black level does not."""
 
     @property
-    def covered(self) -> bool:
+    def is_covered(self) -> bool:
         """True if no light reaches the sensor."""
         return max(self.rise_dn, self.brightest_dn - self.level_dn) <= LIT_DN
 
@@ -87,7 +87,7 @@ def do(workplace: Workplace) -> StepOutcome:
     for side in SIDES:
         settings_findings, held = _set_up(workplace, side)
         findings += settings_findings
-        held_by_camera[f"camera.{side}"] = {check.feature: _shown(check) for check in held}
+        held_by_camera[f"camera.{side}"] = {check.feature: _setting_text(check) for check in held}
     if any(held_by_camera.values()):
         tables["Settings, read back"] = side_by_side("feature", held_by_camera)
     if not all(check.ok for check in findings):
@@ -107,28 +107,28 @@ def _set_up(workplace: Workplace, side: str) -> tuple[list[Finding], tuple[HeldS
         # One camera at a time: if it refuses a setting, the other one is read back all the same.
         try:
             with devices.open_camera(side) as camera:
-                return _settled(camera, side, of_side(workplace.rig.camera, side))
+                return _configure(camera, side, of_side(workplace.rig.camera, side))
         except DeviceError as error:
             return [refusal(error)], ()
 
 
-def _settled(camera: Camera, side: str, spec: CameraRig) -> tuple[list[Finding], tuple[HeldSetting, ...]]:
+def _configure(camera: Camera, side: str, spec: CameraRig) -> tuple[list[Finding], tuple[HeldSetting, ...]]:
     link = judge_link(side, camera.identity.link_speed_mbps, camera.slow_link)
     if not link.ok:
         return [link], ()
     camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
-    held = _held(camera)
+    held = _read_back(camera)
     if held is None:
         statement = "this family of cameras cannot be asked for its settings"
         return [link, Finding(f"camera.{side} settings", True, statement)], ()
     return [link, *judge_settings(side, held)], held
 
 
-def _held(camera: Camera) -> tuple[HeldSetting, ...] | None:
+def _read_back(camera: Camera) -> tuple[HeldSetting, ...] | None:
     return camera.read_back() if isinstance(camera, ReadsBack) else None
 
 
-def _shown(setting: HeldSetting) -> str:
+def _setting_text(setting: HeldSetting) -> str:
     if setting.held is None:
         return "not offered"
     held = f"{setting.held:g}" if isinstance(setting.held, float) else str(setting.held)
@@ -140,14 +140,14 @@ def _dark(workplace: Workplace, bench: LightBench) -> tuple[list[Finding], dict[
     """Record covered cameras, and return their findings and images."""
     clock = workplace.wires.clock
     for attempt in range(MOST_ASKED):
-        workplace.person.tell(numbered("put the caps on both lenses", attempt))
+        workplace.person.tell(numbered_request("put the caps on both lenses", attempt))
         until_ns = clock.now_ns() + int(PATIENCE_S * 1e9)
         while True:
             workplace.say("waiting for dark images")
             short: dict[str, Image] = {}
             # Two exposure times: light grows with the exposure time, the black level does not.
             for exposure_us in (SHORT_US, None):
-                report = fired(bench, workplace.rig, exposure_us)
+                report = fire_triggers(bench, workplace.rig, exposure_us)
                 if report.fault is not None:
                     # Without a trigger there is no image; report the findings of the next step instead.
                     return list(trigger_findings(report.ledger)), {}
@@ -155,15 +155,15 @@ def _dark(workplace: Workplace, bench: LightBench) -> tuple[list[Finding], dict[
                 short = short or {side: images.copy() for side, images in frames.items()}
             figures = {side: see_dark(images, short[side]) for side, images in frames.items()}
             last = {side: images[-1].copy() for side, images in frames.items()}
-            if all(camera_figures.covered for camera_figures in figures.values()):
-                return _judged(workplace, figures), _pictures(last)
+            if all(camera_figures.is_covered for camera_figures in figures.values()):
+                return _dark_findings(workplace, figures), _pictures(last)
             if clock.now_ns() > until_ns:
                 break
             clock.sleep_s(PAUSE_S)
-    return _judged(workplace, figures), _pictures(last)
+    return _dark_findings(workplace, figures), _pictures(last)
 
 
-def _judged(workplace: Workplace, figures: Mapping[str, DarkSeen]) -> list[Finding]:
+def _dark_findings(workplace: Workplace, figures: Mapping[str, DarkFigures]) -> list[Finding]:
     # At the gain of the rig file, with which the images were taken.
     noise = Instrument(workplace.rig).noise()
     findings: list[Finding] = []
@@ -184,7 +184,7 @@ def _pictures(last: Mapping[str, Image]) -> dict[str, tuple[str, bytes]]:
     }
 
 
-def see_dark(frames: Image, short: Image) -> DarkSeen:
+def see_dark(frames: Image, short: Image) -> DarkFigures:
     """Return the figures of images (n, h, w) uint8 of one camera, n >= 2.
 
     ``short`` (m, h, w) were exposed for a fraction of the time.
@@ -208,7 +208,7 @@ def see_dark(frames: Image, short: Image) -> DarkSeen:
         for k in range(PARTS)
     ]
     calm = variance[~hot] if not hot.all() else variance
-    return DarkSeen(
+    return DarkFigures(
         level_dn,
         math.sqrt(float(calm.mean())),
         float(hot.mean()),
@@ -218,10 +218,11 @@ def see_dark(frames: Image, short: Image) -> DarkSeen:
     )
 
 
-def judge_dark(side: str, figures: DarkSeen, black_level_dn: float, expected_dn: float) -> tuple[Finding, ...]:
-    """Judge a covered camera: light, black level against the rig file's, noise against the data sheet's, hot pixels.
+def judge_dark(side: str, figures: DarkFigures, black_level_dn: float, expected_dn: float) -> tuple[Finding, ...]:
+    """Judge a covered camera by light, black level, noise and hot pixels.
 
-    ``expected_dn`` is the standard deviation that a dark grey value should have, rounding included.
+    ``black_level_dn`` is the rig file's; ``expected_dn`` is the standard deviation that a dark grey value should have,
+    with rounding.
     """
     name = f"camera.{side}"
     return (
@@ -232,15 +233,15 @@ def judge_dark(side: str, figures: DarkSeen, black_level_dn: float, expected_dn:
     )
 
 
-def _light(name: str, figures: DarkSeen) -> Finding:
+def _light(name: str, figures: DarkFigures) -> Finding:
     above_dn = figures.brightest_dn - figures.level_dn
     statement = f"the longer exposure is {figures.rise_dn:.1f} grey values brighter than a short one, the brightest part {above_dn:.1f} above the rest"
     remedy = "put the cap on, darken the room, look for light between lens and sensor and for LEDs inside"
     numbers = {"rise_dn": figures.rise_dn, "above_dn": above_dn}
-    return judged(f"{name} light", figures.covered, statement, f"up to {LIT_DN:g}", remedy, **numbers)
+    return finding_of(f"{name} light", figures.is_covered, statement, f"up to {LIT_DN:g}", remedy, **numbers)
 
 
-def _black(name: str, figures: DarkSeen, expected_dn: float) -> Finding:
+def _black(name: str, figures: DarkFigures, expected_dn: float) -> Finding:
     limits = f"{expected_dn:g} ± {BLACK_OFF_DN:g} (black_level_dn), at most {100.0 * CLIPPED_SHARE:g} % at zero"
     numbers = {"level_dn": figures.level_dn, "at_zero_percent": 100.0 * figures.clipped}
     statement, remedy = f"black is {figures.level_dn:.2f} grey values; {100.0 * figures.clipped:.0f} % are zero", ""
@@ -248,10 +249,10 @@ def _black(name: str, figures: DarkSeen, expected_dn: float) -> Finding:
         remedy = f"raise BlackLevel under features of [{name}]: what is cut off at zero bends dark fringes"
     elif abs(figures.level_dn - expected_dn) > BLACK_OFF_DN:
         remedy = f"set BlackLevel under features of [{name}], or black_level_dn of [{name}] to {figures.level_dn:.1f}"
-    return judged(f"{name} black", not remedy, statement, limits, remedy, **numbers)
+    return finding_of(f"{name} black", not remedy, statement, limits, remedy, **numbers)
 
 
-def _noise(name: str, figures: DarkSeen, expected_dn: float) -> Finding:
+def _noise(name: str, figures: DarkFigures, expected_dn: float) -> Finding:
     limit_dn = MOST_NOISE * expected_dn + NOISE_FLOOR_DN
     limits = f"above 0, up to {limit_dn:.2f} (of the rig file's read_noise_e and full_well_e: {expected_dn:.2f})"
     statement, remedy = f"a pixel's noise is {figures.noise_dn:.2f} grey values", ""
@@ -259,22 +260,22 @@ def _noise(name: str, figures: DarkSeen, expected_dn: float) -> Finding:
         remedy = "the images are all alike: switch the test pattern off, and raise the black level above zero"
     elif figures.noise_dn > limit_dn:
         remedy = f"switch gamma, tables and automatic gain off; set gain_db, read_noise_e and full_well_e of [{name}] as in the data sheet"
-    return judged(f"{name} noise", not remedy, statement, limits, remedy, noise_dn=figures.noise_dn)
+    return finding_of(f"{name} noise", not remedy, statement, limits, remedy, noise_dn=figures.noise_dn)
 
 
-def _hot(name: str, figures: DarkSeen) -> Finding:
+def _hot(name: str, figures: DarkFigures) -> Finding:
     percent, most_percent = 100.0 * figures.hot, 100.0 * MOST_HOT
     statement = f"{percent:.3f} % of the pixels are more than {HOT_DN:g} grey values above black"
     remedy = "let the camera cool down; switch its defect correction on; exchange it"
     ok = figures.hot <= MOST_HOT
-    return judged(f"{name} hot pixels", ok, statement, f"up to {most_percent:g} %", remedy, hot_percent=percent)
+    return finding_of(f"{name} hot pixels", ok, statement, f"up to {most_percent:g} %", remedy, hot_percent=percent)
 
 
 def judge_link(side: str, link_mbps: int | None, slow: str | None) -> Finding:
     """Judge the speed of a camera's link; ``slow`` is the driver's objection to it."""
     statement = slow or ("its speed is not known" if link_mbps is None else f"{link_mbps} Mbit/s")
     remedy = "plug the camera into a USB 3 port of its own, with a short cable for SuperSpeed, screwed tight"
-    return judged(
+    return finding_of(
         f"camera.{side} link", slow is None, statement, f"{LEAST_MBPS} Mbit/s and more", remedy, mbps=link_mbps
     )
 
@@ -290,7 +291,7 @@ def judge_settings(side: str, held: Sequence[HeldSetting]) -> tuple[Finding, Fin
     statement = statement or f"all {len(assigned)} settings read back as they were set{not_offered}"
     remedy = f"set them under [{name}.features] of the rig file, in an order that this camera takes"
     numbers: dict[str, float] = {"settings": len(assigned), "different": len(wrong)}
-    settings = judged(f"{name} settings", not wrong, statement, "each as it was set", remedy, **numbers)
+    settings = finding_of(f"{name} settings", not wrong, statement, "each as it was set", remedy, **numbers)
     # Reported even where the rig file sets it: scans assume grey values proportional to light.
     statement, remedy = "no gamma and no table is on", ""
     if tone_features := _bent(held):
@@ -298,7 +299,7 @@ def judge_settings(side: str, held: Sequence[HeldSetting]) -> tuple[Finding, Fin
         remedy = (
             f'set "{tone_features[0]}" under [{name}.features]: GammaEnable = false, Gamma = 1.0, LUTEnable = false'
         )
-    return settings, judged(f"{name} tone", not remedy, statement, "gamma 1 or off, tables off", remedy)
+    return settings, finding_of(f"{name} tone", not remedy, statement, "gamma 1 or off, tables off", remedy)
 
 
 def _bent(held: Sequence[HeldSetting]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The step ``endurance``: for minutes, every pulse must give an undamaged frame with a time, and no part become too warm.
+"""The step ``endurance``: minutes at full rate without a lost frame or too much heat.
 
 The board fires 64 reported pulses, is armed again, and so on; the cameras stream through all of it. All frames are
 written into one slot: they would fill any memory, and their content does not matter.
@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from appliance.instrument import Devices, Grabber, SideRecording, Timeouts, opened
-from appliance.workshop.finding import BringupError, Finding, judged
+from appliance.workshop.finding import BringupError, Finding, finding_of
 from appliance.workshop.step import StepOutcome, Workplace
 from appliance.workshop.trigger import PULSES
 from drivers.api import (
@@ -43,10 +43,10 @@ MOST_EVENTS = 400
 
 
 @dataclass(frozen=True, slots=True)
-class SideEndured:
+class CameraEndurance:
     """One camera's part in an endurance run."""
 
-    whole: int
+    complete: int
     """Number of complete frames."""
     bad: tuple[str, ...]
     """Status of each other frame, in the driver's words."""
@@ -59,7 +59,7 @@ class SideEndured:
 
 
 @dataclass(frozen=True, slots=True)
-class Endured:
+class EnduranceRun:
     """All observations of an endurance run."""
 
     minutes: float
@@ -70,7 +70,7 @@ class Endured:
     reported: int
     """Number of pulses that the board reported."""
     lost_reports: int
-    cameras: Mapping[str, SideEndured]
+    cameras: Mapping[str, CameraEndurance]
     before_c: Mapping[str, float | None]
     """Temperatures by place before the run; ``None``: not known."""
     after_c: Mapping[str, float | None]
@@ -79,10 +79,10 @@ class Endured:
 
 
 @dataclass(slots=True)
-class _Fired:
+class _PulseCount:
     """The board's part in an endurance run."""
 
-    asked: int = 0
+    requested: int = 0
     reported: int = 0
     ended_by: str | None = None
     latest: Telemetry | None = field(default=None)
@@ -116,12 +116,12 @@ def do(workplace: Workplace) -> StepOutcome:
 
     with Devices(rig, workplace.wires, load) as devices:
         grabbers, board, _ = opened(devices, workplace.wires.clock)
-        endured = _endure(workplace, grabbers, board)
+        endured = _run_endurance(workplace, grabbers, board)
     warm_c = {"projector": rig.limits.projector_warm_c, "case": rig.limits.case_warm_c}
     return StepOutcome(judge_endurance(endured, warm_c))
 
 
-def _endure(workplace: Workplace, grabbers: Mapping[str, Grabber], board: Board) -> Endured:
+def _run_endurance(workplace: Workplace, grabbers: Mapping[str, Grabber], board: Board) -> EnduranceRun:
     """Do the run. Raises DeviceError, BringupError."""
     rig, clock = workplace.rig, workplace.wires.clock
     series = max(1, round(60.0 * workplace.minutes * rig.projector.refresh_hz / PULSES))
@@ -139,13 +139,13 @@ def _endure(workplace: Workplace, grabbers: Mapping[str, Grabber], board: Board)
         with suppress(DeviceError):
             board.stop()
         _end(grabbers, recordings, Timeouts(rig.projector.refresh_hz))
-    return Endured(
+    return EnduranceRun(
         minutes=passed_s / 60.0,
         wanted_minutes=workplace.minutes,
-        pulses=pulse_count.asked,
+        pulses=pulse_count.requested,
         reported=pulse_count.reported,
         lost_reports=_lost_reports(board) - lost_before,
-        cameras={side: _endured(recording) for side, recording in recordings.items()},
+        cameras={side: _camera_endurance(recording) for side, recording in recordings.items()},
         before_c=before_c,
         after_c=_temperatures(grabbers, board, clock),
         ended_by=pulse_count.ended_by,
@@ -167,20 +167,20 @@ def _fire(
     grabbers: Mapping[str, Grabber],
     recordings: Mapping[str, SideRecording],
     series: int,
-) -> _Fired:
-    """Fire series after series until all are done or an event ends the run. Raises DeviceError, BringupError."""
+) -> _PulseCount:
+    """Fire all series, unless an event ends the run. Raises DeviceError, BringupError."""
     rig, clock = workplace.rig, workplace.wires.clock
     timeouts = Timeouts(rig.projector.refresh_hz)
     for side, grabber in grabbers.items():
         if not grabber.wait(recordings[side], "ready", timeouts.ready_s):
             raise BringupError(f"camera.{side} did not start within {timeouts.ready_s:g} s; ask `kingfisher check`")
-    pulse_count = _Fired()
+    pulse_count = _PulseCount()
     exposure_us = round(1000.0 * rig.camera.left.exposure_ms)
     series_s = PULSES / rig.projector.refresh_hz + timeouts.margin_s
     for number in range(series):
         workplace.say("endurance", number / series)
         board.arm(PULSES, board.vsync().count + LEAD_SYNCS, rig.board.trigger_delay_us, exposure_us)
-        pulse_count.asked += PULSES
+        pulse_count.requested += PULSES
         until_ns = clock.now_ns() + int(series_s * 1e9)
         while not pulse_count.take(board.next_event(timeouts.pulse_s)):
             if clock.now_ns() > until_ns:
@@ -209,7 +209,7 @@ def _end(grabbers: Mapping[str, Grabber], recordings: Mapping[str, SideRecording
             grabbers[side].wait(recording, "done", timeouts.collect_s)
 
 
-def _endured(recording: SideRecording) -> SideEndured:
+def _camera_endurance(recording: SideRecording) -> CameraEndurance:
     """Return the statistics of one camera's frames."""
     complete = [frame for frame in recording.frames if frame.status is FrameStatus.COMPLETE]
     ids = [frame.block_id for frame in complete if frame.block_id is not None]
@@ -217,8 +217,8 @@ def _endured(recording: SideRecording) -> SideEndured:
     bad = [frame.status.value for frame in recording.frames if frame.status is not FrameStatus.COMPLETE]
     if recording.cancelled and bad and recording.frames[-1].status is FrameStatus.TIMEOUT:
         bad.pop()
-    return SideEndured(
-        whole=len(complete),
+    return CameraEndurance(
+        complete=len(complete),
         bad=tuple(bad),
         without_stamp=sum(frame.camera_time_ns is None for frame in complete),
         gaps=sum(after - before != 1 for before, after in pairwise(ids)),
@@ -247,31 +247,31 @@ def _lost_reports(board: Board) -> int:
     return board.counters.lost_reports if isinstance(board, TriggerBoard) else 0
 
 
-def judge_endurance(run: Endured, warm_c: Mapping[str, float]) -> tuple[Finding, ...]:
+def judge_endurance(run: EnduranceRun, warm_c: Mapping[str, float]) -> tuple[Finding, ...]:
     """Judge an endurance run; ``warm_c`` has the rig file's limits by place, other places have none."""
     cameras = (_side(side, value, run.pulses) for side, value in run.cameras.items())
     warmth = (_warmth(place, run.before_c.get(place), value, warm_c.get(place)) for place, value in run.after_c.items())
     return (_whole(run), _board(run), *cameras, *warmth)
 
 
-def _whole(run: Endured) -> Finding:
+def _whole(run: EnduranceRun) -> Finding:
     ended = "" if run.ended_by is None else f"; ended by: {run.ended_by}"
     statement, limits = f"{run.minutes:.2g} minutes, {run.pulses} pulses{ended}", f"{run.wanted_minutes:g} minutes"
     remedy = "the findings below say of what"
-    return judged("run", not ended, statement, limits, remedy, minutes=run.minutes, frames=run.pulses)
+    return finding_of("run", not ended, statement, limits, remedy, minutes=run.minutes, frames=run.pulses)
 
 
-def _board(run: Endured) -> Finding:
+def _board(run: EnduranceRun) -> Finding:
     ok = run.reported == run.pulses and run.lost_reports == 0
     statement = f"the board reported {run.reported} of {run.pulses} pulses; {run.lost_reports} of its reports were lost"
     remedy = "give the board a USB port of its own; look for vertical syncs that are missed when it is warm"
     numbers: dict[str, float] = {"reported": run.reported, "lost_reports": run.lost_reports}
-    return judged("pulses", ok, statement, "each pulse reported, no report lost", remedy, **numbers)
+    return finding_of("pulses", ok, statement, "each pulse reported, no report lost", remedy, **numbers)
 
 
-def _side(side: str, camera: SideEndured, pulses: int) -> Finding:
+def _side(side: str, camera: CameraEndurance, pulses: int) -> Finding:
     limits = "a whole frame with a stamp for each pulse"
-    statement, remedy = f"{camera.whole} whole frames of {pulses} pulses", ""
+    statement, remedy = f"{camera.complete} whole frames of {pulses} pulses", ""
     # A lost camera also lacks frames: report the cause, not the effect.
     if camera.lost is not None:
         statement += f"; the camera was lost: {camera.lost}"
@@ -285,21 +285,21 @@ def _side(side: str, camera: SideEndured, pulses: int) -> Finding:
             "DeviceLinkThroughputLimit below the port's speed"
         )
     # Block ids distinguish a frame lost on the way from a pulse without a frame; a cable may be the cause of both.
-    elif camera.gaps or camera.whole != pulses:
+    elif camera.gaps or camera.complete != pulses:
         statement += f", with {camera.gaps} gaps"
         remedy = (
             "frames are lost between camera and computer: another cable or port; a trigger is missed: see step trigger"
         )
-    elif 0 < camera.without_stamp < camera.whole:
+    elif 0 < camera.without_stamp < camera.complete:
         statement += f"; {camera.without_stamp} without a time"
         remedy = "update the camera's firmware"
     numbers = {
-        "whole": camera.whole,
+        "whole": camera.complete,
         "not_whole": len(camera.bad),
         "without_stamp": camera.without_stamp,
         "gaps": camera.gaps,
     }
-    return judged(f"camera.{side}", not remedy, statement, limits, remedy, **numbers)
+    return finding_of(f"camera.{side}", not remedy, statement, limits, remedy, **numbers)
 
 
 def _warmth(place: str, before_c: float | None, after_c: float | None, limit_c: float | None) -> Finding:
@@ -308,4 +308,4 @@ def _warmth(place: str, before_c: float | None, after_c: float | None, limit_c: 
     statement = f"{after_c:.1f} °C after the run" + ("" if before_c is None else f" (from {before_c:.1f} °C)")
     limits, ok = ("", True) if limit_c is None else (f"below {limit_c:g} °C, in air", after_c < limit_c)
     remedy = "lead its heat to the housing (pads, copper), or limit the lamp; in water it is cooler"
-    return judged(f"warmth.{place}", ok, statement, limits, remedy, before_c=before_c, after_c=after_c)
+    return finding_of(f"warmth.{place}", ok, statement, limits, remedy, before_c=before_c, after_c=after_c)

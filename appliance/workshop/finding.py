@@ -1,4 +1,4 @@
-"""The finding of one check of the bring-up: a statement in numbers, its limits and, if it failed, a remedy."""
+"""The finding of one check of the bring-up: a statement, its limits and, if it failed, a remedy."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Finding:
         return asdict(self)
 
 
-def judged(name: str, ok: bool, statement: str, limits: str, remedy: str, **numbers: float | None) -> Finding:
+def finding_of(name: str, ok: bool, statement: str, limits: str, remedy: str, **numbers: float | None) -> Finding:
     """Return the finding of a check; its ``remedy`` counts only where it is not ``ok``."""
     measured = {key: None if value is None else float(value) for key, value in numbers.items()}
     return Finding(name, ok, statement, limits, "" if ok else remedy, measured)
 
 
 class BringupError(Exception):
-    """Error of a measurement of the bring-up that was not possible; the text has the reason and the remedy."""
+    """Error of a measurement that was not possible; the text has the reason and the remedy."""

@@ -63,8 +63,8 @@ def instrument_values(part: Part, rig: Rig) -> dict[str, int | bool]:
     return values
 
 
-def laid_out(part: Part, rig: Rig) -> dict[str, bytes]:
-    """Return every file of one firmware by its path on the microcontroller, without caches. Raises BringupError."""
+def firmware_files(part: Part, rig: Rig) -> dict[str, bytes]:
+    """Return every file of one firmware by its path on the microcontroller. Raises BringupError."""
     folder = Path(drivers.__file__).parent / part / "firmware"
     sources = sorted(folder.glob("*.py"))
     if not sources:
@@ -76,7 +76,7 @@ def laid_out(part: Part, rig: Rig) -> dict[str, bytes]:
     for source in sources:
         content = source.read_bytes()
         if source.name == INSTRUMENT:
-            content = _written(content.decode(), instrument_values(part, rig)).encode()
+            content = _with_values(content.decode(), instrument_values(part, rig)).encode()
         # MicroPython starts the main.py at the root, and the modules import each other by their names here.
         files[START if source.name == START else f"drivers/{part}/firmware/{source.name}"] = content
     return files
@@ -92,7 +92,7 @@ def commands(part: Part, folder: Path) -> tuple[str, ...]:
     )
 
 
-def _written(text: str, values: Mapping[str, int | bool]) -> str:
+def _with_values(text: str, values: Mapping[str, int | bool]) -> str:
     for name, value in values.items():
         spelt = str(value) if isinstance(value, bool) else f"0x{value:04X}"
         text, count = re.subn(rf"^{name} = .*$", f"{name} = {spelt}", text, flags=re.MULTILINE)

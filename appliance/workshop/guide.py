@@ -1,4 +1,4 @@
-"""The walk through the steps of the guided bring-up: the next step, the records of finished ones, and the end."""
+"""The walk through the steps of the guided bring-up, which keeps a record of each."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class GuideOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Walked:
+class GuideResult:
     """Result of one call of the guide."""
 
     good: bool
@@ -61,12 +61,12 @@ def walk(
     person: Person,
     say: Progress,
     on_step: Callable[[str, StepRecord], None],
-) -> Walked:
+) -> GuideResult:
     """Walk the steps from where the last call ended, and stop at the first that is not good.
 
-    ``on_step`` is called with each finished step. State and page are written after each, so that the next call continues
-    after any interruption. Raises ConfigError, StorageError (also where an instrument is running), DeviceError without
-    wires, BringupError for a damaged state.
+    ``on_step`` is called with each finished step. State and page are written after each, so that the next call
+    continues after any interruption. Raises ConfigError, StorageError (also where an instrument is running),
+    DeviceError without wires, BringupError for a damaged state.
     """
     rig = load_rig(rig_file)
     place = GuideFolder(folder)
@@ -89,13 +89,13 @@ class _Walk:
     wires: Wires
     person: Person
     say: Progress
-    told: Callable[[str, StepRecord], None]
+    on_step: Callable[[str, StepRecord], None]
     state: GuideState
     steps: Sequence[GuideStep]
     done: list[str] = field(default_factory=list)
     written: dict[Path, None] = field(default_factory=dict)
 
-    def walk(self) -> Walked:
+    def walk(self) -> GuideResult:
         stopped: str | None = None
         by_name = {step.name: step for step in self.steps}
         try:
@@ -113,7 +113,7 @@ class _Walk:
         self._keep()
         requested = [by_name[name] for name in self.options.only] or self.steps
         good = stopped is None and all(self._stands(step) for step in requested)
-        return Walked(good, self.state.steps, tuple(self.done), tuple(self.written), stopped)
+        return GuideResult(good, self.state.steps, tuple(self.done), tuple(self.written), stopped)
 
     def _wanted(self) -> Iterator[GuideStep]:
         """Yield the steps to do, each once, in the order of the guide."""
@@ -139,7 +139,7 @@ class _Walk:
         # Stored before it is shown: if the operator switches off then, it is not lost.
         self._keep()
         for done_step in outcomes:
-            self.told(done_step.name, self.state.steps[done_step.name])
+            self.on_step(done_step.name, self.state.steps[done_step.name])
 
     def _outcomes(self, step: GuideStep) -> dict[GuideStep, StepOutcome]:
         """Do a step, and those of the same measurement; an error that ends it early becomes a finding.
@@ -179,7 +179,7 @@ class _Walk:
         self.written |= dict.fromkeys(self.place.write(files))
 
     def _stands(self, step: GuideStep) -> bool:
-        return stands(self.state, step, self._inputs(step))
+        return is_current(self.state, step, self._inputs(step))
 
     def _inputs(self, step: GuideStep) -> dict[str, Any]:
         return inputs_of(tomllib.loads(self._rig_text()), step, self.steps)
@@ -188,7 +188,7 @@ class _Walk:
         return self.rig_file.read_text(encoding="utf-8-sig")
 
 
-def stands(state: GuideState, step: GuideStep, inputs: Mapping[str, Any]) -> bool:
+def is_current(state: GuideState, step: GuideStep, inputs: Mapping[str, Any]) -> bool:
     """Return True if a step was good, and the keys of the rig file that it rests on have not changed."""
     record = state.steps.get(step.name)
     return record is not None and record.good and record.inputs == inputs

@@ -93,12 +93,12 @@ class GuideFolder:
 
     def pictures(self, state: GuideState) -> dict[str, bytes]:
         """Return the pictures that the state names; missing ones are left out. Raises StorageError."""
-        pictures = {}
+        contents = {}
         for record in state.steps.values():
             # Only plain names, which do not lead out of this folder.
-            for file_name in (one for one in record.pictures if Path(one).name == one):
+            for file_name in (file for file in record.pictures if Path(file).name == file):
                 path = self.folder / file_name
                 if path.is_file():
                     with StorageError.naming("cannot read", path):
-                        pictures[file_name] = path.read_bytes()
-        return pictures
+                        contents[file_name] = path.read_bytes()
+        return contents

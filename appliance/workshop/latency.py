@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.workshop.bench import Bench, Shot, flat_pictures, lit_part, mean_levels
-from appliance.workshop.finding import BringupError, judged
+from appliance.workshop.finding import BringupError, finding_of
 from appliance.workshop.light import MOST_US
 from appliance.workshop.step import StepOutcome
 
@@ -44,7 +44,7 @@ def measure_latency(bench: Bench) -> tuple[int, dict[str, NDArray[np.bool_]]]:
 
 
 def latency_of(levels: NDArray[np.float64]) -> int:
-    """Return the first exposed frame that a single white picture lights, in vertical blanks after its flip.
+    """Return the first frame that a single white picture lights, in vertical blanks after its flip.
 
     ``levels`` (n,) are the mean grey values of n exposures, each nearly a whole frame, the first at the picture's own
     blank. Raises BringupError where no frame, or every frame, is lit, or the light comes later than a rig file allows.
@@ -79,5 +79,5 @@ def judge(blanks: int) -> StepOutcome:
     """Return the finding about the latency, which is good: a bad one has ended the measurement."""
     statement = f"a picture's light comes {blanks} vertical blank{'' if blanks == 1 else 's'} after its flip"
     return StepOutcome(
-        (judged("latency", True, statement, f"0..{MOST_LATENCY_BLANKS} blanks", "", latency_blanks=blanks),)
+        (finding_of("latency", True, statement, f"0..{MOST_LATENCY_BLANKS} blanks", "", latency_blanks=blanks),)
     )

@@ -1,71 +1,71 @@
-"""Owns the step ``pad``: each key is asked for by its name, and must be pressed and released once and alone."""
+"""The step ``pad``: each key must be pressed and released once and alone when it is requested."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from appliance.workshop.finding import Finding, judged
-from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered
+from appliance.workshop.finding import Finding, finding_of
+from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered_request
 from drivers import rig as drivers_rig
 from drivers.api import Clock, Key, KeyPress, KeyRelease, Keys, KeysLost, KeyStuck
 from drivers.keys import HidKeypad
 
 PATIENCE_S = 45.0
-"""Time for which one key is waited for before it is asked for again."""
+"""Time to wait for one key before it is requested again."""
 AFTERWARDS_S = 0.5
-"""Time after a release in which a second press is still the same finger's."""
+"""Time after a release in which a second press belongs to the same touch."""
 POLL_S = 0.25
 LIMITS = "this key alone, pressed once and released"
 
 
 @dataclass(frozen=True, slots=True)
-class KeyTried:
-    """Everything that the pad said after one key was asked for."""
+class KeyTrial:
+    """All events of the keypad after one key was requested."""
 
     key: str
     pressed: tuple[str, ...]
     """Keys that were pressed, in order."""
     released: tuple[str, ...]
     held_s: float | None = None
-    """Time for which the wanted key was held; ``None``: it was not released."""
+    """Time for which the requested key was held; ``None``: it was not released."""
 
 
-def do(at: Workplace) -> StepOutcome:
+def do(workplace: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError."""
-    spec = drivers_rig.KeysSpec(at.rig.keys.vendor_id, at.rig.keys.product_id)
-    with drivers_rig.open_keys(spec, at.wires) as pad:
-        return StepOutcome(_findings(at, pad))
+    spec = drivers_rig.KeysSpec(workplace.rig.keys.vendor_id, workplace.rig.keys.product_id)
+    with drivers_rig.open_keys(spec, workplace.wires) as pad:
+        return StepOutcome(_findings(workplace, pad))
 
 
-def _findings(at: Workplace, pad: HidKeypad) -> tuple[Finding, ...]:
-    listener = _Listener(at.wires.clock)
-    tried = []
+def _findings(workplace: Workplace, pad: HidKeypad) -> tuple[Finding, ...]:
+    listener = _Listener(workplace.wires.clock)
+    trials = []
     for key in Key:
-        for turn in range(MOST_ASKED):
-            at.person.tell(numbered(f"press {key.value.upper()} once and let it go", turn))
-            heard = listener.hear(pad, key)
-            # A key whose coil is faulty says nothing, however often it is asked for.
-            if heard.pressed or key in listener.faulty:
+        for attempt in range(MOST_ASKED):
+            workplace.person.tell(numbered_request(f"press {key.value.upper()} once and let it go", attempt))
+            trial = listener.hear(pad, key)
+            # A key with a faulty coil sends no press: no more attempts.
+            if trial.pressed or key in listener.faulty:
                 break
-        tried.append(heard)
+        trials.append(trial)
     counters = pad.counters
     faulty = {key.value for key in listener.faulty}
-    return judge_pad(tried, faulty, counters.lost_reports, counters.garbage_reports, listener.silences)
+    return judge_pad(trials, faulty, counters.lost_reports, counters.garbage_reports, listener.silences)
 
 
 class _Listener:
-    """Listens to a pad, one key at a time."""
+    """Listens to a keypad, one key at a time."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self.faulty: set[Key] = set()
         """Keys whose coil is faulty, or that stayed pressed."""
         self.silences = 0
-        """Times at which no report came for a second."""
+        """Number of times that no report came for a second."""
 
-    def hear(self, pad: Keys, wanted: Key) -> KeyTried:
-        """Return what came until the wanted key, or another one in its place, was released, or patience was over."""
+    def hear(self, pad: Keys, key_requested: Key) -> KeyTrial:
+        """Return the events until the requested key, or another one, was released, or the time was over."""
         pressed: list[str] = []
         released: list[str] = []
         held_s: float | None = None
@@ -75,60 +75,60 @@ class _Listener:
             match event:
                 case KeyPress(key=key):
                     pressed.append(key.value)
-                # A finger that slips answers twice: what comes shortly after still belongs to it.
-                case KeyRelease(key=key, held_s=held):
+                # A finger that slips presses twice: events shortly after a release still belong to it.
+                case KeyRelease(key=key, held_s=duration_s):
                     released.append(key.value)
-                    held_s = held if key is wanted else held_s
+                    held_s = duration_s if key is key_requested else held_s
                     until_ns = min(until_ns, self._clock.now_ns() + int(AFTERWARDS_S * 1e9))
                 case KeyStuck(key=key):
                     self.faulty.add(key)
-                    if key is wanted:
+                    if key is key_requested:
                         break
                 case KeysLost():
                     self.silences += 1
                 case _:
                     pass
-        return KeyTried(wanted.value, tuple(pressed), tuple(released), held_s)
+        return KeyTrial(key_requested.value, tuple(pressed), tuple(released), held_s)
 
 
 def judge_pad(
-    tried: Sequence[KeyTried], faulty: Collection[str], lost: int, garbage: int, silences: int
+    trials: Sequence[KeyTrial], faulty: Collection[str], lost: int, garbage: int, silences: int
 ) -> tuple[Finding, ...]:
-    """Judge a pad: each key that was tried, then its coils, then its reports."""
-    said = f"faulty, or pressed for too long: {', '.join(sorted(faulty))}" if faulty else "no coil is faulty"
+    """Judge a keypad: each key that was tried, then its coils, then its reports."""
+    statement = f"faulty, or pressed for too long: {', '.join(sorted(faulty))}" if faulty else "no coil is faulty"
     remedy = "measure the coil (some µH, some Ω): an open or shorted one is reported so; check the converter's wires"
-    coils = judged("coils", not faulty, said, "none", remedy)
-    said = f"{lost} reports lost, {garbage} garbled, silent {silences} times"
+    coils = finding_of("coils", not faulty, statement, "none", remedy)
+    statement = f"{lost} reports lost, {garbage} garbled, silent {silences} times"
     limits = "none lost, none garbled, never silent for 1 s"
     remedy = "check the pad's USB cable, and its supply while the projector's lamp is on"
     ok = not (lost or garbage or silences)
-    reports = judged("reports", ok, said, limits, remedy, lost=lost, garbage=garbage, silences=silences)
-    return (*(judge_key(one, one.key in faulty) for one in tried), coils, reports)
+    reports = finding_of("reports", ok, statement, limits, remedy, lost=lost, garbage=garbage, silences=silences)
+    return (*(judge_key(trial, trial.key in faulty) for trial in trials), coils, reports)
 
 
-def judge_key(tried: KeyTried, faulty: bool = False) -> Finding:
+def judge_key(trial: KeyTrial, faulty: bool = False) -> Finding:
     """Judge one key."""
-    # Once each: a coil that bounces is its own finding, not many others.
-    others = " and ".join(sorted({one for one in tried.pressed if one != tried.key}))
-    times = tried.pressed.count(tried.key)
-    said, remedy = f"pressed once and released after {tried.held_s or 0.0:.2f} s", ""
-    if not tried.pressed:
-        said = "was not pressed, or the pad did not notice"
+    # Each other key once: a bouncing coil is a finding of its own.
+    other_keys = " and ".join(sorted({key for key in trial.pressed if key != trial.key}))
+    times = trial.pressed.count(trial.key)
+    statement, remedy = f"pressed once and released after {trial.held_s or 0.0:.2f} s", ""
+    if not trial.pressed:
+        statement = "was not pressed, or the pad did not notice"
         remedy = "check its coil's wires and its target's distance; lower the threshold in the pad's firmware"
         remedy = "its coil is faulty: see coils" if faulty else remedy
-    # From the most to the least telling: exchanged wires explain everything that follows.
+    # Causes with the most consequences first: exchanged wires explain all that follows.
     elif times == 0:
-        said = f"{others} answered instead"
-        remedy = f"exchange the coils' wires: {tried.key} answers as {others}"
-    elif others:
-        said = f"{others} answered as well"
+        statement = f"{other_keys} answered instead"
+        remedy = f"exchange the coils' wires: {trial.key} answers as {other_keys}"
+    elif other_keys:
+        statement = f"{other_keys} answered as well"
         remedy = (
             "coils see each other's target: more distance between them, other sensor frequencies, higher thresholds"
         )
-    elif tried.key not in tried.released:
-        said = "was pressed and stays pressed"
+    elif trial.key not in trial.released:
+        statement = "was pressed and stays pressed"
         remedy = "the target does not come back, or the threshold is too near to rest: raise it in the pad's firmware"
     elif times > 1:
-        said = f"answered {times} times"
+        statement = f"answered {times} times"
         remedy = "press it once; if that was so, the coil bounces: raise the hysteresis in the pad's firmware"
-    return judged(f"key.{tried.key}", not remedy, said, LIMITS, remedy, presses=times, held_s=tried.held_s)
+    return finding_of(f"key.{trial.key}", not remedy, statement, LIMITS, remedy, presses=times, held_s=trial.held_s)

@@ -1,8 +1,8 @@
-"""Owns the step ``plane``: one scan of a plane, recorded, stored and worked through as any scan is.
+"""The step ``plane``: one scan of a plane, recorded, stored and reconstructed as any scan is.
 
 Its fringes must be sines, its light neither cut off nor missing, its cloud flat. A plane's coordinate is a smooth
-function of the pixel; fringes are not smooth. So what is left of a polynomial and goes with the fringe's phase θ = 2π
-(p + ½)/P is the fringes' own error:
+function of the pixel; fringes are not smooth. So the residuals of a polynomial that follow the fringe's phase θ = 2π (p
++ ½)/P are the error of the fringes:
 
     k = 1   light that is added to some of the four images: ambient light that flickers, images of a lamp that dims
     k = 2   images of unequal brightness or phase: a picture that is seen in the next one's exposure, unequal exposures
@@ -38,39 +38,39 @@ from appliance.measure import (
 )
 from appliance.store import Instrument, Library, ScanError, ScanRecord, SequenceInfo
 from appliance.workshop.bench import Image
-from appliance.workshop.finding import BringupError, Finding, judged
+from appliance.workshop.finding import BringupError, Finding, finding_of
 from appliance.workshop.response import ResponseShape, Shape, judge_response
-from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered, wall
+from appliance.workshop.step import MOST_ASKED, StepOutcome, Workplace, numbered_request, wall
 from drivers.output.gl import open_gl
 
 TRIES = 3
-"""Recordings of the scan: a late flip happens, the same fault thrice is one."""
+"""Attempts to record the scan: a single late flip is chance, three faults in a row are not."""
 LIT_DN = 20
 """Grey values of a bright image over its dark one from which a pixel is lit."""
 LEAST_LIT = 0.2
-"""Share of a bright image that must be lit; else the plane is asked for again."""
+"""Share of a bright image that must be lit; else the operator is asked again to place the plane."""
 Frames = dict[str, NDArray[np.uint8]]
 LIMITS_PER_PERIOD = (1.0 / 800.0, 1.0 / 800.0, 1.0 / 128.0)
 """Largest amplitudes at one, two and four cycles a period, in periods.
 
-The last is larger, as each scan straightens it.
+The last is larger, since the response correction of each scan removes it.
 """
 MOST_SATURATED = 0.01
 SATURATED_DN = 254
 LEAST_FILLED = 0.3
-"""Least share of the image that must see the plane: the rest is not known."""
+"""Smallest share of the image that must see the plane."""
 MOST_FLATNESS = 0.02
-"""Largest flatness error of a plane, as a share of the reference length: a calibration that is of this instrument is
-better by far."""
+"""Largest flatness error of a plane, as a share of the reference length: the instrument's own calibration is better by
+far."""
 CODES = 64
-"""Parts of the codes for which the light is averaged."""
+"""Number of intervals of codes in which the light is averaged."""
 FEWEST_IN_CODE = 8
 _RIPPLES = {
     1: "light is added to some images: daylight and lamps off; black level and ambient light steady; dynamic contrast off",
     2: "images are unequally bright, or show a part of the picture before: step latency and step light again; "
     "shorter exposures; both cameras' overlap; dynamic contrast off",
 }
-"""Remedies of a ripple at one and two cycles; four have the causes of a light that is no sine."""
+"""Remedies of a ripple at one and two cycles; that at four has the causes in ``_CURVED``."""
 _CURVED = {
     Shape.GAMMA: "gamma: switch it off in the projector and in the graphics driver, or measure it with `kingfisher calibration measure response {scan} --install`",
     Shape.BIT_PLANES: "cut bit planes: take only exposures that step light found, and do step light again after any change of the projector's mode",
@@ -78,15 +78,15 @@ _CURVED = {
 }
 CYCLES = (1, 2, 4)
 DEGREE = 5
-"""Degree of the polynomial in column and row: a plane through a lens and a window is smooth to some thousandths of a px
-with it."""
+"""Degree of the polynomial in column and row: it fits a plane through lens and port to some thousandths of a px."""
 MOST_PIXELS = 40_000
 FEWEST_PIXELS = 400
 ROUNDS, BELONGS = 4, 5.0
-"""Rounds in which pixels are left out that lie beyond so many robust standard deviations: edges, dust, what is no
-plane."""
+"""Rounds of the fit, and the number of robust standard deviations beyond which a pixel is an outlier: edges, dust,
+other surfaces.
+"""
 FURTHEST = 1.0 / 16.0
-"""Largest residual that a ripple makes, in periods: beyond is another surface, or a pixel with a wrong period."""
+"""Largest residual of a ripple, in periods: a larger one is another surface or a wrong fringe."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class CoordinateRipple:
     uncertainty_px: float
     """Standard deviation of an amplitude."""
     pixels: int
-    """Pixels that were asked."""
+    """Number of pixels in the fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,32 +116,32 @@ class SmoothPlane:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneSeen:
-    """Everything that a scan of a plane says about the instrument."""
+class PlaneFigures:
+    """All measurements of the instrument from a scan of a plane."""
 
     scan: str
-    """Number under which it is stored."""
+    """Number of the stored scan."""
     period_px: int
     ripple: Mapping[str, CoordinateRipple]
     """Ripple by camera and coordinate, ``left x``."""
     filled: Mapping[str, float]
     """Share of each camera's pixels that have both coordinates."""
     exposure: Exposure
-    """Exposure that it was taken with."""
+    """Exposure of the scan."""
     saturated: Mapping[str, float]
     """Share of the lit pixels of each camera's brightest image that are saturated."""
     response: ResponseShape | None
-    """Response of the light by code; ``None``: too little was seen of it."""
+    """Response of the light by code; ``None``: too few codes were seen."""
     flatness: Flatness | None
-    """``None``: there is no calibration, or no plane was found with it."""
+    """``None``: there is no calibration, or the cloud has no plane."""
     why_not_flat: str = ""
-    """Reason for that."""
+    """Reason why ``flatness`` is ``None``."""
     faults: tuple[str, ...] = ()
-    """Words of the judges that refuse the scan."""
+    """Faults by the judges, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SideDecoded:
+class _SideResult:
     """One camera's part in the scan, decoded."""
 
     planes: dict[Direction, SmoothPlane]
@@ -149,36 +149,36 @@ class _SideDecoded:
     saturated: float
 
 
-def do(at: Workplace) -> StepOutcome:
+def do(workplace: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError, BringupError, GivenUp, StorageError."""
     with open_gl() as gl:
-        # The response, if it was measured, is drawn for: what is left of the ripple is what scans have.
-        response = Instrument(at.rig).response()
-        patterns = DrawnPatterns(gl, at.rig, at.rig.scan.period_px, response)
+        # Patterns are drawn for a measured response, so that the ripple is that of scans.
+        response = Instrument(workplace.rig).response()
+        patterns = DrawnPatterns(gl, workplace.rig, workplace.rig.scan.period_px, response)
         sequence = patterns.sequence
-        exposure = Instrument(at.rig).exposure
-        for turn in range(MOST_ASKED):
-            at.person.ask(numbered(wall(at), turn))
-            report, frames, exposure = _exposed(
-                partial(_recorded, at, patterns), sequence, Instrument(at.rig).exposures, exposure
+        exposure = Instrument(workplace.rig).exposure
+        for attempt in range(MOST_ASKED):
+            workplace.person.ask(numbered_request(wall(workplace), attempt))
+            report, frames, exposure = _record_unsaturated(
+                partial(_record, workplace, patterns), sequence, Instrument(workplace.rig).exposures, exposure
             )
-            if all(_lit(one, sequence).mean() >= LEAST_LIT for one in frames.values()):
+            if all(_lit(images, sequence).mean() >= LEAST_LIT for images in frames.values()):
                 break
-    scan_id = _stored(at, report, frames, sequence, exposure, None if response is None else response.hash)
-    at.say("decoding")
-    sides = {side: _decoded(sequence, frames[side]) for side in SIDES}
-    shape, curve = (None, None) if response is not None else _seen_response(sequence, frames, sides)
-    flat, why_not, faults = _worked_through(at, scan_id)
-    seen = PlaneSeen(
+    scan_id = _store(workplace, report, frames, sequence, exposure, None if response is None else response.hash)
+    workplace.say("decoding")
+    sides = {side: _decode(sequence, frames[side]) for side in SIDES}
+    shape, curve = (None, None) if response is not None else _response_shape(sequence, frames, sides)
+    flatness_of_cloud, reason, faults = _reprocess(workplace, scan_id)
+    figures = PlaneFigures(
         scan=scan_id,
         period_px=sequence.period_px,
-        ripple=_rippled(sides, sequence.period_px),
+        ripple=_ripples(sides, sequence.period_px),
         exposure=exposure,
-        filled={side: one.filled for side, one in sides.items()},
-        saturated={side: one.saturated for side, one in sides.items()},
+        filled={side: images.filled for side, images in sides.items()},
+        saturated={side: images.saturated for side, images in sides.items()},
         response=shape,
-        flatness=flat,
-        why_not_flat=why_not,
+        flatness=flatness_of_cloud,
+        why_not_flat=reason,
         faults=faults,
     )
     pictures = {
@@ -187,20 +187,20 @@ def do(at: Workplace) -> StepOutcome:
     }
     if curve is not None:
         pictures["plane_light.png"] = "Light of the plane by code, as the fringes show it", curve
-    return StepOutcome(judge_plane(seen), {}, pictures)
+    return StepOutcome(judge_plane(figures), {}, pictures)
 
 
-def _exposed(
+def _record_unsaturated(
     record: Callable[[Exposure], tuple[CaptureReport, Frames]],
     sequence: PatternSequence,
     allowed: Sequence[Exposure],
     exposure: Exposure,
 ) -> tuple[CaptureReport, Frames, Exposure]:
-    """Record the plane with the longest of the allowed exposures that does not saturate it, and return which that was."""
+    """Record the plane with the longest allowed exposure that does not saturate it."""
     report, frames = record(exposure)
-    # The rig file's exposure is that of the dive; a white plane in air is brighter than most of what lies under water.
+    # The rig file's exposure is that of the dive; a white plane in air is brighter than most objects under water.
     for _ in allowed:
-        saturated = max(_saturated(one, sequence) for one in frames.values())
+        saturated = max(_saturated(images, sequence) for images in frames.values())
         darker = next_exposure(allowed, exposure, saturated)
         if darker is None:
             break
@@ -209,23 +209,23 @@ def _exposed(
     return report, frames, exposure
 
 
-def _recorded(at: Workplace, patterns: DrawnPatterns, exposure: Exposure) -> tuple[CaptureReport, Frames]:
+def _record(workplace: Workplace, patterns: DrawnPatterns, exposure: Exposure) -> tuple[CaptureReport, Frames]:
     """Record one sequence whose witnesses all agree. Raises DeviceError, BringupError."""
-    rig, sequence = at.rig, patterns.sequence
+    rig, sequence = workplace.rig, patterns.sequence
     settings = ScanSettings(
         rig.projector.refresh_hz, exposure.time_us, rig.board.trigger_delay_us, rig.projector.latency_blanks
     )
     left = rig.camera.left
     with (
         FrameStore(len(sequence), left.height_px, left.width_px) as store,
-        Devices(rig, at.wires, patterns.load) as devices,
+        Devices(rig, workplace.wires, patterns.load) as devices,
     ):
-        grabbers, board, projector = opened(devices, at.wires.clock)
+        grabbers, board, projector = opened(devices, workplace.wires.clock)
         devices.expose(exposure)
-        recorder = ScanRecorder(grabbers, board, projector, at.wires.clock, settings)
+        recorder = ScanRecorder(grabbers, board, projector, workplace.wires.clock, settings)
         fault = None
         for _ in range(TRIES):
-            at.say("scanning")
+            workplace.say("scanning")
             report = recorder.record(sequence, store, lambda _side, _index: None, lambda: None)
             fault = report.fault
             if fault is None:
@@ -243,13 +243,13 @@ def _lit(frames: NDArray[np.uint8], sequence: PatternSequence) -> NDArray[np.boo
 
 
 def _saturated(frames: NDArray[np.uint8], sequence: PatternSequence) -> float:
-    """Return the share of what the projector lights that is saturated in its white light."""
-    lit = _lit(frames, sequence)
-    return float(((frames[sequence.bright] >= SATURATED_DN) & lit).sum() / max(1, int(lit.sum())))
+    """Return the saturated share of the lit pixels in white light."""
+    is_lit = _lit(frames, sequence)
+    return float(((frames[sequence.bright] >= SATURATED_DN) & is_lit).sum() / max(1, int(is_lit.sum())))
 
 
-def _stored(
-    at: Workplace,
+def _store(
+    workplace: Workplace,
     report: CaptureReport,
     frames: Frames,
     sequence: PatternSequence,
@@ -257,18 +257,18 @@ def _stored(
     response_hash: str | None,
 ) -> str:
     """Store the scan among the instrument's others, and return its number. Raises StorageError."""
-    library = Library(at.rig.storage.root)
+    library = Library(workplace.rig.storage.root)
     library.prepare()
-    calibration, _ = Instrument(at.rig).calibration()
-    date, water = at.wires.calendar.today(), at.rig.water
+    calibration, _ = Instrument(workplace.rig).calibration()
+    date, water = workplace.wires.calendar.today(), workplace.rig.water
     record = ScanRecord(
         sequence=SequenceInfo.of(sequence),
-        rig_hash=at.rig.rig_hash,
+        rig_hash=workplace.rig.rig_hash,
         calibration_hash=calibration.hash,
         software_version=appliance.__version__,
         wall_time=date.utc.isoformat(timespec="seconds"),
         clock_trusted=date.kept,
-        recorded_ns=at.wires.clock.now_ns(),
+        recorded_ns=workplace.wires.clock.now_ns(),
         response_hash=response_hash,
         exposure=exposure,
         water={
@@ -278,44 +278,44 @@ def _stored(
         },
         ledger=report.ledger.as_dict(),
     )
-    pending = library.begin(frames, record, Instrument(at.rig).origin(calibration))
+    pending = library.begin(frames, record, Instrument(workplace.rig).origin(calibration))
     pending.publish(record)
     return pending.scan_id
 
 
-def _decoded(sequence: PatternSequence, frames: NDArray[np.uint8]) -> _SideDecoded:
+def _decode(sequence: PatternSequence, frames: NDArray[np.uint8]) -> _SideResult:
     decoder = CameraDecoder(sequence, frames.shape[2], frames.shape[1])
     for index in range(len(sequence)):
         decoder.push(frames, index)
     decoder.finish()
-    found = {
+    planes = {
         Direction.X: smooth_plane(decoder.p_px, sequence.period_px),
         Direction.Y: smooth_plane(decoder.q_px, sequence.period_px),
     }
-    return _SideDecoded(
-        {direction: plane for direction, plane in found.items() if plane is not None},
+    return _SideResult(
+        {direction: plane for direction, plane in planes.items() if plane is not None},
         float(np.isfinite(decoder.p_px).mean()),
         _saturated(frames, sequence),
     )
 
 
-def _rippled(sides: dict[str, _SideDecoded], period_px: int) -> dict[str, CoordinateRipple]:
+def _ripples(sides: dict[str, _SideResult], period_px: int) -> dict[str, CoordinateRipple]:
     return {
         f"{side} {direction.value}": ripple_of(plane, period_px)
-        for side, one in sides.items()
-        for direction, plane in one.planes.items()
+        for side, result in sides.items()
+        for direction, plane in result.planes.items()
     }
 
 
-def _seen_response(
-    sequence: PatternSequence, frames: Frames, sides: dict[str, _SideDecoded]
+def _response_shape(
+    sequence: PatternSequence, frames: Frames, sides: dict[str, _SideResult]
 ) -> tuple[ResponseShape | None, bytes | None]:
-    """Return the response that the camera that sees more codes shows, and its picture."""
-    curves = {side: curve_of(sequence, frames[side], one.planes) for side, one in sides.items() if one.planes}
+    """Return the response by the camera that sees more codes, and its figure."""
+    curves = {side: curve_of(sequence, frames[side], result.planes) for side, result in sides.items() if result.planes}
     if not curves:
         return None, None
-    codes, even, odd = max(curves.values(), key=lambda one: len(one[0]))
-    # A curve that cannot be judged is not drawn either: it would look like one.
+    codes, even, odd = max(curves.values(), key=lambda result: len(result[0]))
+    # A curve that cannot be judged is not drawn: it would look like a good one.
     shape = judge_curve(codes, even, odd)
     if shape is None:
         return None, None
@@ -324,82 +324,84 @@ def _seen_response(
     )
 
 
-def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, tuple[str, ...]]:
-    """Return how flat the stored scan's cloud is, else why that is not known, and what the judges hold against it."""
-    rig = Instrument(at.rig).with_measured_noise()
+def _reprocess(workplace: Workplace, scan_id: str) -> tuple[Flatness | None, str, tuple[str, ...]]:
+    """Return the flatness of the stored scan or the reason why it is unknown, and the judges' faults."""
+    rig = Instrument(workplace.rig).with_measured_noise()
     calibration, conditions = Instrument(rig).calibration()
-    # The drawing's geometry would make a cloud, too, whose flatness says nothing about the instrument.
+    # The nominal calibration would make a cloud, too, but its flatness is no property of the instrument.
     if conditions:
         return None, "there is no calibration yet; calibrate next (docs/calibration.md)", ()
     scan = Library(rig.storage.root).load(scan_id)
     try:
-        worked = work_through(scan, rig, calibration, at.say)
+        reprocessed = work_through(scan, rig, calibration, workplace.say)
     except ScanError as error:
         return None, str(error), (str(error),)
-    faults = tuple(f"{fault.code.value}: {fault.detail}" for fault in worked.faults)
-    # Faults of the judges are told beside it: a scan that they refuse may still be flat.
-    fit = fit_plane(worked.cloud)
+    faults = tuple(f"{fault.code.value}: {fault.detail}" for fault in reprocessed.faults)
+    # Faults of the judges are reported beside it: such a scan may still be flat.
+    fit = fit_plane(reprocessed.cloud)
     if isinstance(fit, NotFound):
         return None, fit.reason, faults
     return flatness(fit), "", faults
 
 
 def smooth_plane(coordinate_px: NDArray[np.float32], period_px: int) -> SmoothPlane | None:
-    """Fit a coordinate (h, w), NaN where there is none, by a polynomial; ``None`` where too few pixels lie on anything
-    smooth."""
+    """Fit a polynomial to a coordinate (h, w) with NaN; ``None`` where too few pixels are smooth."""
     rows, columns = np.nonzero(np.isfinite(coordinate_px))
-    # Every so many: normal equations of some ten thousand pixels leave nothing to be wished for.
+    # A subset: some ten thousand pixels are enough for the fit.
     step = max(1, len(rows) // MOST_PIXELS)
     rows, columns = rows[::step], columns[::step]
     if len(rows) < FEWEST_PIXELS:
         return None
-    # From -1 to 1: powers of hundreds of pixels would leave the fit no digits.
+    # Coordinates from -1 to 1: powers of pixel numbers would make the fit ill-conditioned.
     height, width = coordinate_px.shape
     x, y = 2.0 * columns / width - 1.0, 2.0 * rows / height - 1.0
     terms = np.column_stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
-    wanted = coordinate_px[rows, columns].astype(np.float64)
-    keep = np.ones(len(rows), np.bool_)
+    measured = coordinate_px[rows, columns].astype(np.float64)
+    is_inlier = np.ones(len(rows), np.bool_)
     residual = np.zeros(len(rows))
-    smooth = wanted
+    smooth = measured
     for _ in range(ROUNDS):
-        if keep.sum() < FEWEST_PIXELS:
+        if is_inlier.sum() < FEWEST_PIXELS:
             return None
-        solved, *_ = np.linalg.lstsq(terms[keep], wanted[keep], rcond=None)
-        smooth = terms @ solved
-        residual = wanted - smooth
-        # Robust: a pixel that was decoded in the wrong period is a whole one away.
-        spread = 1.4826 * float(np.median(np.abs(residual[keep])))
-        keep = np.abs(residual) <= min(max(BELONGS * spread, 1e-3), FURTHEST * period_px)
-    if keep.sum() < FEWEST_PIXELS:
+        coefficients, *_ = np.linalg.lstsq(terms[is_inlier], measured[is_inlier], rcond=None)
+        smooth = terms @ coefficients
+        residual = measured - smooth
+        # Robust: a wrong fringe is a whole period away.
+        spread = 1.4826 * float(np.median(np.abs(residual[is_inlier])))
+        is_inlier = np.abs(residual) <= min(max(BELONGS * spread, 1e-3), FURTHEST * period_px)
+    if is_inlier.sum() < FEWEST_PIXELS:
         return None
-    return SmoothPlane(rows[keep], columns[keep], smooth[keep], residual[keep])
+    return SmoothPlane(rows[is_inlier], columns[is_inlier], smooth[is_inlier], residual[is_inlier])
 
 
 def ripple_of(plane: SmoothPlane, period_px: int) -> CoordinateRipple:
-    """Return the amplitudes of what in a plane's residuals goes with its fringes: r = Σ_k (a_k c_k + b_k s_k), by least
-    squares."""
+    """Return the amplitudes of the part of a plane's residuals that follows its fringes.
+
+    r = Σ_k (a_k c_k + b_k s_k), by least squares.
+    """
     theta = 2.0 * np.pi * (plane.smooth_px + 0.5) / period_px
     regressors = np.column_stack([f(k * theta) for k in CYCLES for f in (np.cos, np.sin)])
-    solved, *_ = np.linalg.lstsq(regressors, plane.residual_px, rcond=None)
-    rest = plane.residual_px - regressors @ solved
-    noise_px = float(np.sqrt((rest**2).sum() / max(1, len(rest) - regressors.shape[1])))
-    # Of a cosine and a sine the length: where in the fringe a ripple begins is of no interest.
-    one, two, four = (float(np.hypot(*solved[2 * k : 2 * k + 2])) for k in range(len(CYCLES)))
-    # Both of a pair have the variance 2 σ²/n.
-    return CoordinateRipple((one, two, four), noise_px, noise_px * (2.0 / len(rest)) ** 0.5, len(rest))
+    coefficients, *_ = np.linalg.lstsq(regressors, plane.residual_px, rcond=None)
+    noise = plane.residual_px - regressors @ coefficients
+    noise_px = float(np.sqrt((noise**2).sum() / max(1, len(noise) - regressors.shape[1])))
+    # The amplitude of cosine and sine together: the phase of the ripple does not matter.
+    single, double, quadruple = (float(np.hypot(*coefficients[2 * k : 2 * k + 2])) for k in range(len(CYCLES)))
+    # The coefficients of cosine and sine have the variance 2 σ²/n each.
+    return CoordinateRipple((single, double, quadruple), noise_px, noise_px * (2.0 / len(noise)) ** 0.5, len(noise))
 
 
-def next_exposure(exposures: Sequence[Exposure], now: Exposure, saturated: float) -> Exposure | None:
-    """Return the exposure to try after one that saturated so much of the lit image; ``None``: none is needed, or none
-    is left.
+def next_exposure(exposures: Sequence[Exposure], current: Exposure, saturated: float) -> Exposure | None:
+    """Return the exposure to try after one that saturated this share of the lit pixels, or ``None``.
 
-    ``exposures`` are those that the rig file allows. Half of the light at most: how far beyond saturation it was,
-    nobody knows.
+    ``None``: no other one is needed, or none is left. ``exposures`` are those that the rig file allows. The next one
+    has at most half of the light, since it is unknown how far beyond saturation the current one is.
     """
     if saturated <= MOST_SATURATED:
         return None
-    darker = sorted((one for one in exposures if one.light < now.light), key=lambda one: one.light)
-    halves = [one for one in darker if one.light <= 0.5 * now.light]
+    darker = sorted(
+        (candidate for candidate in exposures if candidate.light < current.light), key=lambda candidate: candidate.light
+    )
+    halves = [candidate for candidate in darker if candidate.light <= 0.5 * current.light]
     if halves:
         return halves[-1]
     return darker[0] if darker else None
@@ -408,28 +410,28 @@ def next_exposure(exposures: Sequence[Exposure], now: Exposure, saturated: float
 def curve_of(
     sequence: PatternSequence, frames: Image, planes: Mapping[Direction, SmoothPlane]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return codes (n,) and the light that was seen of them, as shares of bright over dark, (n,), by even and by odd
-    rows.
+    """Return codes (n,) and their light as shares of bright over dark, (n,), by even and by odd rows.
 
-    ``frames`` (count, h, w) are one camera's of a sequence drawn without a response. n is 0 where too little was seen.
+    ``frames`` (count, h, w) are one camera's of a sequence drawn without a response. n is 0 where too few codes were
+    seen.
     """
-    # By code, not by phase: what a code makes of light is the same wherever it is drawn.
+    # By code, not by phase: the light of a code is the same wherever it is drawn.
     edges = np.linspace(0.0, 256.0, CODES + 1)
     counts, sums = np.zeros((2, CODES)), np.zeros((2, CODES))
     codes = np.zeros(CODES)
     for direction, plane in planes.items():
-        at = plane.rows, plane.columns
-        dark = frames[sequence.dark][at].astype(np.float64)
-        span = frames[sequence.bright][at] - dark
-        use = (span > 40.0) & (frames[sequence.bright][at] < SATURATED_DN)
+        pixels = plane.rows, plane.columns
+        dark = frames[sequence.dark][pixels].astype(np.float64)
+        span = frames[sequence.bright][pixels] - dark
+        is_usable = (span > 40.0) & (frames[sequence.bright][pixels] < SATURATED_DN)
         axis = sequence.axis(direction)
         for number in axis.sine:
             table = sequence.patterns[number].codes().astype(np.float64)
-            code = np.interp(plane.smooth_px[use], np.arange(len(table)), table)
-            share = (frames[number][at][use] - dark[use]) / span[use]
+            code = np.interp(plane.smooth_px[is_usable], np.arange(len(table)), table)
+            share = (frames[number][pixels][is_usable] - dark[is_usable]) / span[is_usable]
             part = np.clip(np.digitize(code, edges) - 1, 0, CODES - 1)
-            # Two halves of one image stand for two passes: what differs between them is no response.
-            half = plane.rows[use] % 2
+            # Two halves of one image stand for two passes: their difference is noise.
+            half = plane.rows[is_usable] % 2
             np.add.at(counts, (half, part), 1.0)
             np.add.at(sums, (half, part), share)
             np.add.at(codes, part, code)
@@ -442,94 +444,106 @@ def curve_of(
 def judge_curve(
     codes: NDArray[np.float64], even: NDArray[np.float64], odd: NDArray[np.float64]
 ) -> ResponseShape | None:
-    """Judge light (n,) by codes (n,), rising, that two halves of an image saw; ``None`` where codes are too few to
-    tell."""
+    """Judge light (n,) over rising codes (n,), from two halves of an image; ``None`` if codes are too few."""
     if len(codes) < CODES // 2:
         return None
-    # Fringes use the codes between their ends, and blur makes the range smaller: of those they make 0 and 255.
+    # Fringes use the codes between their ends, and blur makes that range smaller: it is spread to 0 … 255.
     spread = 255.0 * (codes - codes[0]) / (codes[-1] - codes[0])
     return judge_response(spread, 255.0 * even, 255.0 * odd)
 
 
-def judge_plane(seen: PlaneSeen) -> tuple[Finding, ...]:
-    """Judge a scan of a plane: light, response, ripple, flatness, and what the instrument's own judges say."""
+def judge_plane(figures: PlaneFigures) -> tuple[Finding, ...]:
+    """Judge a scan of a plane by light, response, ripple, flatness, and the instrument's own judges."""
     return (
-        _filled(seen),
-        _clipping(seen),
-        _response(seen),
-        *(_ripple(seen, k) for k in range(len(CYCLES))),
-        _flat(seen),
-        _judges(seen),
+        _filled(figures),
+        _clipping(figures),
+        _response(figures),
+        *(_ripple(figures, k) for k in range(len(CYCLES))),
+        _flat(figures),
+        _judges(figures),
     )
 
 
-def _filled(seen: PlaneSeen) -> Finding:
-    side, least = min(seen.filled.items(), key=lambda one: one[1])
-    said = " and ".join(f"{100.0 * share:.0f} % of the {one} image" for one, share in seen.filled.items())
-    said, limits = f"fringes were read in {said}", f"{100.0 * LEAST_FILLED:g} % and more"
+def _filled(figures: PlaneFigures) -> Finding:
+    side, smallest = min(figures.filled.items(), key=lambda entry: entry[1])
+    statement = " and ".join(
+        f"{100.0 * share:.0f} % of the {side_name} image" for side_name, share in figures.filled.items()
+    )
+    statement, limits = f"fringes were read in {statement}", f"{100.0 * LEAST_FILLED:g} % and more"
     remedy = f"the {side} camera sees too little: bring the plane to the working distance and upright, light it more, see step raster"
-    numbers = {f"{one}_percent": 100.0 * share for one, share in seen.filled.items()}
-    return judged("plane", least >= LEAST_FILLED, said, limits, remedy, **numbers)
+    numbers = {f"{side_name}_percent": 100.0 * share for side_name, share in figures.filled.items()}
+    return finding_of("plane", smallest >= LEAST_FILLED, statement, limits, remedy, **numbers)
 
 
-def _clipping(seen: PlaneSeen) -> Finding:
-    side, most = max(seen.saturated.items(), key=lambda one: one[1])
-    said = f"{100.0 * most:.1f} % of what is lit in the {side} image is saturated at {seen.exposure.label}"
-    limits, ok = f"up to {100.0 * MOST_SATURATED:g} %", most <= MOST_SATURATED
+def _clipping(figures: PlaneFigures) -> Finding:
+    side, largest = max(figures.saturated.items(), key=lambda entry: entry[1])
+    statement = f"{100.0 * largest:.1f} % of what is lit in the {side} image is saturated at {figures.exposure.label}"
+    limits, ok = f"up to {100.0 * MOST_SATURATED:g} %", largest <= MOST_SATURATED
     remedy = "clipping: every allowed exposure is too long for this plane: less gain_db, shorter exposures_ms, a duller plane, no lamp on it"
-    return judged("clipping", ok, said, limits, remedy, saturated_percent=100.0 * most)
+    return finding_of("clipping", ok, statement, limits, remedy, saturated_percent=100.0 * largest)
 
 
-def _response(seen: PlaneSeen) -> Finding:
+def _response(figures: PlaneFigures) -> Finding:
     limits = "straight, or one smooth curve that scans straighten"
-    # Fringes that blur away leave next to no codes but the middle ones.
-    if seen.response is None:
-        said = "too little was seen of it to tell: fringes are too fine for these cameras"
-        return Finding("response", True, said, limits)
-    shape, percent = seen.response, 100.0 * seen.response.line_rms
-    said = (
+    # Blurred fringes have only the middle codes.
+    if figures.response is None:
+        statement = "too little was seen of it to tell: fringes are too fine for these cameras"
+        return Finding("response", True, statement, limits)
+    shape, percent = figures.response, 100.0 * figures.response.line_rms
+    statement = (
         f"light by code is {shape.shape.value}: {percent:.1f} % off a straight line, like a power of {shape.power:.2f}"
     )
-    return judged("response", shape.usable, said, limits, _cause(seen), line_percent=percent, power=shape.power)
+    return finding_of(
+        "response", shape.usable, statement, limits, _cause(figures), line_percent=percent, power=shape.power
+    )
 
 
-def _ripple(seen: PlaneSeen, k: int) -> Finding:
+def _ripple(figures: PlaneFigures, k: int) -> Finding:
     """Judge the ripple at the ``k``-th number of cycles by the worst coordinate."""
-    cycles, limit_px = CYCLES[k], LIMITS_PER_PERIOD[k] * seen.period_px
+    cycles, limit_px = CYCLES[k], LIMITS_PER_PERIOD[k] * figures.period_px
     name, limits = f"ripple {cycles}x", f"up to {limit_px:.3f} px"
-    if not seen.ripple:
-        said, remedy = "no plane was found in either image", "let nothing but the plane be in the picture"
-        return Finding(name, False, said, limits, remedy)
-    where, worst = max(seen.ripple.items(), key=lambda one: one[1].amplitude_px[k])
+    if not figures.ripple:
+        statement, remedy = "no plane was found in either image", "let nothing but the plane be in the picture"
+        return Finding(name, False, statement, limits, remedy)
+    where, worst = max(figures.ripple.items(), key=lambda coordinate: coordinate[1].amplitude_px[k])
     amplitude_px = worst.amplitude_px[k]
-    # What noise alone makes of an amplitude is no ripple.
+    # Noise alone makes an amplitude of up to three standard deviations.
     ok = amplitude_px <= limit_px + 3.0 * worst.uncertainty_px
-    said = f"{amplitude_px:.4f} px at {cycles} cycle{'s' if cycles > 1 else ''} a fringe ({where} is the worst)"
-    numbers = {f"{place.replace(' ', '_')}_px": one.amplitude_px[k] for place, one in seen.ripple.items()}
-    return judged(name, ok, said, limits, _RIPPLES.get(cycles) or _cause(seen), **numbers)
+    statement = f"{amplitude_px:.4f} px at {cycles} cycle{'s' if cycles > 1 else ''} a fringe ({where} is the worst)"
+    numbers = {
+        f"{place.replace(' ', '_')}_px": coordinate.amplitude_px[k] for place, coordinate in figures.ripple.items()
+    }
+    return finding_of(name, ok, statement, limits, _RIPPLES.get(cycles) or _cause(figures), **numbers)
 
 
-def _cause(seen: PlaneSeen) -> str:
-    """Name what makes fringes no sines, most telling first."""
-    if max(seen.saturated.values(), default=0.0) > MOST_SATURATED:
+def _cause(figures: PlaneFigures) -> str:
+    """Return the remedy for the most likely cause of fringes that are no sines."""
+    if max(figures.saturated.values(), default=0.0) > MOST_SATURATED:
         return "clipping: a shorter exposure, less gain, a duller plane"
-    if seen.response is not None and seen.response.shape in _CURVED:
-        return _CURVED[seen.response.shape].format(scan=seen.scan)
-    return f"the light is no sine: measure its response (`kingfisher calibration measure response {seen.scan} --install`), and see gamma, exposures and focus"
+    if figures.response is not None and figures.response.shape in _CURVED:
+        return _CURVED[figures.response.shape].format(scan=figures.scan)
+    return f"the light is no sine: measure its response (`kingfisher calibration measure response {figures.scan} --install`), and see gamma, exposures and focus"
 
 
-def _flat(seen: PlaneSeen) -> Finding:
-    limits, flat = f"flatness error up to {100.0 * MOST_FLATNESS:g} % of the reference length", seen.flatness
-    if flat is None:
-        return Finding("flatness", True, f"not measured: {seen.why_not_flat}", limits)
-    said = f"the cloud's systematic flatness error is {flat.sys_range_mm:.2f} mm ({100.0 * flat.e_f_sys:.2f} %)"
-    said += "" if flat.noise_mm is None else f", its noise {flat.noise_mm:.3f} mm"
-    numbers = {"e_f_percent": 100.0 * flat.e_f, "e_f_sys_percent": 100.0 * flat.e_f_sys, "noise_mm": flat.noise_mm}
-    ok = flat.e_f_sys <= MOST_FLATNESS
-    return judged("flatness", ok, said, limits, "calibrate: docs/calibration.md", **numbers)
+def _flat(figures: PlaneFigures) -> Finding:
+    limits, cloud_flatness = (
+        f"flatness error up to {100.0 * MOST_FLATNESS:g} % of the reference length",
+        figures.flatness,
+    )
+    if cloud_flatness is None:
+        return Finding("flatness", True, f"not measured: {figures.why_not_flat}", limits)
+    statement = f"the cloud's systematic flatness error is {cloud_flatness.sys_range_mm:.2f} mm ({100.0 * cloud_flatness.e_f_sys:.2f} %)"
+    statement += "" if cloud_flatness.noise_mm is None else f", its noise {cloud_flatness.noise_mm:.3f} mm"
+    numbers = {
+        "e_f_percent": 100.0 * cloud_flatness.e_f,
+        "e_f_sys_percent": 100.0 * cloud_flatness.e_f_sys,
+        "noise_mm": cloud_flatness.noise_mm,
+    }
+    ok = cloud_flatness.e_f_sys <= MOST_FLATNESS
+    return finding_of("flatness", ok, statement, limits, "calibrate: docs/calibration.md", **numbers)
 
 
-def _judges(seen: PlaneSeen) -> Finding:
-    said = "; ".join(seen.faults) or f"scan {seen.scan} is stored; nothing speaks against it"
+def _judges(figures: PlaneFigures) -> Finding:
+    statement = "; ".join(figures.faults) or f"scan {figures.scan} is stored; nothing speaks against it"
     remedy = "the page docs/faults.md has each with its remedy"
-    return judged("judges", not seen.faults, said, "nothing that refuses the scan", remedy)
+    return finding_of("judges", not figures.faults, statement, "nothing that refuses the scan", remedy)

@@ -1,10 +1,9 @@
-"""Owns the step ``raster``: whether the picture lies upright for both cameras, and each of its pixels is one of the
-projector's panel.
+"""The step ``raster``: the picture must be upright, and its pixels must be those of the panel.
 
 The upper left of the projector's picture must be the upper left of both images: projector and cameras look the same
 way. A picture that is scaled to another raster gives some lines more of the panel's pixels than others, with the period
-at which the two rasters meet (beating). Lines are judged by all of their light, so that it does not matter whether a
-camera resolves them.
+at which the two rasters meet (beating). Lines are compared by all of their light, so that a camera need not resolve
+them.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ from numpy.typing import NDArray
 
 from appliance.base import png
 from appliance.workshop.bench import MOST_FRAMES, Bench, Image, Shot, flat_pictures, lit_part, mean_levels
-from appliance.workshop.finding import Finding, judged
+from appliance.workshop.finding import Finding, finding_of
 from appliance.workshop.step import StepOutcome
 
 QUARTERS = (0.25, 0.5, 0.75)
 LINES = 24
-"""Lines next to each other, in either direction: they beat at least once where sizes differ by a twenty-fourth."""
+"""Neighbouring lines, in either direction: they beat at least once where sizes differ by a twenty-fourth."""
 MOST_BEATING = 0.03
 """Largest RMS difference of lines from a smooth course."""
 OVER_NOISE = 3.0
-"""And so many times what two passes differ by."""
+"""Smallest ratio of the beating to the noise."""
 MOST_NOISE = 0.05
 LEAST_RESOLVED = 0.7
-"""Camera pixels per projector pixel below which lines of one pixel fall between the camera's, and beat with those."""
-_SHOWN = {"checker": "A checker of single pixels: grey, without bars", "marker": "An L: upright, not mirrored"}
+"""Camera pixels per projector pixel below which lines of one pixel beat with the camera's pixels."""
+_CAPTIONS = {"checker": "A checker of single pixels: grey, without bars", "marker": "An L: upright, not mirrored"}
 """Captions of the photographs, for a person's eyes."""
 
 
@@ -46,7 +45,7 @@ class Orientation(Enum):
     UNSEEN = "not seen"
 
 
-_TURNED_BACK = {
+_ORIENTATION_REMEDIES = {
     Orientation.MIRRORED: "switch rear projection off in the projector",
     Orientation.UPSIDE_DOWN: "switch the projector's vertical flip off",
     Orientation.TURNED: "switch ceiling projection off, or turn the projector over",
@@ -56,20 +55,19 @@ _TURNED_BACK = {
 
 
 @dataclass(frozen=True, slots=True)
-class SeenPicture:
+class PictureView:
     """The projector's picture as one camera sees it."""
 
     orientation: Orientation
     scale_ratio: float | None
-    """Width of the second quarter of the picture over that of the third, as the camera sees them; ``None``: not told.
-    """
+    """Width of the picture's second quarter over that of its third in the image; ``None``: unknown."""
     px_per_px: float | None = None
     """Camera pixels per projector pixel across."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineLight:
-    """Lines of one direction, compared."""
+    """Comparison of the lines of one direction."""
 
     beating: float
     """RMS difference from a smooth course, share of a line's light."""
@@ -77,29 +75,29 @@ class LineLight:
     """RMS difference of two passes from their mean."""
 
     @property
-    def told(self) -> bool:
-        """True where there was light enough to tell."""
+    def is_measurable(self) -> bool:
+        """True if there was enough light for a comparison."""
         return self.noise <= MOST_NOISE
 
     @property
-    def scaled(self) -> bool:
-        """True where lines differ: the picture was scaled."""
-        return self.told and self.beating > max(MOST_BEATING, OVER_NOISE * self.noise)
+    def is_scaled(self) -> bool:
+        """True if lines differ, because the picture was scaled."""
+        return self.is_measurable and self.beating > max(MOST_BEATING, OVER_NOISE * self.noise)
 
 
 def measure_orientation(
     bench: Bench, shot: Shot, *, all_channels: bool
-) -> tuple[dict[str, SeenPicture], dict[str, Image]]:
-    """Tell which way round each camera sees the picture, and photograph an L, by name.
+) -> tuple[dict[str, PictureView], dict[str, Image]]:
+    """Determine the orientation of the picture in each camera's images, and photograph an L, by name.
 
     Raises BringupError, DeviceError.
     """
-    # In one take: nothing must move between the halves that are compared.
+    # In one take, since the picture must not move between the halves that are compared.
     pictures = marker_pictures(bench.size_px)
     bench.load(pictures, all_channels=all_channels)
     frames = bench.take(range(len(pictures)), shot)
-    seen = {side: see_orientation(images, bench.size_px[0]) for side, images in frames.items()}
-    return seen, {f"marker_{side}": images[-1].copy() for side, images in frames.items()}
+    views = {side: see_orientation(images, bench.size_px[0]) for side, images in frames.items()}
+    return views, {f"marker_{side}": images[-1].copy() for side, images in frames.items()}
 
 
 def measure_lines(bench: Bench, shot: Shot, *, all_channels: bool) -> tuple[dict[str, LineLight], dict[str, Image]]:
@@ -107,7 +105,7 @@ def measure_lines(bench: Bench, shot: Shot, *, all_channels: bool) -> tuple[dict
 
     Raises BringupError, DeviceError.
     """
-    found: dict[str, LineLight] = {}
+    comparisons: dict[str, LineLight] = {}
     grey: dict[str, Image] = {}
     for name, rows in (("columns", False), ("rows", True)):
         pictures = [
@@ -117,30 +115,32 @@ def measure_lines(bench: Bench, shot: Shot, *, all_channels: bool) -> tuple[dict
         ]
         bench.load(pictures, all_channels=all_channels)
         order = [0, 1, 2, *range(3, 3 + LINES)]
-        # As often as a take holds them: a single line is little light.
-        turns = (MOST_FRAMES - 3) // LINES
-        order += [k for _ in range(turns - 1) for k in range(3, 3 + LINES)]
+        # As often as fits into a take, since a single line has little light.
+        repeats = (MOST_FRAMES - 3) // LINES
+        order += [k for _ in range(repeats - 1) for k in range(3, 3 + LINES)]
         passes = []
         for _ in range(2):
             frames = bench.take(order, shot)
-            light = np.mean([_line_light(images, turns) for images in frames.values()], axis=0)
+            light = np.mean([_line_light(images, repeats) for images in frames.values()], axis=0)
             passes.append(light)
-        found[name] = compare_lines(*passes)
+        comparisons[name] = compare_lines(*passes)
         grey = {f"checker_{side}": images[2].copy() for side, images in frames.items()}
-    return found, grey
+    return comparisons, grey
 
 
-def _line_light(images: Image, turns: int) -> NDArray[np.float64]:
+def _line_light(images: Image, repeats: int) -> NDArray[np.float64]:
     """Return the light of each line (LINES,), as a share of the mean line's."""
     part = lit_part(images[0], images[1], 0.2, 256.0)
     levels = mean_levels(images[3:], part) - float(images[1][part].mean())
-    lines = levels.reshape(turns, LINES).mean(axis=0)
+    lines = levels.reshape(repeats, LINES).mean(axis=0)
     return np.asarray(lines / max(float(lines.mean()), 1e-9))
 
 
 def marker_pictures(size_px: tuple[int, int]) -> list[NDArray[np.uint8]]:
-    """Return white, black, the left quarter, half and three quarters, the upper half, and an L for a person's eyes,
-    each (h, w)."""
+    """Return white, black, left quarter, half and three quarters, upper half, and an L, each (h, w).
+
+    The L is for a person's eyes.
+    """
     width, height = size_px
     white, black = np.full((height, width), 255, np.uint8), np.zeros((height, width), np.uint8)
     pictures = [white, black]
@@ -157,47 +157,48 @@ def marker_pictures(size_px: tuple[int, int]) -> list[NDArray[np.uint8]]:
     return [*pictures, upper, letter]
 
 
-def see_orientation(frames: Image, width_px: int) -> SeenPicture:
-    """Tell from a camera's images (7, h, w) of ``marker_pictures`` of that width which way round they lie."""
+def see_orientation(frames: Image, width_px: int) -> PictureView:
+    """Return the picture's orientation in a camera's images (7, h, w) of ``marker_pictures``."""
     white, black, first, half, third, upper = (frame.astype(np.float64) for frame in frames[:6])
     light = white - black
-    lit = light > 0.3 * float(np.quantile(light, 0.99))
-    if lit.mean() < 0.01 or float(np.quantile(light, 0.99)) < 8.0:
-        return SeenPicture(Orientation.UNSEEN, None)
+    is_lit = light > 0.3 * float(np.quantile(light, 0.99))
+    if is_lit.mean() < 0.01 or float(np.quantile(light, 0.99)) < 8.0:
+        return PictureView(Orientation.UNSEEN, None)
 
     def share(part: NDArray[np.float64]) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = np.where(lit, np.clip((part - black) / np.where(lit, light, 1.0), 0.0, 1.0), 0.0)
-        return found
+        shares: NDArray[np.float64] = np.where(
+            is_lit, np.clip((part - black) / np.where(is_lit, light, 1.0), 0.0, 1.0), 0.0
+        )
+        return shares
 
-    # Centres of light instead of borders: they tell the side however oblique, blurred or partly outside the picture
-    # lies.
+    # Centres of light instead of borders, which also work for a picture that is oblique, blurred or partly outside.
     left, top = share(half), share(upper)
-    across, down = _towards(left, lit), _towards(top, lit)
+    across, down = _towards(left, is_lit), _towards(top, is_lit)
     if abs(across[1]) > abs(across[0]) or abs(down[0]) > abs(down[1]):
-        return SeenPicture(Orientation.ON_ITS_SIDE, None)
-    found = {
+        return PictureView(Orientation.ON_ITS_SIDE, None)
+    orientation = {
         (True, True): Orientation.UPRIGHT,
         (False, True): Orientation.MIRRORED,
         (True, False): Orientation.UPSIDE_DOWN,
         (False, False): Orientation.TURNED,
     }[across[0] < 0.0, down[1] < 0.0]
     second, fourth = share(half) - share(first), share(third) - share(half)
-    rows = lit.mean(axis=1) > 0.5 * lit.mean(axis=1).max()
-    # Areas over whole rows: to a few hundredths of a pixel, however blurred the borders are.
+    rows = is_lit.mean(axis=1) > 0.5 * is_lit.mean(axis=1).max()
+    # Areas over whole rows give the width to a few hundredths of a pixel even with blurred borders.
     widths = [float(part[rows].sum()) for part in (second, fourth)]
     if min(widths) <= 1.0:
-        return SeenPicture(found, None)
-    return SeenPicture(found, widths[0] / widths[1], sum(widths) / float(rows.sum()) / (0.5 * width_px))
+        return PictureView(orientation, None)
+    return PictureView(orientation, widths[0] / widths[1], sum(widths) / float(rows.sum()) / (0.5 * width_px))
 
 
-def _towards(part: NDArray[np.float64], lit: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return where ``part`` lies against the rest of what is lit, (x, y) in px."""
+def _towards(part: NDArray[np.float64], is_lit: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the vector from the other lit pixels to ``part``, (x, y) in px."""
     y, x = np.indices(part.shape)
-    rest = lit - part
-    inside, outside = max(part.sum(), 1e-9), max(rest.sum(), 1e-9)
+    remaining = is_lit - part
+    inside, outside = max(part.sum(), 1e-9), max(remaining.sum(), 1e-9)
     return (
-        float((part * x).sum() / inside - (rest * x).sum() / outside),
-        float((part * y).sum() / inside - (rest * y).sum() / outside),
+        float((part * x).sum() / inside - (remaining * x).sum() / outside),
+        float((part * y).sum() / inside - (remaining * y).sum() / outside),
     )
 
 
@@ -216,7 +217,7 @@ def line_pictures(size_px: tuple[int, int], rows: bool) -> list[NDArray[np.uint8
 
 
 def checker(size_px: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return a checker of single pixels (h, w), for a person's eyes: it must look grey, without bars or grids in it."""
+    """Return a checker of single pixels (h, w): to the eye it must look grey, without bars or grids."""
     width, height = size_px
     return ((np.add.outer(np.arange(height), np.arange(width)) % 2) * 255).astype(np.uint8)
 
@@ -225,57 +226,65 @@ def compare_lines(first: NDArray[np.float64], second: NDArray[np.float64]) -> Li
     """Compare the light of neighbouring lines in two passes, each (n,)."""
     mean = (first + second) / 2.0
     x = np.linspace(-1.0, 1.0, len(mean))
-    # The lens and the scene make a slow course, which a parabola follows; what beats does not.
+    # Lens and scene vary slowly, which a parabola follows; beating is faster.
     smooth = np.polyval(np.polyfit(x, mean, 2), x)
-    # Relative to the mean line: how bright lines are is the exposure's business.
+    # Relative to the mean line, since the brightness depends on the exposure.
     scale = max(float(np.abs(smooth).mean()), 1e-9)
-    # Two passes differ by twice the noise of their mean, in squares by four times.
+    # The difference of two passes has twice the noise of their mean, in squares four times.
     noise = float(np.sqrt(np.mean(((first - second) / 2.0) ** 2))) / scale
     beating = float(np.sqrt(np.mean((mean - smooth) ** 2))) / scale
     return LineLight(float(np.sqrt(max(0.0, beating**2 - noise**2))), noise)
 
 
 def judge(
-    seen: Mapping[str, SeenPicture], lines: Mapping[str, LineLight], photographs: Mapping[str, Image]
+    views: Mapping[str, PictureView], lines: Mapping[str, LineLight], photographs: Mapping[str, Image]
 ) -> StepOutcome:
-    """Judge the picture as each camera sees it, and its single lines by direction; ``photographs`` are keyed by what
-    and side."""
+    """Judge the picture as each camera sees it, and its single lines by direction.
+
+    ``photographs`` are keyed by motif and side.
+    """
     pictures = {}
     for name, image in photographs.items():
-        what, side = name.split("_")
-        pictures[f"{name}.png"] = f"{_SHOWN[what]} ({side} camera)", png(image)
-    return StepOutcome((_orientation(seen), raster_finding(lines, seen)), {}, pictures)
+        motif, side = name.split("_")
+        pictures[f"{name}.png"] = f"{_CAPTIONS[motif]} ({side} camera)", png(image)
+    return StepOutcome((_orientation(views), raster_finding(lines, views)), {}, pictures)
 
 
-def _orientation(seen: Mapping[str, SeenPicture]) -> Finding:
-    wrong = {side: one.orientation for side, one in seen.items() if one.orientation is not Orientation.UPRIGHT}
-    said, remedy = "both cameras see the picture upright", ""
+def _orientation(views: Mapping[str, PictureView]) -> Finding:
+    wrong = {side: view.orientation for side, view in views.items() if view.orientation is not Orientation.UPRIGHT}
+    statement, remedy = "both cameras see the picture upright", ""
     limits = "upper left of the picture is upper left in both cameras"
     if wrong:
         side, how = next(iter(wrong.items()))
-        said, remedy = f"both cameras see the picture {how.value}", _TURNED_BACK[how]
-        if len(wrong) < len(seen):
-            said = f"camera.{side} alone sees the picture {how.value}: it is the camera that turns it"
+        statement, remedy = f"both cameras see the picture {how.value}", _ORIENTATION_REMEDIES[how]
+        if len(wrong) < len(views):
+            statement = f"camera.{side} alone sees the picture {how.value}: it is the camera that turns it"
             remedy = f"mount camera.{side} the right way round, and switch its ReverseX and ReverseY off"
-    return judged("orientation", not remedy, said, limits, remedy)
+    return finding_of("orientation", not remedy, statement, limits, remedy)
 
 
-def raster_finding(lines: Mapping[str, LineLight], seen: Mapping[str, SeenPicture]) -> Finding:
-    """Return what single ``lines``, by direction, say of the picture's raster, by cameras that have ``seen`` the
-    picture so large."""
-    resolved = [one.px_per_px for one in seen.values()]
+def raster_finding(lines: Mapping[str, LineLight], views: Mapping[str, PictureView]) -> Finding:
+    """Return the finding on the picture's raster from single ``lines``, by direction.
+
+    ``seen`` has the size of the picture in each camera's images.
+    """
+    resolved = [ratio.px_per_px for ratio in views.values()]
     numbers: dict[str, float | None] = {
         **{f"{name}_beating_percent": 100.0 * line.beating for name, line in lines.items()},
-        "camera_px_per_projector_px": min((one for one in resolved if one is not None), default=None),
+        "camera_px_per_projector_px": min((ratio for ratio in resolved if ratio is not None), default=None),
     }
-    scaled = [name for name, line in lines.items() if line.scaled]
-    said, remedy = "single lines are equally bright: each pixel is one of the panel's", ""
-    # Not told is no fault: the picture may be right, and the checker's photograph is on the page for a person.
-    if any(one is None or one < LEAST_RESOLVED for one in resolved) or not all(one.told for one in lines.values()):
-        said = "whether the picture is scaled cannot be told by cameras this coarse, or in so little light"
+    scaled = [name for name, line in lines.items() if line.is_scaled]
+    statement, remedy = "single lines are equally bright: each pixel is one of the panel's", ""
+    # An unknown result is no fault: the picture may be right, and the operator can look at the checker's photograph.
+    if any(ratio is None or ratio < LEAST_RESOLVED for ratio in resolved) or not all(
+        ratio.is_measurable for ratio in lines.values()
+    ):
+        statement = "whether the picture is scaled cannot be told by cameras this coarse, or in so little light"
     elif scaled:
-        said = f"single {' and '.join(scaled)} are not equally bright: the projector scales its picture"
+        statement = f"single {' and '.join(scaled)} are not equally bright: the projector scales its picture"
         remedy = (
             "set width_px and height_px of [projector] to the raster of its panel, and keystone, zoom and overscan off"
         )
-    return judged("raster", not remedy, said, f"single lines alike to {100.0 * MOST_BEATING:g} %", remedy, **numbers)
+    return finding_of(
+        "raster", not remedy, statement, f"single lines alike to {100.0 * MOST_BEATING:g} %", remedy, **numbers
+    )

@@ -1,7 +1,7 @@
-"""Owns the judgement whether an exposure sees grey as it was drawn: straight, rising, and the same each time.
+"""The response of an exposure: it must be straight, rising, and the same each time.
 
-Of the sine that a code makes only what the exposure lets through is light. Where it cuts bit planes, some codes come
-out darker than lower ones; where a gamma bends it, all of it is smooth and still no sine.
+Only the light within the exposure counts for the sine that a code makes. Where the exposure cuts bit planes, some codes
+are darker than lower ones; a gamma bends the response, which is then smooth and still no sine.
 """
 
 from __future__ import annotations
@@ -15,20 +15,21 @@ from numpy.typing import NDArray
 STRAIGHT = 0.01
 """Largest RMS distance from a straight line, as a share of white."""
 MOST_OFF = 0.01
-"""Largest distance of a single code from it, beyond what passes differ by."""
+"""Largest distance of a single code from the line, beyond the difference of passes."""
 REPEATS = 0.01
 """Largest RMS difference of two passes."""
 FALLS_SIGMAS, FALLS = 4.0, 0.002
-"""A code may come out darker than a lower one by so many standard deviations of what passes differ by, and never less
-than this share."""
+"""A code may be darker than a lower one by so many standard deviations of the difference of passes, or by this share if
+that is more."""
 SMOOTH, SMOOTH_DEGREE = 0.006, 4
 """RMS distance from a polynomial of this degree, or from a power, below which a response is one smooth curve."""
 LEAST_POWER, MOST_POWER = 0.7, 1.5
-"""Exponents between which a smooth response may be called that of the lamp and its optics; others are a gamma that
-somebody set."""
+"""Exponents between which a smooth response counts as that of the lamp and its optics; others count as
+a gamma setting.
+"""
 LEAST_LIGHT_DN = 8.0
 RAMP_CODES = 62
-"""Number of codes in a take: with white and black of its own, as many frames as it may have."""
+"""Number of codes in a take: with an extra white and black frame it is full."""
 
 
 class Shape(Enum):
@@ -36,12 +37,12 @@ class Shape(Enum):
 
     STRAIGHT = "straight"
     CURVED = "curved"
-    """Smooth and rising, no gamma: each scan straightens what it bends."""
+    """Smooth and rising, no gamma: each scan corrects it."""
     GAMMA = "gamma"
     BIT_PLANES = "bit planes"
-    """Steps that no curve explains: some bits are seen longer than others."""
+    """Steps that no smooth curve explains: some bits are exposed longer than others."""
     RESTLESS = "restless"
-    """Another one each time."""
+    """It differs from pass to pass."""
     DARK = "dark"
 
 
@@ -64,7 +65,7 @@ class ResponseShape:
 
     @property
     def usable(self) -> bool:
-        """True where fringes can be sines, or are straightened by each scan."""
+        """True where fringes are sines, or each scan corrects their response."""
         return self.shape in (Shape.STRAIGHT, Shape.CURVED)
 
 
@@ -74,17 +75,17 @@ def judge_response(
     """Judge the grey values (n,) of two passes over the same ``codes`` (n,), which contain 0 and 255."""
     order = np.argsort(codes)
     x = codes[order] / 255.0
-    passes = [one[order] for one in (first, second)]
-    light_dn = float(np.mean([one[-1] - one[0] for one in passes]))
+    passes = [grey[order] for grey in (first, second)]
+    light_dn = float(np.mean([grey[-1] - grey[0] for grey in passes]))
     if light_dn < LEAST_LIGHT_DN:
         return ResponseShape(Shape.DARK, 1.0, 1.0, 0.0, 0.0, 1.0, light_dn)
-    # Each pass by its own straight line's ends: a lamp that grew warmer between them is as bright a sine.
-    shares = [(one - one[0]) / (one[-1] - one[0]) for one in passes]
+    # Each pass relative to its own ends, so that a lamp that grew warmer between them does not count.
+    shares = [(grey - grey[0]) / (grey[-1] - grey[0]) for grey in passes]
     mean = (shares[0] + shares[1]) / 2.0
     repeat_rms = float(np.sqrt(np.mean((shares[0] - shares[1]) ** 2)))
     off = mean - np.polyval(np.polyfit(x, mean, 1), x)
     line_rms, line_most = float(np.sqrt(np.mean(off**2))), float(np.abs(off).max())
-    # Against the highest code so far, not the last one: many small falls are one.
+    # Against the highest value so far, not the previous one: many small falls add up.
     falls = float((np.maximum.accumulate(mean) - mean).max())
     power = _power(x, mean)
     smooth_rms = float(np.sqrt(np.mean((mean - np.polyval(np.polyfit(x, mean, SMOOTH_DEGREE), x)) ** 2)))
@@ -102,20 +103,25 @@ def judge_response(
 
 
 def ramp_codes(count: int) -> NDArray[np.int64]:
-    """Return ``count`` different codes, 0 and 255 among them, half of them pairs on both sides of a step of the upper
-    bits."""
+    """Return ``count`` different codes with 0 and 255.
+
+    Half of them are pairs on both sides of a step of the upper bits.
+    """
     pairs = [(k, k - 1) for k in range(16, 256, 16)]
-    wanted = {0, 255} | {code for pair in pairs for code in pair}
+    codes = {0, 255} | {code for pair in pairs for code in pair}
     spare = [int(c) for c in np.linspace(4, 251, 4 * count)]
     for code in spare[:: max(1, len(spare) // count)]:
-        if len(wanted) < count:
-            wanted.add(code)
-    return np.array(sorted(wanted)[:count] if len(wanted) <= count else sorted(wanted), np.int64)
+        if len(codes) < count:
+            codes.add(code)
+    return np.array(sorted(codes)[:count] if len(codes) <= count else sorted(codes), np.int64)
 
 
-def shuffled(count: int, seed: int) -> NDArray[np.int64]:
-    """Return the numbers 0 … count − 1 in a fixed disorder: neighbours in time must not be neighbours in grey, or an
-    exposure that sees two pictures at once would pass for a straight one."""
+def shuffled_indices(count: int, seed: int) -> NDArray[np.int64]:
+    """Return the numbers 0 … count − 1 in a fixed random order.
+
+    Neighbours in time must not be neighbours in grey: an exposure that sees two pictures at once would pass for a
+    straight one.
+    """
     return np.random.default_rng(seed).permutation(count)
 
 

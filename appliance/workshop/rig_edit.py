@@ -1,5 +1,4 @@
-"""Owns changing keys of a rig file as a person would: line by line, comments and order kept, and read back before it
-counts."""
+"""Editing keys of a rig file line by line, with comments and order kept and the result checked."""
 
 from __future__ import annotations
 
@@ -27,18 +26,18 @@ class KeyValue(NamedTuple):
 
 
 def with_keys(text: str, values: Mapping[KeyValue, Value]) -> str:
-    """Return the text of a rig file with ``values``, everything else as it was.
+    """Return the text of a rig file with ``values`` and all other text unchanged.
 
-    Raises BringupError where a key cannot be changed in its line (a value over several lines, an inline table), or what
-    comes out is no rig file.
+    Raises BringupError where a key cannot be changed in its line (a value over several lines, an inline table), or the
+    result is no rig file.
     """
     lines = text.split("\n")
-    # One after the other: each may add a line and so move what follows.
+    # One key at a time: each may add a line and so move those that follow.
     for place, value in values.items():
         lines = _with_key(lines, place, value)
     new = "\n".join(lines)
-    # Read back and compared with what was meant: an edit by lines may hit what only looks like the key.
-    if _content(new) != _meant(tomllib.loads(text), values):
+    # Read back and compared with the intended content: an edit by lines may hit text that only looks like the key.
+    if _content(new) != _intended(tomllib.loads(text), values):
         names = ", ".join(f"{place.table}.{place.key}" for place in values)
         raise BringupError(f"the rig file is written in a way that cannot be edited by lines; set by hand: {names}")
     try:
@@ -49,17 +48,17 @@ def with_keys(text: str, values: Mapping[KeyValue, Value]) -> str:
 
 
 def replace_rig(path: Path, old: str, new: str) -> Path:
-    """Replace a rig file and return where its old text is kept: beside it, under the first free number.
+    """Replace a rig file and return the path of its old text: beside it, under the first free number.
 
     Raises StorageError.
     """
     number = 1
-    while (kept := path.with_name(f"{path.name}.before-{number}")).exists():
+    while (copy_path := path.with_name(f"{path.name}.before-{number}")).exists():
         number += 1
     # The copy first: at any instant one of the two files has the old text.
-    LocalFileSystem().replace_file(kept, old.encode())
+    LocalFileSystem().replace_file(copy_path, old.encode())
     LocalFileSystem().replace_file(path, new.encode())
-    return kept
+    return copy_path
 
 
 def _content(text: str) -> dict[str, Any] | None:
@@ -71,48 +70,48 @@ def _content(text: str) -> dict[str, Any] | None:
 
 def _with_key(lines: list[str], place: KeyValue, value: Value) -> list[str]:
     first, last = _extent(lines, place.table)
-    spelled = _spelled(value)
+    spelled = _toml_value(value)
     pattern = re.compile(rf"^(\s*){re.escape(place.key)}(\s*)=(\s*)([^#]*?)(\s*(?:#.*)?)$")
     for k in range(first, last):
-        found = pattern.match(lines[k])
-        if found:
-            indent, before, after, _, comment = found.groups()
+        match = pattern.match(lines[k])
+        if match:
+            indent, before, after, _, comment = match.groups()
             line = f"{indent}{place.key}{before}={after}{spelled}{comment}".rstrip()
             return [*lines[:k], line, *lines[k + 1 :]]
-    # Behind the table's last key: what follows it may be a comment about the next table.
-    at = max((k + 1 for k in range(first, last) if re.match(r"^\s*[\w\"-]+\s*=", lines[k])), default=first)
-    return [*lines[:at], f"{place.key} = {spelled}", *lines[at:]]
+    # Behind the table's last key: the lines after it may be a comment about the next table.
+    insertion = max((k + 1 for k in range(first, last) if re.match(r"^\s*[\w\"-]+\s*=", lines[k])), default=first)
+    return [*lines[:insertion], f"{place.key} = {spelled}", *lines[insertion:]]
 
 
 def _extent(lines: Sequence[str], table: str) -> tuple[int, int]:
-    """Return the lines of a table, from behind its header to the next one."""
+    """Return the range of lines of a table, from behind its header to the next one."""
     begins = None
     for k, line in enumerate(lines):
-        found = _HEADER.match(line)
-        if found is None:
+        match = _HEADER.match(line)
+        if match is None:
             continue
         if begins is not None:
             return begins, k
-        if found["name"].strip() == table:
+        if match["name"].strip() == table:
             begins = k + 1
     if begins is None:
         raise BringupError(f"the rig file has no line [{table}]; add it, or set its keys by hand")
     return begins, len(lines)
 
 
-def _meant(content: dict[str, Any], values: Mapping[KeyValue, Value]) -> dict[str, Any]:
-    meant = copy.deepcopy(content)
+def _intended(content: dict[str, Any], values: Mapping[KeyValue, Value]) -> dict[str, Any]:
+    expected = copy.deepcopy(content)
     for place, value in values.items():
-        inner = meant
+        inner = expected
         for part in place.table.split("."):
             inner = inner.setdefault(part, {})
         inner[place.key] = value if isinstance(value, str | int | float) else list(value)
-    return meant
+    return expected
 
 
-def _spelled(value: Value) -> str:
+def _toml_value(value: Value) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, int | float):
         return repr(value)
-    return "[" + ", ".join(repr(float(one)) for one in value) + "]"
+    return "[" + ", ".join(repr(float(element)) for element in value) + "]"

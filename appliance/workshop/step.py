@@ -1,5 +1,4 @@
-"""Owns what a step of the guided bring-up is: what it rests on, what it works with, how it is done, and what comes of
-it."""
+"""A step of the guided bring-up: its inputs, the workplace where it is done, and its outcome."""
 
 from __future__ import annotations
 
@@ -14,31 +13,31 @@ from appliance.workshop.rig_edit import KeyValue, Value
 from drivers.api import DeviceError, Wires
 
 MOST_ASKED = 3
-"""Times that one thing is asked for; then it is judged as it is."""
+"""Largest number of times that the operator is asked for the same action; then the state is judged as it is."""
 
 
 class GivenUp(Exception):
-    """The person gave up, or nobody is there: the guide ends, and what was done stays done."""
+    """Exception when the operator gives up or is absent: the guide ends, and finished steps stay finished."""
 
 
 class Person(Protocol):
-    """Whoever stands at the instrument. Implemented by the command line."""
+    """The operator at the instrument. Implemented by the command line."""
 
     def tell(self, what: str) -> None:
-        """Say what is to be done now. No answer is waited for: the software sees for itself when it was done."""
+        """Show the next action without waiting for an answer: the software sees for itself when it is done."""
 
     def ask(self, what: str) -> None:
-        """Say what is to be done now and wait until the person says that it was. Raises GivenUp."""
+        """Show the next action and wait until the operator says that it is done. Raises GivenUp."""
 
 
-def numbered(what: str, turn: int) -> str:
-    """Return a wish for the ``turn``-th time, from 0: the last ones say that it did not help."""
-    return what if turn == 0 else f"{what} (asked again, {turn + 1} of {MOST_ASKED}: it was not seen)"
+def numbered_request(what: str, attempt: int) -> str:
+    """Return a request for the ``attempt``-th time, from 0: repeated ones say that it did not help."""
+    return what if attempt == 0 else f"{what} (asked again, {attempt + 1} of {MOST_ASKED}: it was not seen)"
 
 
 @dataclass(frozen=True, slots=True)
 class Workplace:
-    """Everything that a step works with. The instrument's lock is held by whoever made it."""
+    """The means of a step. Its creator holds the instrument's lock."""
 
     rig: Rig
     wires: Wires
@@ -50,22 +49,22 @@ class Workplace:
     """Distance at which a plane is to stand."""
 
 
-def wall(at: Workplace) -> str:
-    """Return where the instrument is to stand for everything that is measured with its light."""
+def wall(workplace: Workplace) -> str:
+    """Return the request to place the instrument for measurements with its light."""
     return (
         "take the caps off and stand the instrument still before something white and flat, "
-        f"{at.plane_mm:.0f} mm away and upright, that fills both images"
+        f"{workplace.plane_mm:.0f} mm away and upright, that fills both images"
     )
 
 
 def refusal(error: DeviceError) -> Finding:
-    """Return the finding that a device which is missing or refuses makes of a step."""
+    """Return the finding for a device that is missing or refuses."""
     return Finding(error.device, False, error.message, "there, and as the rig file states it", error.remedy)
 
 
 @dataclass(frozen=True, slots=True)
 class StepOutcome:
-    """Findings of one step, and what the page shows of it."""
+    """Findings of one step, and its tables and pictures for the page."""
 
     findings: tuple[Finding, ...]
     tables: Mapping[str, tuple[Mapping[str, Any], ...]] = field(default_factory=dict)
@@ -73,22 +72,22 @@ class StepOutcome:
     pictures: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
     """Pictures for the page, caption and PNG, by the name of their file."""
     keys: Mapping[KeyValue, Value] = field(default_factory=dict)
-    """Keys of the rig file that follow from it; they are written once everything of the same measurement is good."""
+    """Keys of the rig file that follow from it; they are written once all steps of the same measurement are good."""
 
     @property
     def good(self) -> bool:
-        """True if every finding is good; a step that found nothing is not."""
-        return bool(self.findings) and all(one.ok for one in self.findings)
+        """True if there are findings and every one is good."""
+        return bool(self.findings) and all(finding.ok for finding in self.findings)
 
 
-def outcome_itself(found: StepOutcome, _rig: Rig) -> StepOutcome:
-    """Return the outcome of a step whose ``do`` judges what it finds."""
-    return found
+def outcome_itself(outcome: StepOutcome, _rig: Rig) -> StepOutcome:
+    """Return the outcome of a step whose ``do`` also judges."""
+    return outcome
 
 
 @dataclass(frozen=True, slots=True)
 class GuideStep:
-    """One step of the guide: a row in ``appliance.workshop.steps``, and a module that knows how it is done and judged."""
+    """One step of the guide: a row in ``appliance.workshop.steps``, and a module that does and judges it."""
 
     name: str
     title: str
@@ -110,23 +109,23 @@ class GuideStep:
 
 
 def inputs_of(content: Mapping[str, Any], step: GuideStep, steps: Sequence[GuideStep]) -> dict[str, Any]:
-    """Return the keys of a rig file's ``content`` that a step depends on, by dotted name, with their values.
+    """Return the keys of a rig file's ``content`` that a step depends on, by dotted name.
 
-    Keys that one of all the ``steps`` writes undo no step before that.
+    Keys that one of all the ``steps`` writes do not invalidate earlier steps.
     """
-    written = {key for one in steps for key in one.writes}
-    # Raw, as it is written: a default that a later version changes is no change of this file.
+    written = {key for other_step in steps for key in other_step.writes}
+    # The raw content: if a later version changes a default, this file has not changed.
     return {
         name: value
-        for name, value in _flattened(content, "")
+        for name, value in _flatten(content, "")
         if any(name == use or name.startswith(f"{use}.") for use in step.uses)
         and (step.uses_written or name not in written)
     }
 
 
-def _flattened(content: Mapping[str, Any], prefix: str) -> list[tuple[str, Any]]:
-    found: list[tuple[str, Any]] = []
+def _flatten(content: Mapping[str, Any], prefix: str) -> list[tuple[str, Any]]:
+    items: list[tuple[str, Any]] = []
     for key, value in content.items():
         name = f"{prefix}{key}"
-        found += _flattened(value, f"{name}.") if isinstance(value, Mapping) else [(name, value)]
-    return found
+        items += _flatten(value, f"{name}.") if isinstance(value, Mapping) else [(name, value)]
+    return items

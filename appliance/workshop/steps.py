@@ -1,5 +1,4 @@
-"""Owns the list of the steps of the guided bring-up, in the order in which they are walked: a row each, and a module of
-its own."""
+"""The list of the steps of the guided bring-up in their order: a row each, and a module of its own."""
 
 from __future__ import annotations
 
@@ -26,19 +25,17 @@ _BOARD = ("rig.wires", "board.url", "board.firmware", "limits.supply_low_v")
 _VSYNC = ("rig.wires", "board.url", "projector")
 
 _ON_A_WALL = (("trigger",), _LIGHT_PATH, projector.measure_on_wall)
-"""Columns of the steps that are read from one measurement of the projector: each by itself would take two minutes
-again."""
+"""Columns of the steps that share one measurement of the projector: a measurement for each would take two minutes."""
 
-# Name, title, steps that must be good before, keys of the rig file that it depends on, how it is done, how that is
-# judged.
+# Name, title, steps that must be good before, keys of the rig file that it depends on, functions that do and judge it.
 STEPS: tuple[GuideStep, ...] = (
     GuideStep("board", "The trigger board alone", (), _BOARD, board.do),
     GuideStep("pad", "The key pad", (), ("rig.wires", "keys"), pad.do),
     GuideStep("vsync", "The projector's vertical sync", ("board",), _VSYNC, vsync.do),
     GuideStep("cameras", "Both cameras", ("board", "vsync"), _LIGHT_PATH, cameras.do),
     GuideStep("trigger", "The trigger lines", ("board", "vsync", "cameras"), _LIGHT_PATH, trigger.do),
-    GuideStep("raster", "The projector's raster", *_ON_A_WALL, lambda m, _: raster.judge(m.seen, m.lines, m.photographs)),
-    GuideStep("sides", "Left and right", *_ON_A_WALL, lambda m, _: sides.judge(m.seen)),
+    GuideStep("raster", "The projector's raster", *_ON_A_WALL, lambda m, _: raster.judge(m.views, m.lines, m.photographs)),
+    GuideStep("sides", "Left and right", *_ON_A_WALL, lambda m, _: sides.judge(m.views)),
     GuideStep("latency", "The projector's latency", *_ON_A_WALL, lambda m, _: latency.judge(m.lamp.timing.latency_blanks)),
     GuideStep(
         "light", "Light within the frame", ("trigger",), _EXPOSED, projector.measure_on_wall, lambda m, rig: light.judge(m.lamp, rig),

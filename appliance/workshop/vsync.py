@@ -1,5 +1,4 @@
-"""Owns the step ``vsync``: the tap of the projector's vertical sync, its rate, its jitter, its count, and that it ends
-with the picture.
+"""The step ``vsync``: rate, jitter, count and end of the projector's vertical sync.
 
 The board's syncs are compared with a clock, with 600 flips, and with an output that is dark.
 """
@@ -11,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from appliance.instrument import SyncError, SyncMap, output_spec, synchronise
-from appliance.workshop.finding import Finding, judged
+from appliance.workshop.finding import Finding, finding_of
 from appliance.workshop.step import StepOutcome, Workplace
 from drivers import rig as drivers_rig
 from drivers.api import Board, Clock, Flip, Projector, Vsync
@@ -23,52 +22,51 @@ SETTLED_S = 2.0
 """Time that a projector or a splitter takes to follow a new mode."""
 STAMPED_S = 3.0
 STOPPED_WITHIN_S, QUIET_S = 3.0, 0.3
-"""Time in which syncs must end after the output went dark, and for which none has come by then."""
+"""Time in which syncs must end after the output went dark, and time without a sync that counts as their end."""
 SYNC_TRIES = 3
 COUNTED = 0xFFFF_FFFF
 MOST_OFF_HZ = 0.1
 MOST_JITTER_US = 5.0
 FLIPS = 600
-"""Flips over which syncs are counted: ten seconds, in which one lost in a minute would still hide, but none of noise.
-"""
+"""Flips over which syncs are counted: in ten seconds noise would show, but not one lost sync a minute."""
 FEWEST_STAMPS = 20
 
 
-def do(at: Workplace) -> StepOutcome:
+def do(workplace: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError."""
-    rig = at.rig
+    rig = workplace.rig
     with (
-        drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), at.wires) as board,
-        drivers_rig.open_outputs(output_spec(rig.projector), output_spec(rig.display), at.wires) as outputs,
+        drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), workplace.wires) as board,
+        drivers_rig.open_outputs(output_spec(rig.projector), output_spec(rig.display), workplace.wires) as outputs,
     ):
-        return StepOutcome(_findings(at, board, outputs))
+        return StepOutcome(_findings(workplace, board, outputs))
 
 
-def _findings(at: Workplace, board: Board, outputs: Outputs) -> tuple[Finding, ...]:
-    rig, clock = at.rig, at.wires.clock
+def _findings(workplace: Workplace, board: Board, outputs: Outputs) -> tuple[Finding, ...]:
+    rig, clock = workplace.rig, workplace.wires.clock
     period_ns = 1e9 / rig.projector.refresh_hz
     black = np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)
     board.stop()
     projector = outputs.open_projector()
     projector.load([black, black])
     projector.show(0)
-    # A splitter that has just got a new mode sends nothing, or something else, for a while.
+    # After a change of the mode a splitter sends no or other syncs for a while.
     clock.sleep_s(SETTLED_S)
     stamps = _stamps(board, clock, 0.4 * period_ns / 1e9)
     beat = judge_stamps_of_syncs(stamps, rig.projector.refresh_hz)
     if not stamps:
         return beat
     try:
-        first, last = _counted(board, projector, at, period_ns)
+        first, last = _count_syncs(board, projector, workplace, period_ns)
     except SyncError as error:
         remedy = "the board must see the video that the graphics card sends, not one that a converter makes anew"
         return (*beat, Finding("count", False, str(error), "as many syncs as blanks", remedy))
-    # Dark while the card is still ours: given back, the console would light it again.
+    # Dark while this process holds the card: after its release the console would light it again.
     outputs.close_projector()
     return (
         *beat,
         judge_count((last.count - first.count) & COUNTED, _blanks(first.flip, last.flip, period_ns)),
-        judge_stop(_stopped(board, clock)),
+        judge_stop(_stop_time_ms(board, clock)),
         judge_edge(first.phase_error * period_ns / 1000.0),
     )
 
@@ -85,31 +83,31 @@ def _ask(board: Board) -> Vsync | None:
 
 def _stamps(board: Board, clock: Clock, pause_s: float) -> list[tuple[int, int]]:
     """Return numbers and board times, µs, of the syncs of some seconds, each once."""
-    found: dict[int, int] = {}
+    times_by_count: dict[int, int] = {}
     until_ns = clock.now_ns() + int(STAMPED_S * 1e9)
     while clock.now_ns() < until_ns:
-        seen = _ask(board)
-        if seen is not None:
-            # Asked more often than syncs come: the same one again is no second one.
-            found[seen.count] = seen.board_time_us
+        vsync = _ask(board)
+        if vsync is not None:
+            # The board is read more often than syncs come: each sync counts once.
+            times_by_count[vsync.count] = vsync.board_time_us
         clock.sleep_s(pause_s)
-    return list(found.items())
+    return list(times_by_count.items())
 
 
-def _counted(board: Board, projector: Projector, at: Workplace, period_ns: float) -> tuple[SyncMap, SyncMap]:
-    """Return which syncs the first and the last of many flips are. Raises SyncError, DeviceError."""
-    first = _matched(board, projector, period_ns)
+def _count_syncs(board: Board, projector: Projector, workplace: Workplace, period_ns: float) -> tuple[SyncMap, SyncMap]:
+    """Return the syncs of the first and of the last of many flips. Raises SyncError, DeviceError."""
+    first = _sync_of_flip(board, projector, period_ns)
     for number in range(FLIPS - 1):
         if number % 60 == 0:
-            at.say("flips", number / FLIPS)
+            workplace.say("flips", number / FLIPS)
         projector.show(number % 2)
-    return first, _matched(board, projector, period_ns)
+    return first, _sync_of_flip(board, projector, period_ns)
 
 
-def _matched(board: Board, projector: Projector, period_ns: float) -> SyncMap:
-    """Flip and return which of the board's syncs that was. Raises SyncError."""
+def _sync_of_flip(board: Board, projector: Projector, period_ns: float) -> SyncMap:
+    """Flip and return the board's sync of that flip. Raises SyncError."""
     for _ in range(SYNC_TRIES - 1):
-        # A host that was interrupted while it asked is not every time.
+        # A delay of this process between request and answer is chance: try again.
         try:
             return synchronise(board, projector.show(0), period_ns)
         except SyncError:
@@ -118,23 +116,23 @@ def _matched(board: Board, projector: Projector, period_ns: float) -> SyncMap:
 
 
 def _blanks(first: Flip, last: Flip, period_ns: float) -> int:
-    """Count the blanks between two flips: as the kernel does, else by their times."""
+    """Return the number of blanks between two flips, by the kernel's count, else by their times."""
     if first.sequence is not None and last.sequence is not None:
         return last.sequence - first.sequence
     return round((last.time_ns - first.time_ns) / period_ns)
 
 
-def _stopped(board: Board, clock: Clock) -> float | None:
+def _stop_time_ms(board: Board, clock: Clock) -> float | None:
     """Return the time until the board saw no more syncs, ms; ``None``: they go on."""
-    begun_ns = latest_ns = clock.now_ns()
+    start_ns = latest_ns = clock.now_ns()
     count: int | None = None
-    while clock.now_ns() - begun_ns < STOPPED_WITHIN_S * 1e9:
-        # A board may say that there are none, or go on telling the last one: both are an end.
-        seen = _ask(board)
-        if seen is None or (seen.count == count and clock.now_ns() - latest_ns > QUIET_S * 1e9):
-            return (latest_ns - begun_ns) / 1e6
-        if seen.count != count:
-            count, latest_ns = seen.count, clock.now_ns()
+    while clock.now_ns() - start_ns < STOPPED_WITHIN_S * 1e9:
+        # At the end of syncs a board may report none, or the last one again.
+        vsync = _ask(board)
+        if vsync is None or (vsync.count == count and clock.now_ns() - latest_ns > QUIET_S * 1e9):
+            return (latest_ns - start_ns) / 1e6
+        if vsync.count != count:
+            count, latest_ns = vsync.count, clock.now_ns()
         clock.sleep_s(0.01)
     return None
 
@@ -144,14 +142,16 @@ def judge_stamps_of_syncs(stamps: Sequence[tuple[int, int]], refresh_hz: float) 
     limits = f"{refresh_hz:g} ± {MOST_OFF_HZ:g} Hz"
     jitter_limits = f"up to {MOST_JITTER_US:g} µs (stamps are whole µs)"
     if len(stamps) < FEWEST_STAMPS:
-        said = f"{len(stamps)} syncs were seen"
+        statement = f"{len(stamps)} syncs were seen"
         remedy = "check the tap of the projector's video, and that a splitter's second output is lit"
-        return Finding("rate", False, said, limits, remedy), Finding("jitter", False, said, jitter_limits, remedy)
-    # From the first one on: numbers of 32 bits and times of days would lose digits in a fit.
+        return Finding("rate", False, statement, limits, remedy), Finding(
+            "jitter", False, statement, jitter_limits, remedy
+        )
+    # Relative to the first one: large numbers and times would lose digits in a fit.
     numbers = np.array([number - stamps[0][0] for number, _ in stamps], np.float64)
     times_us = np.array([time_us - stamps[0][1] for _, time_us in stamps], np.float64)
     period_us, begin_us = np.polyfit(numbers, times_us, 1)
-    away_us = float(np.abs(times_us - period_us * numbers - begin_us).max())
+    deviation_us = float(np.abs(times_us - period_us * numbers - begin_us).max())
     rate_hz = 1e6 / float(period_us)
     # A whole multiple or a half is the tap's fault, anything else the mode's.
     factor, remedy = rate_hz / refresh_hz, ""
@@ -165,21 +165,23 @@ def judge_stamps_of_syncs(stamps: Sequence[tuple[int, int]], refresh_hz: float) 
             remedy = (
                 "the board misses every second sync: check the divider behind the tap (5 V to 3.3 V), and its level"
             )
-    rate = judged("rate", not remedy, f"{rate_hz:.3f} Hz", limits, remedy, rate_hz=rate_hz)
-    said = f"syncs are at most {away_us:.1f} µs away from an even beat"
+    rate = finding_of("rate", not remedy, f"{rate_hz:.3f} Hz", limits, remedy, rate_hz=rate_hz)
+    statement = f"syncs are at most {deviation_us:.1f} µs away from an even beat"
     remedy = "series resistor and ground beside the sync's wire; stamp syncs in hardware, not in an interrupt"
-    return rate, judged("jitter", away_us <= MOST_JITTER_US, said, jitter_limits, remedy, jitter_us=away_us)
+    return rate, finding_of(
+        "jitter", deviation_us <= MOST_JITTER_US, statement, jitter_limits, remedy, jitter_us=deviation_us
+    )
 
 
 def judge_count(syncs: int, blanks: int) -> Finding:
     """Judge the board's syncs between two flips by the graphics card's blanks between the same two."""
-    said = f"{syncs} syncs in {blanks} blanks of the graphics card"
+    statement = f"{syncs} syncs in {blanks} blanks of the graphics card"
     remedy = "syncs are missed: check the level behind the tap, and that nothing else uses the pin"
     if syncs > blanks:
         remedy = "noise is counted as syncs: ground beside the wire, a Schmitt trigger, a filter of a µs"
-    # Not a share: one sync that is lost or too many puts every later picture into the wrong frame.
+    # Exactly, not to a tolerance: one sync lost or too many puts every later picture into the wrong frame.
     ok = syncs == blanks and blanks > 0
-    return judged("count", ok, said, "as many syncs as blanks", remedy, syncs=syncs, blanks=blanks)
+    return finding_of("count", ok, statement, "as many syncs as blanks", remedy, syncs=syncs, blanks=blanks)
 
 
 def judge_stop(stopped_after_ms: float | None) -> Finding:
@@ -192,16 +194,16 @@ def judge_stop(stopped_after_ms: float | None) -> Finding:
             "while its input is dark cannot be used"
         )
         return Finding("stop", False, "syncs go on while the projector's output is off", limits, remedy)
-    said = f"the last sync was told {stopped_after_ms:.0f} ms after the output was switched off"
-    return judged("stop", True, said, limits, "", stopped_after_ms=stopped_after_ms)
+    statement = f"the last sync was told {stopped_after_ms:.0f} ms after the output was switched off"
+    return finding_of("stop", True, statement, limits, "", stopped_after_ms=stopped_after_ms)
 
 
 def judge_edge(phase_us: float) -> Finding:
-    """Say by how much syncs are dated after the flips; which edge that is nobody can tell."""
-    said = (
+    """Return the finding on the time from flips to syncs; the edge itself cannot be determined."""
+    statement = (
         f"which edge is counted cannot be told by the board's protocol; syncs are dated {phase_us:+.0f} µs after the "
         "kernel's flips. The "
         "wrong one shifts every exposure by the pulse's width (some 120 µs): compare sync of [projector] with an "
         "oscilloscope"
     )
-    return judged("edge", True, said, "the leading edge", "", phase_us=phase_us)
+    return finding_of("edge", True, statement, "the leading edge", "", phase_us=phase_us)

@@ -17,7 +17,7 @@ from appliance.workshop import projector
 from appliance.workshop.bench import Image, Shot
 from appliance.workshop.finding import Finding
 from appliance.workshop.guide import judge_together
-from appliance.workshop.projector import ProjectorMeasured
+from appliance.workshop.projector import ProjectorMeasurement
 from appliance.workshop.step import Workplace
 from appliance.workshop.steps import STEPS
 from drivers.api import BoardEvent, BoardTime, KeyEvent, LaserState, Vsync
@@ -57,7 +57,7 @@ def named(findings: Sequence[Finding]) -> dict[str, Finding]:
     return {one.name: one for one in findings}
 
 
-def projector_findings(found: ProjectorMeasured) -> dict[str, Finding]:
+def projector_findings(found: ProjectorMeasurement) -> dict[str, Finding]:
     outcomes = judge_together(STEPS, projector.measure_on_wall, found, load_rig())
     return named(projector.outcomes_in_order(outcomes.values())[1])
 

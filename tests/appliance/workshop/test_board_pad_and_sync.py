@@ -99,7 +99,7 @@ def test_syncs_that_end_are_told_by_their_last_one(dark_after_s: float | None, s
     board = BenchBoard(clock)
     begun_ns = clock.now_ns()
     board.dark_from_ns = None if dark_after_s is None else begun_ns + round(dark_after_s * 1e9)
-    found_ms = vsync._stopped(board, clock)
+    found_ms = vsync._stop_time_ms(board, clock)
     took_s = (clock.now_ns() - begun_ns) / 1e9
     if seen and dark_after_s is not None:
         assert found_ms == pytest.approx(1000.0 * dark_after_s, abs=17.0)
@@ -123,11 +123,11 @@ def test_a_flip_is_tried_three_times_until_its_sync_is_found() -> None:
     clock = SteppedClock()
     board, projector = BenchBoard(clock), cast("Any", FlippingProjector(clock))
     board.late_us = dict.fromkeys(range(20), 8_000)
-    assert vsync._matched(board, projector, PERIOD_NS).count == projector.shown.count(0) + 60
+    assert vsync._sync_of_flip(board, projector, PERIOD_NS).count == projector.shown.count(0) + 60
     assert len(projector.shown) == 3
     board.late_us = dict.fromkeys(range(1000), 8_000)
     with pytest.raises(SyncError):
-        vsync._matched(board, projector, PERIOD_NS)
+        vsync._sync_of_flip(board, projector, PERIOD_NS)
     assert len(projector.shown) == 6
 
 

@@ -13,15 +13,15 @@ from appliance.measure.accept.flatness import Flatness
 from appliance.measure.light.exposure import Exposure
 from appliance.workshop.board import judge_beats, judge_clock, judge_laser, judge_sensor
 from appliance.workshop.cameras import judge_dark, judge_link, judge_settings, see_dark
-from appliance.workshop.endurance import Endured, SideEndured, judge_endurance
+from appliance.workshop.endurance import CameraEndurance, EnduranceRun, judge_endurance
 from appliance.workshop.finding import Finding
 from appliance.workshop.light import Lamp, LightTiming, LightWindow, Offer, Trial, keys_of
-from appliance.workshop.pad import KeyTried, judge_key, judge_pad
-from appliance.workshop.plane import LIMITS_PER_PERIOD, CoordinateRipple, PlaneSeen, judge_plane
-from appliance.workshop.projector import ProjectorMeasured
-from appliance.workshop.raster import MOST_BEATING, MOST_NOISE, LineLight, Orientation, SeenPicture
+from appliance.workshop.pad import KeyTrial, judge_key, judge_pad
+from appliance.workshop.plane import LIMITS_PER_PERIOD, CoordinateRipple, PlaneFigures, judge_plane
+from appliance.workshop.projector import ProjectorMeasurement
+from appliance.workshop.raster import MOST_BEATING, MOST_NOISE, LineLight, Orientation, PictureView
 from appliance.workshop.response import ResponseShape, Shape
-from appliance.workshop.trigger import PULSES, FiredFrames, judge_stamps, judge_triggers
+from appliance.workshop.trigger import PULSES, TriggeredFrames, judge_stamps, judge_triggers
 from appliance.workshop.vsync import judge_count, judge_edge, judge_stamps_of_syncs, judge_stop
 from drivers.api import BoardTime, HeldSetting, LaserState
 from tests.appliance.workshop.scripted import named, projector_findings
@@ -53,14 +53,14 @@ def stamps(late_ns: int = 0, ppm: float = 0.0) -> Finding:
     return judge_stamps(pulses, {"left": frames})[0]
 
 
-WHOLE = SideEndured(6400, (), 0, 0)
+WHOLE = CameraEndurance(6400, (), 0, 0)
 
 
 def endured(
-    left: SideEndured = WHOLE, reported: int = 6400, after_c: float = 40.0, ended: str | None = None
+    left: CameraEndurance = WHOLE, reported: int = 6400, after_c: float = 40.0, ended: str | None = None
 ) -> dict[str, Finding]:
     before_c, later_c = {"case": 21.0}, {"case": after_c, "projector": None}
-    seen = Endured(1.8, 1.8, 6400, reported, 0, {"left": left, "right": WHOLE}, before_c, later_c, ended)
+    seen = EnduranceRun(1.8, 1.8, 6400, reported, 0, {"left": left, "right": WHOLE}, before_c, later_c, ended)
     return named(judge_endurance(seen, {"case": 50.0, "projector": 65.0}))
 
 
@@ -91,11 +91,11 @@ HELD = (
 )
 
 
-def fired(count: int, every: float = 1.0, clock: bool = True) -> FiredFrames:
-    return FiredFrames(tuple(round(k * every * PERIOD_NS) + 5 if clock else None for k in range(count)))
+def fired(count: int, every: float = 1.0, clock: bool = True) -> TriggeredFrames:
+    return TriggeredFrames(tuple(round(k * every * PERIOD_NS) + 5 if clock else None for k in range(count)))
 
 
-def triggered(one: FiredFrames) -> Finding:
+def triggered(one: TriggeredFrames) -> Finding:
     found = named(judge_triggers(PULSES, {"left": one, "right": fired(PULSES)}, PERIOD_NS))
     assert found["camera.right"].ok, "each camera is judged by itself"
     return found["camera.left"]
@@ -110,7 +110,7 @@ def plane(
 ) -> dict[str, Finding]:  # fmt: skip
     response = ResponseShape(shape, 0.05, 0.08, 0.001, 0.0, 2.2 if shape is Shape.GAMMA else 1.0, 200.0)
     one = CoordinateRipple(amplitudes_px, 0.03, 0.0002, 20_000)
-    seen = PlaneSeen(
+    seen = PlaneFigures(
         "000007", 32, {"left x": FINE, "right x": one}, {"left": filled, "right": 0.9}, Exposure(8000, 0.0),
         {"left": saturated, "right": 0.0}, response, flatness, "no calibration", faults,
     )  # fmt: skip
@@ -138,11 +138,11 @@ WRONG: dict[str, list[Finding]] = {
         judge_sensor("SUPPLY", True, 10.0, supply_low_v=10.8),
     ],
     "keys": [
-        judge_key(KeyTried("up", (), ())),
-        judge_key(KeyTried("up", ("down",), ("down",))),
-        judge_key(KeyTried("up", ("up", "down"), ("up", "down"), 0.2)),
-        judge_key(KeyTried("up", ("up",), ())),
-        judge_key(KeyTried("up", ("up", "up"), ("up", "up"), 0.1)),
+        judge_key(KeyTrial("up", (), ())),
+        judge_key(KeyTrial("up", ("down",), ("down",))),
+        judge_key(KeyTrial("up", ("up", "down"), ("up", "down"), 0.2)),
+        judge_key(KeyTrial("up", ("up",), ())),
+        judge_key(KeyTrial("up", ("up", "up"), ("up", "up"), 0.1)),
         *judge_pad((), {"back"}, 3, 0, 0),
     ],
     "syncs": [
@@ -159,11 +159,11 @@ WRONG: dict[str, list[Finding]] = {
         judge_stamps(list(range(64)), {"left": list(range(63))})[0],
     ],
     "endurance": [
-        endured(SideEndured(6399, ("discarded",), 0, 0))["camera.left"],
-        endured(SideEndured(6400, (), 0, 1))["camera.left"],
-        endured(SideEndured(6399, (), 0, 0))["camera.left"],
-        endured(SideEndured(6400, (), 3, 0))["camera.left"],
-        endured(SideEndured(70, (), 0, 0, "unplugged"))["camera.left"],
+        endured(CameraEndurance(6399, ("discarded",), 0, 0))["camera.left"],
+        endured(CameraEndurance(6400, (), 0, 1))["camera.left"],
+        endured(CameraEndurance(6399, (), 0, 0))["camera.left"],
+        endured(CameraEndurance(6400, (), 3, 0))["camera.left"],
+        endured(CameraEndurance(70, (), 0, 0, "unplugged"))["camera.left"],
         endured(reported=6399)["pulses"],
         endured(after_c=55.0)["warmth.case"],
         endured(ended="the board restarted (BROWNOUT)")["run"],
@@ -194,8 +194,8 @@ WRONG: dict[str, list[Finding]] = {
         triggered(fired(12, 2.0)),
         triggered(fired(60)),
         triggered(fired(65)),
-        triggered(FiredFrames((*fired(63).times_ns, round(70 * PERIOD_NS)))),
-        triggered(FiredFrames(fired(12).times_ns, ("truncated",))),
+        triggered(TriggeredFrames((*fired(63).times_ns, round(70 * PERIOD_NS)))),
+        triggered(TriggeredFrames(fired(12).times_ns, ("truncated",))),
         *judge_triggers(12, {"left": fired(12)}, PERIOD_NS),
     ],
     "plane": [
@@ -222,7 +222,7 @@ GOOD: dict[str, list[Finding]] = {
         judge_sensor("HUM", False, None),  # what is not fitted is no fault
     ],
     "pad and syncs": [
-        *judge_pad([KeyTried("scan", ("scan",), ("scan",), 0.15)], (), 0, 0, 0),
+        *judge_pad([KeyTrial("scan", ("scan",), ("scan",), 0.15)], (), 0, 0, 0),
         *judge_stamps_of_syncs(syncs(59.95), 60.0),
         *judge_stamps_of_syncs(syncs(), 60.0),
         judge_count(600, 600),
@@ -243,7 +243,9 @@ GOOD: dict[str, list[Finding]] = {
         triggered(fired(PULSES)),
         triggered(fired(PULSES, clock=False)),
         triggered(fired(PULSES, 1.05)),
-        triggered(FiredFrames((*fired(20).times_ns, None, *fired(PULSES).times_ns[21:]))),  # no frame that came late
+        triggered(
+            TriggeredFrames((*fired(20).times_ns, None, *fired(PULSES).times_ns[21:]))
+        ),  # no frame that came late
     ],
     "plane": [*plane().values(), plane((0.9 * LIMITS_PER_PERIOD[0] * 32, 0.0, 0.0))["ripple 1x"]],
 }
@@ -278,7 +280,7 @@ def test_the_noise_of_few_frames_is_that_of_many(count: int) -> None:
 
 
 STRAIGHT = ResponseShape(Shape.STRAIGHT, 0.004, 0.01, 0.001, 0.0, 1.0, 100.0)
-SEEN_LEFT, SEEN_RIGHT = SeenPicture(Orientation.UPRIGHT, 1.1, 0.9), SeenPicture(Orientation.UPRIGHT, 0.9, 0.7)
+SEEN_LEFT, SEEN_RIGHT = PictureView(Orientation.UPRIGHT, 1.1, 0.9), PictureView(Orientation.UPRIGHT, 0.9, 0.7)
 ALIKE, UNLIKE = LineLight(0.01, 0.001), LineLight(1.1 * MOST_BEATING, 0.001)
 WINDOWS = (LightWindow(300.0, 4_300.0), LightWindow(8_300.0, 16_300.0))
 TIMING = LightTiming(1, 300.0, 16_300.0, WINDOWS)
@@ -291,7 +293,7 @@ LAMP = Lamp(
     ramps={},
     offer=Offer(500, (4_000, 9_000)),
 )
-MEASURED = ProjectorMeasured(
+MEASURED = ProjectorMeasurement(
     LAMP, -20.0, {"columns": ALIKE, "rows": ALIKE}, {"left": SEEN_LEFT, "right": SEEN_RIGHT}, {}
 )
 
@@ -306,7 +308,7 @@ def none_good(*shapes: ResponseShape) -> dict[str, Any]:
 
 def both(orientation: Orientation) -> dict[str, Any]:
     return {
-        "seen": {
+        "views": {
             "left": replace(SEEN_LEFT, orientation=orientation),
             "right": replace(SEEN_RIGHT, orientation=orientation),
         }
@@ -314,7 +316,7 @@ def both(orientation: Orientation) -> dict[str, Any]:
 
 
 def right(**changes: Any) -> dict[str, Any]:
-    return {"seen": {"left": SEEN_LEFT, "right": replace(SEEN_RIGHT, **changes)}}
+    return {"views": {"left": SEEN_LEFT, "right": replace(SEEN_RIGHT, **changes)}}
 
 
 DARK, RESTLESS = of_shape(Shape.DARK), of_shape(Shape.RESTLESS)
@@ -349,7 +351,7 @@ WRONG_ONES: list[tuple[str, dict[str, Any]]] = [
     ("grey", none_good(RESTLESS, CUT)),
     ("orientation", right(orientation=Orientation.MIRRORED)),
     *(("orientation", both(one)) for one in Orientation if one is not Orientation.UPRIGHT),
-    ("sides", {"seen": {"left": SEEN_RIGHT, "right": SEEN_LEFT}}),
+    ("sides", {"views": {"left": SEEN_RIGHT, "right": SEEN_LEFT}}),
     ("raster", {"lines": {"columns": UNLIKE, "rows": ALIKE}}),
     ("raster", {"lines": {"columns": UNLIKE, "rows": UNLIKE}}),
 ]

@@ -13,7 +13,7 @@ from appliance.cli.main import main
 from appliance.cli.output import Exit
 from appliance.store.config import Rig, default_rig_path, load_rig, parse_rig
 from appliance.workshop.finding import BringupError
-from appliance.workshop.flashing import Part, laid_out
+from appliance.workshop.flashing import Part, firmware_files
 from tests.support.golden_texts import Says
 
 ROOT = Path(__file__).parents[3]
@@ -30,7 +30,7 @@ def values(content: bytes) -> dict[str, object]:
 
 
 def written(part: Part, rig: Rig) -> dict[str, object]:
-    return values(laid_out(part, rig)[f"drivers/{part}/firmware/instrument.py"])
+    return values(firmware_files(part, rig)[f"drivers/{part}/firmware/instrument.py"])
 
 
 def shown(width_px: int, height_px: int, refresh_hz: float = 60.0) -> Rig:
@@ -46,7 +46,7 @@ def test_every_file_of_the_firmware_is_laid_out_and_no_cache(part: Part) -> None
     ).stdout.split()  # fmt: skip
     if not tracked:
         pytest.skip("not in a git tree")
-    files = laid_out(part, RIG)
+    files = firmware_files(part, RIG)
     assert files.pop("main.py") == (folder / "main.py").read_bytes()
     assert files.keys() == {name for name in tracked if not name.endswith("/main.py")}
     for name, content in files.items():
@@ -77,7 +77,7 @@ def test_what_the_rig_file_says_comes_before_the_mode(sync: str, rises: bool) ->
 @pytest.mark.parametrize(("width_px", "height_px"), [(912, 1140), (1280, 800)])
 def test_a_mode_of_either_sign_is_refused_with_the_key_to_set(width_px: int, height_px: int) -> None:
     with pytest.raises(BringupError, match=rf'{width_px}x{height_px} at 60 Hz .*sync = "negative" or "positive"'):
-        laid_out("board", shown(width_px, height_px))
+        firmware_files("board", shown(width_px, height_px))
     assert written("keys", shown(width_px, height_px))["PRODUCT"] == 0x4B46, "the pad sees no sync"
 
 

@@ -24,7 +24,7 @@ from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.scan import StoredScan
 from appliance.workshop import cameras, endurance, plane, projector
-from appliance.workshop.endurance import SideEndured
+from appliance.workshop.endurance import CameraEndurance
 from appliance.workshop.finding import BringupError
 from appliance.workshop.step import wall
 from appliance.workshop.trigger import trigger_findings
@@ -100,7 +100,7 @@ def test_light_is_waited_out_for_a_minute_and_asked_about_three_times() -> None:
     ],
 )  # fmt: skip
 def test_what_the_board_says_ends_a_series_or_does_not(event: Any, over: bool, ended_by: str | None) -> None:
-    series = endurance._Fired()
+    series = endurance._PulseCount()
     assert (series.take(event), series.ended_by, series.reported) == (over, ended_by, isinstance(event, api.Pulse))
 
 
@@ -111,20 +111,23 @@ def recording(frames: list[api.Frame], **more: Any) -> SideRecording:
 @pytest.mark.parametrize(
     ("made", "wanted"),
     [
-        (recording([frame(k) for k in (5, 6, 7)]), SideEndured(3, (), 0, 0)),
-        (recording([frame(k) for k in (5, 6, 8, 8)]), SideEndured(4, (), 0, 2)),
-        (recording([frame(5), frame(6, block_id=None), frame(7)]), SideEndured(3, (), 0, 1)),
-        (recording([frame(5), frame(6, camera_time_ns=None)]), SideEndured(2, (), 1, 0)),
-        (recording([frame(5), frame(6, api.FrameStatus.TRUNCATED)]), SideEndured(1, ("truncated",), 0, 0)),
-        (recording([frame(5), frame(6, api.FrameStatus.TIMEOUT)]), SideEndured(1, ("timeout",), 0, 0)),
-        (recording([frame(5), frame(6, api.FrameStatus.TIMEOUT)], cancelled=True), SideEndured(1, (), 0, 0)),
-        (recording([frame(5), frame(6, api.FrameStatus.CORRUPT)], cancelled=True), SideEndured(1, ("corrupt",), 0, 0)),
-        (recording([frame(5)], cancelled=True, lost="unplugged"), SideEndured(1, (), 0, 0, "unplugged")),
-        (recording([], cancelled=True), SideEndured(0, (), 0, 0)),
+        (recording([frame(k) for k in (5, 6, 7)]), CameraEndurance(3, (), 0, 0)),
+        (recording([frame(k) for k in (5, 6, 8, 8)]), CameraEndurance(4, (), 0, 2)),
+        (recording([frame(5), frame(6, block_id=None), frame(7)]), CameraEndurance(3, (), 0, 1)),
+        (recording([frame(5), frame(6, camera_time_ns=None)]), CameraEndurance(2, (), 1, 0)),
+        (recording([frame(5), frame(6, api.FrameStatus.TRUNCATED)]), CameraEndurance(1, ("truncated",), 0, 0)),
+        (recording([frame(5), frame(6, api.FrameStatus.TIMEOUT)]), CameraEndurance(1, ("timeout",), 0, 0)),
+        (recording([frame(5), frame(6, api.FrameStatus.TIMEOUT)], cancelled=True), CameraEndurance(1, (), 0, 0)),
+        (
+            recording([frame(5), frame(6, api.FrameStatus.CORRUPT)], cancelled=True),
+            CameraEndurance(1, ("corrupt",), 0, 0),
+        ),
+        (recording([frame(5)], cancelled=True, lost="unplugged"), CameraEndurance(1, (), 0, 0, "unplugged")),
+        (recording([], cancelled=True), CameraEndurance(0, (), 0, 0)),
     ],
 )
-def test_a_camera_is_charged_with_what_is_its_own_fault(made: SideRecording, wanted: SideEndured) -> None:
-    assert endurance._endured(made) == wanted
+def test_a_camera_is_charged_with_what_is_its_own_fault(made: SideRecording, wanted: CameraEndurance) -> None:
+    assert endurance._camera_endurance(made) == wanted
 
 
 class BenchGrabber:
@@ -174,7 +177,7 @@ class Fired:
         self.recordings = {side: recording([]) for side in ("left", "right")}
         self.grabbers = {"left": BenchGrabber(clock), "right": BenchGrabber(clock, right_starts)}
 
-    def run(self, prepare: Callable[[int], object] = lambda _series: None) -> endurance._Fired:
+    def run(self, prepare: Callable[[int], object] = lambda _series: None) -> endurance._PulseCount:
         fires(self.board, prepare)
         return endurance._fire(self.at, self.board, self.grabbers, self.recordings, 3)  # type: ignore[arg-type]
 
@@ -187,7 +190,7 @@ def test_a_camera_that_does_not_start_ends_it_before_the_first_pulse() -> None:
 def test_a_silent_board_ends_it_after_the_length_of_a_series_and_some_seconds() -> None:
     one = Fired()
     found = one.run(lambda _series: False)
-    assert (found.asked, found.reported, found.ended_by) == (64, 0, "the board did not say that it was done")
+    assert (found.requested, found.reported, found.ended_by) == (64, 0, "the board did not say that it was done")
     assert (one.board.clock.now_ns() / 1e9 - 1.0) == pytest.approx(64 / 60.0 + 5.0, abs=0.3)
     assert one.grabbers["left"].waits == [("ready", 2.0)], "nobody waits for frames that do not come"
 
@@ -206,7 +209,7 @@ def test_a_camera_that_lost_a_frame_ends_it_but_for_the_last_series(
             one.recordings["left"].done = True
 
     found = one.run(lose)
-    assert (found.asked, found.ended_by) == (asked, ended_by)
+    assert (found.requested, found.ended_by) == (asked, ended_by)
 
 
 def warm(case_c: float) -> api.Telemetry:
@@ -230,16 +233,16 @@ def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
     board.events.at_s(0.5, warm(20.0))
     if unplugged:
         with pytest.raises(api.DeviceGone):
-            endurance._endure(at, grabbers, board)  # type: ignore[arg-type]
+            endurance._run_endurance(at, grabbers, board)  # type: ignore[arg-type]
     else:
-        seen = endurance._endure(at, grabbers, board)  # type: ignore[arg-type]
+        seen = endurance._run_endurance(at, grabbers, board)  # type: ignore[arg-type]
         assert (seen.pulses, seen.reported, seen.lost_reports) == (64 * series, 64 * series, 0)
         assert (seen.wanted_minutes, seen.ended_by) == (minutes, None)
         # 66.5 periods each, its last exposure, and one millisecond more.
         assert seen.minutes == pytest.approx(series * (66.5 / 60.0 + 0.013) / 60.0)
         warmth = {"projector": 50.0, "case": 20.0, "board": 45.0, "camera.left": 33.0, "camera.right": None}
         assert (seen.before_c, seen.after_c["case"]) == (warmth, None)
-        assert seen.cameras == dict.fromkeys(("left", "right"), SideEndured(0, (), 0, 0))
+        assert seen.cameras == dict.fromkeys(("left", "right"), CameraEndurance(0, (), 0, 0))
     assert ("stop",) in board.commands
     for one in grabbers.values():
         assert one.recorded.shape == (64 * series, 300, 400)
@@ -269,7 +272,7 @@ def test_the_plane_is_recorded_darker_until_neither_camera_saturates(saturates_f
 
     allowed = tuple(Exposure(1000 * k) for k in (1, 2, 4, 8, 16))
     report: Any
-    report, frames, exposure = plane._exposed(record, SEQUENCE, allowed, Exposure(8_000))
+    report, frames, exposure = plane._record_unsaturated(record, SEQUENCE, allowed, Exposure(8_000))
     assert made == tried
     assert (made.index(exposure.time_us), report) == (len(tried) - 1, len(tried)), "the last one is that of the scan"
     assert (frames["right"][BRIGHT, 0, 0] == 255) == (saturates_from_us <= tried[-1])
@@ -285,7 +288,7 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     report = CaptureReport(None, ledger([frame(k) for k in range(64)]), 1.0, ())
     seen = np.random.default_rng(8).integers(0, 255, (len(SEQUENCE), 72, 96)).astype(np.uint8)
     frames = dict.fromkeys(("left", "right"), seen)
-    scan_id = plane._stored(at, report, frames, SEQUENCE, Exposure(4_000, 2.0), "ab" * 32)
+    scan_id = plane._store(at, report, frames, SEQUENCE, Exposure(4_000, 2.0), "ab" * 32)
     folder = Library(tmp_path).entry(scan_id).folder
     scan = StoredScan.load(folder)
     np.testing.assert_array_equal(scan.frames["left"], frames["left"])
@@ -298,7 +301,7 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     assert record.ledger is not None
     assert record.ledger["expected"] == 64
     assert (folder / "rig.toml").read_text(encoding="utf-8") == rig_text(rig)
-    flatness, why_not, faults = plane._worked_through(at, scan_id)
+    flatness, why_not, faults = plane._reprocess(at, scan_id)
     assert (flatness, faults) == (None, ())
     assert "there is no calibration yet" in why_not
     assert told.all == []

@@ -16,7 +16,7 @@ from appliance.cli.main import main
 from appliance.store.config import default_rig_path, parse_rig
 from appliance.workshop import guide, projector, steps
 from appliance.workshop.finding import BringupError, Finding
-from appliance.workshop.guide import GuideOptions, Walked, stands
+from appliance.workshop.guide import GuideOptions, GuideResult, is_current
 from appliance.workshop.kept import NOTHING_YET, PAGE, STATE, STATE_FILE, GuideFolder, GuideState, StepRecord
 from appliance.workshop.page import guide_page
 from appliance.workshop.projector import measure_projector
@@ -58,7 +58,7 @@ class Bench:
         self.place = GuideFolder(folder / "out")
         self.place.prepare()
 
-    def walk(self, listed: tuple[GuideStep, ...] | None = None, **options: Any) -> Walked:
+    def walk(self, listed: tuple[GuideStep, ...] | None = None, **options: Any) -> GuideResult:
         return guide._Walk(
             self.rig_file, self.place, GuideOptions(**options), wires(), AskedPerson(), Told(),
             lambda _name, _record: None, self.place.read(), scripted() if listed is None else listed,
@@ -176,7 +176,7 @@ def kept(name: str, good: bool = True, content: dict[str, object] | None = None)
 
 def still(name: str, now: dict[str, Any], good: bool = True, then: dict[str, object] | None = None) -> bool:
     step = BY_NAME[name]
-    return stands(kept(name, good, then), step, inputs_of(now, step, STEPS))
+    return is_current(kept(name, good, then), step, inputs_of(now, step, STEPS))
 
 
 def test_no_step_needs_one_that_comes_later() -> None:

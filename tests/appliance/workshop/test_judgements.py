@@ -13,7 +13,7 @@ from appliance.store.config import default_rig_path, parse_rig
 from appliance.workshop import light
 from appliance.workshop.finding import BringupError
 from appliance.workshop.latency import latency_of
-from appliance.workshop.light import LightTiming, Trial, offered, promising, timing_of, trials, windows_of
+from appliance.workshop.light import LightTiming, Trial, best_offer, promising_trials, timing_of, trials, windows_of
 from appliance.workshop.plane import CoordinateRipple, next_exposure, ripple_of, smooth_plane
 from appliance.workshop.raster import LINES, compare_lines
 from appliance.workshop.response import Shape, judge_response, ramp_codes
@@ -162,25 +162,25 @@ def test_an_exposure_ends_a_tenth_of_a_millisecond_before_the_next_picture(begin
 def test_what_brings_no_more_light_is_not_offered() -> None:
     straight = judge_response(CODES, grey(CODES / 255.0), grey(CODES / 255.0))
     measured = {Trial(500, time): straight for time in (8_000, 10_000, 12_000)} | {Trial(0, 16_000): straight}
-    offer = offered(measured, lambda trial: min(trial.exposure_us, 9_000))
+    offer = best_offer(measured, lambda trial: min(trial.exposure_us, 9_000))
     assert offer is not None
     assert (offer.delay_us, offer.exposures_us) == (500, (8_000, 10_000))
-    assert offered({}, lambda _trial: 0.0) is None
+    assert best_offer({}, lambda _trial: 0.0) is None
 
 
 def test_lines_that_differ_beat_and_a_slow_course_does_not() -> None:
     x = np.linspace(-1.0, 1.0, LINES)
     noise = 0.002 * np.random.default_rng(3).standard_normal((2, LINES))
     smooth = 1.0 + 0.2 * x - 0.1 * x**2
-    assert not compare_lines(smooth + noise[0], smooth + noise[1]).scaled
+    assert not compare_lines(smooth + noise[0], smooth + noise[1]).is_scaled
     beating = smooth * (1.0 + 0.1 * (np.arange(LINES) % 4 == 0))
     found = compare_lines(beating + noise[0], beating + noise[1])
-    assert found.scaled
+    assert found.is_scaled
     assert found.beating == pytest.approx(0.043, abs=0.01)
     dim = compare_lines(beating**9 + 80 * noise[0], beating**9 + 80 * noise[1])
     assert dim.beating > 0.2
-    assert not dim.told
-    assert not dim.scaled
+    assert not dim.is_measurable
+    assert not dim.is_scaled
 
 
 def test_a_key_is_changed_in_its_line_and_everything_else_stays() -> None:
@@ -224,12 +224,14 @@ def test_what_single_bits_foretell_to_be_cut_is_not_tried() -> None:
         at += length
     profiles[255] = np.asarray(sum(profiles.values()), np.float64)
     wanted = [Trial(500, 250 * k) for k in range(8, 60)]
-    kept = promising(wanted, profiles, 0.0)
+    kept = promising_trials(wanted, profiles, 0.0)
     assert {one.exposure_us for one in kept} >= {one.exposure_us for one in wanted if one.exposure_us >= 8_500}
     assert len(kept) < 0.7 * len(wanted)
-    assert promising(wanted[: light.FEWEST], profiles, 0.0) == tuple(wanted[: light.FEWEST]), "a few are always tried"
+    assert promising_trials(wanted[: light.FEWEST], profiles, 0.0) == tuple(wanted[: light.FEWEST]), (
+        "a few are always tried"
+    )
     del profiles[4]
-    assert promising(wanted, profiles, 0.0) == tuple(wanted), "a bit that was not measured may be anywhere"
+    assert promising_trials(wanted, profiles, 0.0) == tuple(wanted), "a bit that was not measured may be anywhere"
 
 
 PERIOD_PX = 32

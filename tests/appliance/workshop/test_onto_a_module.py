@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from appliance.store.config import load_rig
-from appliance.workshop.flashing import LIBRARIES, Part, commands, laid_out
+from appliance.workshop.flashing import LIBRARIES, Part, commands, firmware_files
 from tests.support import micropython
 
 pytestmark = pytest.mark.devices
@@ -75,7 +75,7 @@ def module() -> Iterator[Module]:
 def test_the_printed_commands_bring_all_files_onto_a_module_and_may_be_repeated(
     part: Part, module: Module, tmp_path: Path
 ) -> None:
-    folder, files = tmp_path / part, laid_out(part, RIG)
+    folder, files = tmp_path / part, firmware_files(part, RIG)
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)

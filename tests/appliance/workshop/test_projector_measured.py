@@ -12,7 +12,7 @@ from appliance.store.config import default_rig_path, parse_rig
 from appliance.workshop.bench import Shot
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.light import keys_of
-from appliance.workshop.projector import ProjectorMeasured, measure_projector
+from appliance.workshop.projector import ProjectorMeasurement, measure_projector
 from appliance.workshop.raster import measure_lines, measure_orientation
 from appliance.workshop.rig_edit import with_keys
 from tests.appliance.workshop.scripted import projector_findings
@@ -24,13 +24,13 @@ STEADY = Model(steady())
 VIDEO = Model(planes_in(5_000.0, 12_400.0), planes_in(500.0, 4_500.0), latency=1)
 
 
-def measured(model: Model) -> tuple[ProjectorMeasured, dict[str, Finding]]:
+def measured(model: Model) -> tuple[ProjectorMeasurement, dict[str, Finding]]:
     found = measure_projector(ModelBench(model), 12.0, silent)
     return found, projector_findings(found)
 
 
 @functools.cache
-def steady_measured() -> ProjectorMeasured:
+def steady_measured() -> ProjectorMeasurement:
     return measured(STEADY)[0]
 
 
@@ -39,7 +39,7 @@ def seen_anew(model: Model) -> dict[str, Finding]:
     bench, shot = ModelBench(model), Shot(500, 10_000)
     seen, _ = measure_orientation(bench, shot, all_channels=False)
     lines, _ = measure_lines(bench, shot, all_channels=False)
-    return projector_findings(replace(steady_measured(), seen=seen, lines=lines))
+    return projector_findings(replace(steady_measured(), views=seen, lines=lines))
 
 
 def wrong(findings: dict[str, Finding]) -> set[str]:
