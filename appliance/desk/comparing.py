@@ -14,13 +14,20 @@ from numpy.typing import NDArray
 from appliance.base import Progress, one_line, refuse_wrong_fields
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_surface
-from appliance.desk.object_errors import errors_of, laid_onto_something
+from appliance.desk.object_errors import errors_of, with_sigma_after_registration
 from appliance.desk.object_report import report_of
 from appliance.desk.object_store import StoredObject
 from appliance.desk.objects import about_object, surface_of
 from appliance.desk.organised import organised_scan
 from appliance.desk.registration.joint import JointErrors
-from appliance.desk.registration.reference import FITS_MM, FreeWay, LaidOnto, OrientedPoints, PlacesOn, lay_onto
+from appliance.desk.registration.reference import (
+    FITS_MM,
+    FreeWay,
+    OrientedPoints,
+    ReferencePlaces,
+    SurfaceRegistration,
+    register_to_reference,
+)
 from appliance.desk.report.content import Report, ReportNominal
 from appliance.desk.report.page import write_report
 from appliance.desk.surface.deviation import LIMIT_MM, Deviation, NominalTree, deviations, spread_over
@@ -58,7 +65,7 @@ class Comparison:
 
     surface: FusedCloud
     """Points in their own frame; sigma and its shares as they are once it lies on the nominal surface."""
-    laid: LaidOnto
+    laid: SurfaceRegistration
     nominal: str
     origin_mm: NDArray[np.float64]
     """(3,): place in the nominal surface's frame that ``in_nominal_frame`` is about; (0, 0, 0) unless it lies far from
@@ -97,7 +104,7 @@ def compare(
     it onto ``nominal`` does not take them away. Raises SurfaceMatchError where most of it fits nowhere.
     """
     tree = NominalTree.of(nominal.triangles)
-    laid = lay_onto(
+    laid = register_to_reference(
         OrientedPoints(
             surface.points_mm.astype(np.float64),
             surface.normals.astype(np.float64),
@@ -109,7 +116,7 @@ def compare(
     points = laid.pose.of(surface.points_mm.astype(np.float64))
     normals = surface.normals.astype(np.float64) @ laid.pose.rotation.T
     deviation = deviations(points, surface.sigma_mm, tree, normals, limit_mm)
-    surface = laid_onto_something(surface, errors, np.isfinite(deviation.deviation_mm))
+    surface = with_sigma_after_registration(surface, errors, np.isfinite(deviation.deviation_mm))
     variance = surface.sigma_mm.astype(np.float64) ** 2 + laid.sigma_at(points, normals) ** 2
     if nominal.sigma_mm is not None:
         variance += _sigma_on(nominal.sigma_mm, nominal.triangles, deviation.face) ** 2
@@ -182,7 +189,7 @@ def _nominal_surface(
     if isinstance(nominal, Path):
         return NominalSurface(nominal.name, read_nominal(nominal))
     # What the two are laid onto each other by, no error of the other's frame is left in.
-    surface = laid_onto_something(surface_of(root, nominal, wish, progress, spacing_mm), errors_of(nominal))
+    surface = with_sigma_after_registration(surface_of(root, nominal, wish, progress, spacing_mm), errors_of(nominal))
     mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm))
     return NominalSurface(f"object {nominal.name}", nominal_of_mesh(mesh), mesh.sigma_mm)
 
@@ -199,11 +206,11 @@ class NominalReference:
         places, face = spread_over(self.tree.nominal, count)
         return OrientedPoints(places, self.tree.nominal.face_normals[face], self._sigma(face))
 
-    def nearest(self, points_mm: NDArray[np.float64], limit_mm: float) -> PlacesOn:
+    def nearest(self, points_mm: NDArray[np.float64], limit_mm: float) -> ReferencePlaces:
         """Return the nearest place to each of the points (n, 3), whatever its distance."""
         on = self.tree.nearest(points_mm)
         apart = np.where(on.beside, np.inf, np.abs(on.signed_mm))
-        return PlacesOn(apart, on.place_mm, self.tree.nominal.face_normals[on.face], self._sigma(on.face))
+        return ReferencePlaces(apart, on.place_mm, self.tree.nominal.face_normals[on.face], self._sigma(on.face))
 
     def _sigma(self, face: NDArray[np.int64]) -> NDArray[np.float64]:
         if self.sigma_mm is None:
@@ -250,7 +257,7 @@ def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
     return (said,)
 
 
-def _warnings(laid: LaidOnto) -> tuple[str, ...]:
+def _warnings(laid: SurfaceRegistration) -> tuple[str, ...]:
     found = [_free_words(laid, one) for one in laid.free]
     if laid.elsewhere:
         poses = "; ".join(_pose_words(one, laid.pose) for one in laid.elsewhere[:_MOST_SHOWN])
@@ -260,7 +267,7 @@ def _warnings(laid: LaidOnto) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _free_words(laid: LaidOnto, way: FreeWay) -> str:
+def _free_words(laid: SurfaceRegistration, way: FreeWay) -> str:
     """Return what is known of a direction that the shape does not hold, in the nominal surface's frame."""
     motion = (
         f"can turn about {_vector(way.direction[:3])}" if way.turns else f"can slide along {_vector(way.direction[3:])}"

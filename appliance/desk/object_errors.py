@@ -13,11 +13,11 @@ from appliance.desk.registration.joint import JointErrors, LengthSigma
 from appliance.desk.surface.fusion import FusedCloud, with_places
 from appliance.measure import STANDARD, Rigid, WorkingVolume
 
-_LAID = 12_000
+_MAX_POINTS = 12_000
 """Points of a surface that say which motion it would be laid onto something by."""
 
 
-def packed(errors: JointErrors, scans: Sequence[str]) -> JointPlaces:
+def pack(errors: JointErrors, scans: Sequence[str]) -> JointPlaces:
     """Return joint errors as an object keeps them; ``scans``: the names of theirs, in their order."""
     return JointPlaces(
         scans=tuple(scans),
@@ -72,14 +72,14 @@ def length_between(
     return errors.of_length(names.index(first), np.array(at_first_mm), names.index(second), np.array(at_second_mm))
 
 
-def in_the_frame(cloud: FusedCloud, errors: JointErrors) -> FusedCloud:
+def with_sigma_in_frame(cloud: FusedCloud, errors: JointErrors) -> FusedCloud:
     """Return an object's fused surface with sigma in the object's frame; as it is where its points name no scan."""
     if cloud.first_scan is None:
         return cloud
     return with_places(cloud, *errors.sigma_along(cloud.points_mm, cloud.normals, cloud.first_scan))
 
 
-def laid_onto_something(
+def with_sigma_after_registration(
     cloud: FusedCloud, errors: JointErrors | None, on_it: NDArray[np.bool_] | None = None
 ) -> FusedCloud:
     """Return the surface with the sigma that is left once it lies on something by its shape; ``on_it`` (n,): points
@@ -88,5 +88,7 @@ def laid_onto_something(
         return cloud
     # What lies beside it has no say in how it is laid on.
     rows = np.arange(len(cloud.grey)) if on_it is None else np.flatnonzero(on_it)
-    rows = rows[:: max(1, len(rows) // _LAID)]
-    return in_the_frame(cloud, errors.settled(cloud.points_mm[rows], cloud.normals[rows], cloud.first_scan[rows]))
+    rows = rows[:: max(1, len(rows) // _MAX_POINTS)]
+    return with_sigma_in_frame(
+        cloud, errors.settled(cloud.points_mm[rows], cloud.normals[rows], cloud.first_scan[rows])
+    )

@@ -220,7 +220,7 @@ OBJECT = SealedFile(
 )
 
 
-def checked_name(name: str) -> str:
+def check_name(name: str) -> str:
     """Return ``name``. Raises ObjectError for one that cannot name a folder everywhere."""
     if not is_object(name):
         raise ObjectError(
@@ -233,7 +233,7 @@ def checked_name(name: str) -> str:
 
 def folder_of(root: Path, name: str) -> Path:
     """Return the folder of an object. Raises ObjectError for an impossible name."""
-    return root / FOLDER / checked_name(name)
+    return root / FOLDER / check_name(name)
 
 
 def object_names(root: Path) -> list[str]:
@@ -312,7 +312,7 @@ def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObj
     return _with_places(replace(stored, scans=(*stored.scans, *added)), stored.places)
 
 
-def published_object(now: StoredObject | None, solved: StoredObject) -> StoredObject:
+def merge_places(now: StoredObject | None, solved: StoredObject) -> StoredObject:
     """Return the object as it is stored now with the places that were found for what it was before; scans that were
     added meanwhile have none yet.
 
@@ -322,7 +322,7 @@ def published_object(now: StoredObject | None, solved: StoredObject) -> StoredOb
         raise ObjectError(
             f"object '{solved.name}': was made again while it was solved; its places are not kept: solve it once more"
         )
-    more = sorted(_answered(now.places) - _answered(solved.places))
+    more = sorted(_scans_with_result(now.places) - _scans_with_result(solved.places))
     if more:
         raise ObjectError(
             f"object '{solved.name}': was solved with {', '.join(more)}, too, meanwhile; those places are kept, and "
@@ -331,7 +331,7 @@ def published_object(now: StoredObject | None, solved: StoredObject) -> StoredOb
     return _with_places(now, solved.places)
 
 
-def _answered(places: Places | None) -> set[str]:
+def _scans_with_result(places: Places | None) -> set[str]:
     """Return the scans that have a place, or a reason of their own for having none."""
     if places is None:
         return set()
@@ -342,7 +342,7 @@ def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:
     """Return the object with ``places``, of which the scans that they say nothing of are left out."""
     if places is None:
         return replace(stored, places=None)
-    answered = _answered(places)
+    answered = _scans_with_result(places)
     since = {one.name: ADDED_SINCE for one in stored.scans if one.name not in answered}
     return replace(stored, places=replace(places, left_out={**places.left_out, **since}))
 
@@ -350,7 +350,7 @@ def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:
 # ------------------------------------------------------------------------------------------------ kept clouds
 
 
-def kept_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[Any]] | None:
+def load_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[Any]] | None:
     """Return the arrays kept of a scan under ``key``; ``None`` where there are none, or of another key, or damaged
     ones."""
     import numpy as np
@@ -366,7 +366,7 @@ def kept_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[
         return None
 
 
-def keep_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+def save_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     """Keep a scan's arrays under ``key``.
 
     What cannot be kept is made again next time. Raises ObjectError for an impossible name.

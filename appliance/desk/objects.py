@@ -16,7 +16,7 @@ from appliance.base import Progress, part_of, silent
 from appliance.calibrate import HealthFile, OverlapNews, told_by_overlaps
 from appliance.desk import object_store as objects
 from appliance.desk.export.content import OBJECT_FRAME, About
-from appliance.desk.object_errors import errors_of, in_the_frame, packed
+from appliance.desk.object_errors import errors_of, pack, with_sigma_in_frame
 from appliance.desk.object_store import (
     CloudFacts,
     ComparedScans,
@@ -27,10 +27,10 @@ from appliance.desk.object_store import (
     StoredObject,
 )
 from appliance.desk.organised import OrganisedScan, organised_scan
-from appliance.desk.registration.bow import bow_score, corrected, known_before, spread_mm
-from appliance.desk.registration.graph import Edge, Placed
+from appliance.desk.registration.bow import bow_score, prior_covariance, remove_depth_error, spread_mm
+from appliance.desk.registration.graph import Edge, ScanPoses
 from appliance.desk.registration.joint import JointErrors, joint_errors
-from appliance.desk.registration.solve import Compared, Solved, middle_of, solve
+from appliance.desk.registration.solve import ComparedPair, Solved, middle_of, solve
 from appliance.desk.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
 from appliance.measure import Calibration, OrganisedCloud, ReadyScan, matrix3, ready
 from appliance.store import FRAME_FILES, ChosenCalibration, ScanError, ScanOptions, SourceScan, StoredScan, hold_lock
@@ -107,16 +107,16 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: ScanOptions) -> M
     calibration = chosen.calibration
     index = source.scan.water(calibration).index
     key = hashlib.sha256(repr((member.frames_sha256, calibration.hash, index, __version__)).encode()).hexdigest()
-    kept = objects.kept_cloud(root, name, member.name, key)
+    kept = objects.load_cloud(root, name, member.name, key)
     if kept is None:
-        kept = _made(source, chosen)
-        objects.keep_cloud(root, name, member.name, key, kept)
+        kept = _make_arrays(source, chosen)
+        objects.save_cloud(root, name, member.name, key, kept)
     cloud = OrganisedCloud(kept["points_mm"], kept["sigma_mm"], kept["modulation_dn"], kept["ray_gap_mm"], kept["grey"])
     verdicts = tuple(str(one) for one in kept["verdicts"].tolist())
     return MemberCloud(member, cloud, calibration, index, verdicts, source.scan.manifest.record.wall_time)
 
 
-def _made(source: SourceScan, chosen: ChosenCalibration) -> dict[str, NDArray[Any]]:
+def _make_arrays(source: SourceScan, chosen: ChosenCalibration) -> dict[str, NDArray[Any]]:
     made = organised_scan(source, chosen, silent)
     verdicts = np.array([f"{fault.code.value}: {fault.detail}" for fault in made.faults], dtype=np.str_)
     cloud = made.cloud
@@ -179,9 +179,9 @@ def solve_object(
     solved = solve(scans, part_of(progress, 0.5, 1.0), with_shared_error, stated)
     # Of several calibrations the first's volume: what they differ by is in no budget, and said.
     joint = joint_errors(solved.placed, used[0].rig.volume)
-    places = _places(solved, scans, clouds, with_shared_error, known_before(stated), joint, facts)
+    places = _places(solved, scans, clouds, with_shared_error, prior_covariance(stated), joint, facts)
     answer = replace(stored_object, places=places)
-    return objects.update_object(root, answer.name, lambda now: objects.published_object(now, answer))
+    return objects.update_object(root, answer.name, lambda now: objects.merge_places(now, answer))
 
 
 def _facts(member: MemberCloud) -> CloudFacts:
@@ -226,12 +226,12 @@ def _places(
         shared_error_removed=with_shared_error,
         variance_factor=placed.variance_factor,
         shared_error_score=bow_score(aided.bow_mm, known_mm2, aided.bow_covariance),
-        joint=packed(joint, list(places)),
+        joint=pack(joint, list(places)),
         clouds=facts,
     )
 
 
-def _place(placed: Placed, aided: Placed, k: int, middle_mm: NDArray[np.float64]) -> ScanPlace:
+def _place(placed: ScanPoses, aided: ScanPoses, k: int, middle_mm: NDArray[np.float64]) -> ScanPlace:
     pose, covariance = placed.poses[k], placed.covariance[k]
     x, y, z = pose.translation_mm.tolist()
     across, down, away = pose.of(middle_mm).tolist()
@@ -248,7 +248,7 @@ def _place(placed: Placed, aided: Placed, k: int, middle_mm: NDArray[np.float64]
     )
 
 
-def _pair(one: Compared, placed: Placed, named: Sequence[str]) -> ComparedScans:
+def _pair(one: ComparedPair, placed: ScanPoses, named: Sequence[str]) -> ComparedScans:
     def among(edges: Sequence[Edge]) -> bool:
         return any((edge.first, edge.second) == (one.first, one.second) for edge in edges)
 
@@ -309,9 +309,9 @@ def placed_scans(
     for member in clouds_of(root, kept, wish, progress):
         place, cloud = places.places[member.scan.name], member.cloud
         if places.shared_error_removed:
-            points = corrected(cloud.points_mm.astype(np.float64), shared, member.calibration.rig.volume).astype(
-                np.float32
-            )
+            points = remove_depth_error(
+                cloud.points_mm.astype(np.float64), shared, member.calibration.rig.volume
+            ).astype(np.float32)
             cloud = replace(cloud, points_mm=points)
         yield PlacedScan(
             cloud,
@@ -340,7 +340,7 @@ def surface_of(
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
     errors = errors_of(stored_object)
-    return in_the_frame(fuse(placed_scans(root, stored_object, wish, progress), spacing_mm), errors)
+    return with_sigma_in_frame(fuse(placed_scans(root, stored_object, wish, progress), spacing_mm), errors)
 
 
 def tell_health(root: Path, solved: StoredObject) -> None:

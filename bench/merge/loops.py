@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from appliance.calibrate.health import OVERLAP_LIMIT
-from appliance.desk.registration.bow import PRIOR_MM2, bow_score, known_before
+from appliance.desk.registration.bow import PRIOR_MM2, bow_score, prior_covariance
 from appliance.desk.registration.graph import Edge, place
 from appliance.desk.registration.solve import edges_of, middle_of, solve
 from appliance.measure.light.rotation import rotation_matrix
@@ -124,14 +124,14 @@ def _made_wrong(edge: Edge, shift_mm: float | None, rng: np.random.Generator) ->
 
 def _power(seed: int, count: int, edges: list[Edge], middles: dict[int, Array]) -> list[dict[str, Any]]:
     rng = np.random.default_rng([32, seed])
-    known = known_before(STATED_SHARE * PRIOR_MM2)
+    known = prior_covariance(STATED_SHARE * PRIOR_MM2)
     root = np.linalg.cholesky(STATED_SHARE * PRIOR_MM2)
     rows = []
     for times in TIMES:
         scores = []
         for _ in range(DRAWS if times else 1):
             shared = times * (root @ rng.normal(size=len(root)))
-            placed = place(count, [_bent(edge, shared) for edge in edges], middles, with_bow=True, known_mm2=known)
+            placed = place(count, [_bent(edge, shared) for edge in edges], middles, with_bow=True, prior_mm2=known)
             scores.append(bow_score(placed.bow_mm, known, placed.bow_covariance))
         told = [score for score in scores if score is not None]
         rows.append(

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from appliance.desk.registration.bow import bow_score, known_before
-from appliance.desk.registration.graph import Placed, place
-from appliance.desk.registration.solve import Compared, edges_of, middle_of, solve
+from appliance.desk.registration.bow import bow_score, prior_covariance
+from appliance.desk.registration.graph import ScanPoses, place
+from appliance.desk.registration.solve import ComparedPair, edges_of, middle_of, solve
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.points.organised import OrganisedCloud
@@ -73,8 +73,8 @@ def measure(
         found.append(Measured(f"{name}: CPU for {len(solved.compared)} pairs and the graph", done - prepared, "s"))
         found.append(Measured(f"{name}: scans placed", len(solved.placed.poses), f"of {len(scans)}"))
         middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
-        known = known_before(stated)
-        plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False, known_mm2=known)
+        known = prior_covariance(stated)
+        plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False, prior_mm2=known)
         for how, placed in (("estimated", solved.placed), ("not estimated", plain)):
             row = {"scans": name, "bow": how, **_judged(placed, views, middles, solved.compared, scale)}
             row["score"] = bow_score(placed.bow_mm, known, placed.bow_covariance) if how == "estimated" else None
@@ -101,7 +101,11 @@ def figures(said: str, row: dict[str, Any], *, default: bool) -> list[Measured]:
 
 
 def _judged(
-    placed: Placed, views: list[PlacedView], middles: dict[int, Array], compared: tuple[Compared, ...], scale: float
+    placed: ScanPoses,
+    views: list[PlacedView],
+    middles: dict[int, Array],
+    compared: tuple[ComparedPair, ...],
+    scale: float,
 ) -> dict[str, Any]:
     """Return a row of the table; ``scale`` is the single scans' own, which merging is not blamed for."""
     first = min(placed.poses)

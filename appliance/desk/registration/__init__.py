@@ -1,1 +1,1 @@
-"""Scans placed relative to each other, each placement with its uncertainty or a reason why there is none."""
+"""Registration of many scans into one object: scan poses with their uncertainties, or reasons why there are none."""

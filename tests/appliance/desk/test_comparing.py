@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.desk.comparing import NominalSurface, compare
-from appliance.desk.object_errors import in_the_frame
+from appliance.desk.object_errors import with_sigma_in_frame
 from appliance.desk.registration.joint import JointErrors
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.nominal import Nominal, nominal_of
@@ -125,7 +125,7 @@ def test_the_frames_sigma_grows_from_the_first_scan_on_and_keeps_what_is_near_by
     # In the frame of the first scan: its place does not move.
     first = errors.follow[:6]
     of_first = replace(errors, follow=errors.follow - np.tile(first, (len(SCANS_MM), 1)))
-    surface = in_the_frame(measured(errors, 0.0), of_first)
+    surface = with_sigma_in_frame(measured(errors, 0.0), of_first)
     assert surface.shares is not None
     np.testing.assert_array_equal(surface.beside_mm, np.float32(NOISE_MM))
     scan = surface.first_scan

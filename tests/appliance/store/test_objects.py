@@ -80,7 +80,7 @@ def test_a_scan_that_is_added_also_while_the_object_is_solved_is_not_lost_and_ha
     objects.write(tmp_path, StoredObject("hull 3"))
     objects.update_object(tmp_path, "hull 3", with_more(1, 2, 3))
     places_are_those_of_the_first_two(
-        objects.update_object(tmp_path, "hull 3", lambda now: objects.published_object(now, solved(1, 2)))
+        objects.update_object(tmp_path, "hull 3", lambda now: objects.merge_places(now, solved(1, 2)))
     )
 
 
@@ -108,14 +108,14 @@ def test_scans_that_are_added_at_once_are_all_in_the_object(tmp_path: Path) -> N
 def test_places_do_not_replace_those_of_more_scans_or_of_an_object_that_was_made_again(tmp_path: Path) -> None:
     objects.write(tmp_path, solved(1, 2, 3))
     with pytest.raises(ObjectError, match="was solved with 000003, too, meanwhile"):
-        objects.update_object(tmp_path, "hull 3", lambda now: objects.published_object(now, solved(1, 2)))
+        objects.update_object(tmp_path, "hull 3", lambda now: objects.merge_places(now, solved(1, 2)))
     assert objects.read_object(tmp_path, "hull 3") == solved(1, 2, 3)
     for now in (None, solved(1, 3)):
         with pytest.raises(ObjectError, match="was made again while it was solved"):
-            objects.published_object(now, solved(1, 2))
+            objects.merge_places(now, solved(1, 2))
     again = replace(solved(1, 2), scans=(scan(1), replace(scan(2), frames_sha256=("other frames",))))
     with pytest.raises(ObjectError, match="was made again"):
-        objects.published_object(again, solved(1, 2))
+        objects.merge_places(again, solved(1, 2))
 
 
 def test_a_scan_is_not_taken_twice_under_whatever_name() -> None:
@@ -128,11 +128,11 @@ def test_a_scan_is_not_taken_twice_under_whatever_name() -> None:
 def test_a_kept_cloud_is_used_only_for_what_it_was_made_from(tmp_path: Path) -> None:
     objects.write(tmp_path, OBJECT)
     points = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
-    objects.keep_cloud(tmp_path, "hull 3", "000001", "key", {"points_mm": points})
-    kept = objects.kept_cloud(tmp_path, "hull 3", "000001", "key")
+    objects.save_cloud(tmp_path, "hull 3", "000001", "key", {"points_mm": points})
+    kept = objects.load_cloud(tmp_path, "hull 3", "000001", "key")
     assert kept is not None
     np.testing.assert_array_equal(kept["points_mm"], points)
-    assert objects.kept_cloud(tmp_path, "hull 3", "000001", "other key") is None
+    assert objects.load_cloud(tmp_path, "hull 3", "000001", "other key") is None
     path = tmp_path / "objects" / "hull 3" / "clouds" / "000001.npz"
     path.write_bytes(path.read_bytes()[:100])
-    assert objects.kept_cloud(tmp_path, "hull 3", "000001", "key") is None, "it is made again"
+    assert objects.load_cloud(tmp_path, "hull 3", "000001", "key") is None, "it is made again"

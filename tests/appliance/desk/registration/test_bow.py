@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.desk.registration.bow import PRIOR_MM2, bow_score, known_before
+from appliance.desk.registration.bow import PRIOR_MM2, bow_score, prior_covariance
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, POWERS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_vector
 from appliance.measure.overlap.fine import Fit, refine
@@ -47,8 +47,8 @@ def test_a_pair_states_by_how_much_a_shared_error_turns_it(seen: tuple[SeenView,
 
 
 def test_what_was_known_is_the_calibrations_word_and_a_little_more_or_what_is_usual() -> None:
-    assert known_before(None) is PRIOR_MM2
-    np.testing.assert_allclose(np.diag(known_before(np.diag(np.full(DEPTH_ERROR_TERMS, 1e-4)))), 1e-4 + 0.006**2)
+    assert prior_covariance(None) is PRIOR_MM2
+    np.testing.assert_allclose(np.diag(prior_covariance(np.diag(np.full(DEPTH_ERROR_TERMS, 1e-4)))), 1e-4 + 0.006**2)
     usual = dict(zip(POWERS, np.sqrt(np.diag(PRIOR_MM2)), strict=True))
     powers = (2, 0, 0), (1, 2, 0), (2, 2, 0), (0, 5, 0), (1, 0, 1), (0, 3, 1)
     assert [usual[one] for one in powers] == pytest.approx([0.030, 0.020, 0.010, 0.007, 0.2 * 0.030, 0.2 * 0.020])

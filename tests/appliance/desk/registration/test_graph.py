@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.desk.registration.graph import Edge, place
-from appliance.desk.registration.solve import Compared, _left_out, _thinned, edges_of
+from appliance.desk.registration.solve import ComparedPair, _most_useful, _omissions, edges_of
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.overlap.fine import DepthErrorEquations, Fit
@@ -102,17 +102,17 @@ def test_a_pair_that_no_loop_checks_is_kept_and_named() -> None:
 
 def test_of_neighbours_by_place_three_of_each_scan_are_compared_the_farthest_in_time_first() -> None:
     here = Rigid(np.eye(3), np.zeros(3))
-    kept = _thinned([(0, k, here) for k in range(1, 6)] + [(k, 6, here) for k in (2, 4, 5)])
+    kept = _most_useful([(0, k, here) for k in range(1, 6)] + [(k, 6, here) for k in (2, 4, 5)])
     assert list(kept) == [(0, 5), (0, 4), (2, 6), (0, 3), (4, 6), (5, 6)]
     assert all(pose is here for pose in kept.values())
 
 
 def test_each_scan_without_a_place_has_the_reason_that_helps_most() -> None:
-    def refused(first: int, second: int, why: PairRefusal) -> Compared:
-        return Compared(first, second, RegisteredPair(None, why, f"{first} and {second}"))
+    def refused(first: int, second: int, why: PairRefusal) -> ComparedPair:
+        return ComparedPair(first, second, RegisteredPair(None, why, f"{first} and {second}"))
 
-    def accepted(edge_of: Edge) -> Compared:
-        return Compared(edge_of.first, edge_of.second, RegisteredPair(edge_of.fit, None, ""))
+    def accepted(edge_of: Edge) -> ComparedPair:
+        return ComparedPair(edge_of.first, edge_of.second, RegisteredPair(edge_of.fit, None, ""))
 
     compared = [
         *(accepted(edge(i, j)) for i, j in ((0, 1), (1, 2), (0, 2), (3, 4))),
@@ -121,7 +121,7 @@ def test_each_scan_without_a_place_has_the_reason_that_helps_most() -> None:
     ]  # fmt: skip
     assert [(one.first, one.second) for one in edges_of(compared)] == [(0, 1), (1, 2), (0, 2), (3, 4)]
     placed = place(8, edges_of(compared), middles(8))
-    left = _left_out(8, placed, compared)
+    left = _omissions(8, placed, compared)
     assert {scan: (one.why, one.beside) for scan, one in left.items()} == {
         3: ("it fits others that have no place either", None),
         4: ("it fits others that have no place either", None),
@@ -130,4 +130,4 @@ def test_each_scan_without_a_place_has_the_reason_that_helps_most() -> None:
         7: ("it overlaps no other scan", None),
     }
     contradicting = replace(placed, wrong=(edge(3, 4),))
-    assert _left_out(8, contradicting, compared)[4].why == "its pairs contradict the loops of the others"
+    assert _omissions(8, contradicting, compared)[4].why == "its pairs contradict the loops of the others"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.desk.registration.graph import FLOOR_MM, Placed, place
+from appliance.desk.registration.graph import FLOOR_MM, ScanPoses, place
 from appliance.desk.registration.joint import joint_errors
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_matrix, rotation_vector
@@ -59,7 +59,7 @@ def response_of(i: int, j: int) -> Array:
 RESPONSES = {pair: response_of(*pair) for pair in PAIRS}
 
 
-def drawn(rng: np.random.Generator, shared_mm: Array) -> Placed:
+def drawn(rng: np.random.Generator, shared_mm: Array) -> ScanPoses:
     """Places from pairs that err as they state (and by the floor that each has besides), and by the shared error."""
     edges = []
     for i, j in PAIRS:
@@ -69,17 +69,17 @@ def drawn(rng: np.random.Generator, shared_mm: Array) -> Placed:
             RESPONSES[i, j], np.zeros((DEPTH_ERROR_TERMS, DEPTH_ERROR_TERMS)), np.zeros(DEPTH_ERROR_TERMS)
         )
         edges.append(replace(edge(i, j, SIGMA_MM), fit=replace(edge(i, j, SIGMA_MM).fit, pose=pose, depth_error=bow)))
-    return place(SCANS, edges, MIDDLES, with_bow=False, known_mm2=np.diag(SHARED_MM**2 + 1e-12))
+    return place(SCANS, edges, MIDDLES, with_bow=False, prior_mm2=np.diag(SHARED_MM**2 + 1e-12))
 
 
-def measured(placed: Placed, scan: int, at_mm: Array, shared_mm: Array) -> Array:
+def measured(placed: ScanPoses, scan: int, at_mm: Array, shared_mm: Array) -> Array:
     """Where a point of a scan, truly at ``at_mm`` in its own frame, comes to lie in the object's."""
     seen = at_mm + along_ray(at_mm) * (shapes(at_mm) @ shared_mm)[..., None]
     return placed.poses[scan].of(seen)
 
 
 @pytest.fixture(scope="module")
-def tried() -> list[tuple[Placed, Array]]:
+def tried() -> list[tuple[ScanPoses, Array]]:
     rng = np.random.default_rng(8)
     draws = []
     for _ in range(DRAWS):
@@ -92,7 +92,7 @@ def tried() -> list[tuple[Placed, Array]]:
     ("first", "second"), [(0, 5), (1, 4), (3, 4), (2, 2)], ids=["ends", "apart", "neighbours", "one scan"]
 )
 def test_lengths_between_scans_err_by_what_is_stated(
-    tried: list[tuple[Placed, Array]], first: int, second: int
+    tried: list[tuple[ScanPoses, Array]], first: int, second: int
 ) -> None:
     p, q = np.array([-70.0, 30.0, 520.0]), np.array([60.0, -40.0, 480.0])
     true = float(np.linalg.norm(true_pose(second).of(q) - true_pose(first).of(p)))

@@ -12,7 +12,13 @@ import pytest
 import trimesh
 
 from appliance.desk.comparing import NominalReference, NominalSurface, compare
-from appliance.desk.registration.reference import OrientedPoints, SurfaceMatchError, _led, _settled, lay_onto
+from appliance.desk.registration.reference import (
+    OrientedPoints,
+    SurfaceMatchError,
+    _refine,
+    _slide_to_best,
+    register_to_reference,
+)
 from appliance.desk.surface.deviation import NominalTree, spread_over
 from appliance.desk.surface.nominal import Nominal, nominal_of
 from appliance.measure.light.rotation import rotation_matrix, rotation_vector
@@ -71,7 +77,7 @@ def reference(motion: Rigid, scale: float = 1.0) -> NominalReference:
 
 
 def test_a_part_finds_its_place_on_a_drawing_in_any_frame() -> None:
-    found = lay_onto(view(block(), (-60.0, -1e3)), reference(ELSEWHERE))
+    found = register_to_reference(view(block(), (-60.0, -1e3)), reference(ELSEWHERE))
     off = SEEN.then(ELSEWHERE).inverse.then(found.pose)
     assert np.linalg.norm(off.of(found.middle_mm) - found.middle_mm) < 0.02
     assert np.linalg.norm(rotation_vector(off.rotation)) * found.lever_mm < 0.02
@@ -107,9 +113,9 @@ def test_what_fits_in_several_places_is_said_with_the_start_that_leads_to_each()
 def test_another_thing_or_a_drawing_in_metres_is_refused_with_both_sizes() -> None:
     stone: Any = trimesh.creation.icosphere(subdivisions=3, radius=70.0)
     with pytest.raises(SurfaceMatchError, match=r"must: is it the same thing, in mm.* and 200 x 150 x 5\d"):
-        lay_onto(view([stone]), reference(HERE))
+        register_to_reference(view([stone]), reference(HERE))
     with pytest.raises(SurfaceMatchError, match=r"0\.2 x 0\.15 x 0\.05 mm; is the CAD model in metres"):
-        lay_onto(view(block()), reference(HERE, 0.001))
+        register_to_reference(view(block()), reference(HERE, 0.001))
 
 
 def test_what_slides_settles_by_most_of_what_it_shows_and_a_rib_beside_its_place_does_not_draw_it() -> None:
@@ -127,10 +133,10 @@ def test_what_slides_settles_by_most_of_what_it_shows_and_a_rib_beside_its_place
     normals = normals + 0.25 * rng.normal(size=normals.shape)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     points = OrientedPoints(np.concatenate([plate, *sides]), normals, np.full(len(normals), 0.1))
-    begun = _led(points, drawing, Rigid(np.eye(3), np.array([0.1, 0.0, 0.0])), 1.0)
+    begun = _refine(points, drawing, Rigid(np.eye(3), np.array([0.1, 0.0, 0.0])), 1.0)
     assert begun is not None
     assert begun.pose.translation_mm[0] == pytest.approx(0.1, abs=0.01), "nothing holds it"
-    settled = _settled(begun, points, drawing)
+    settled = _slide_to_best(begun, points, drawing)
     assert settled is not None
     assert settled.pose.translation_mm[0] == pytest.approx(0.0, abs=0.03)
     assert settled.pose.translation_mm[2] == pytest.approx(0.0, abs=0.02)

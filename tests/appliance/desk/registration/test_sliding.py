@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.desk.comparing import NominalReference
-from appliance.desk.registration.reference import LaidOnto, OrientedPoints, lay_onto
+from appliance.desk.registration.reference import OrientedPoints, SurfaceRegistration, register_to_reference
 from appliance.desk.surface.deviation import NominalTree
 from appliance.desk.surface.nominal import nominal_of
 from appliance.measure.overlap.rigid import Rigid
@@ -18,18 +18,18 @@ from tests.support.views import Array
 SLID_MM = 60.0
 
 
-def laid(vertices: Array, faces: Array, points: OrientedPoints, start: Rigid | None = None) -> LaidOnto:
-    return lay_onto(points, NominalReference(NominalTree.of(nominal_of(vertices, faces))), start)
+def laid(vertices: Array, faces: Array, points: OrientedPoints, start: Rigid | None = None) -> SurfaceRegistration:
+    return register_to_reference(points, NominalReference(NominalTree.of(nominal_of(vertices, faces))), start)
 
 
-def along(found: LaidOnto) -> float:
+def along(found: SurfaceRegistration) -> float:
     """Return how far the view was laid from its place along the pipe, mm."""
     middle = TRUE.inverse.of(np.array([AT_MM, 0.0, 0.0]))
     return float(found.pose.of(middle)[0] - AT_MM)
 
 
 @cache
-def searched() -> LaidOnto:
+def searched() -> SurfaceRegistration:
     return laid(*pipe(120), view(20.0, 200.0, 4_000))
 
 
