@@ -216,6 +216,7 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "150 FRUSTUM_BASE_MM = _BEGIN_MM",
             "3 BOARD_SCALE = _BOARD_STEPS",
             "3 EDGE_MM = EDGE_MM",
+            "3 _NUMBERS = MIN_LISTED_NUMBERS",
             "8 BLOCK_PX = BLOCK_COLUMNS",
             "10 UNDISTORT_STEPS = STEPS_MS",
             "12 PROJECT_STEPS = STEPS_MS",
