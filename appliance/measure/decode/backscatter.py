@@ -1,22 +1,24 @@
-"""Owns the Gray code where water scatters more light back than the object reflects: threshold by threshold, pixel by
-pixel.
+"""Gray code decoding where water scatters more light back than the object reflects.
 
-In a Gray image a pixel shows G = b O + f V over the dark frame: the object's light O where its bit b is set, and the
-share f of the backscatter V that illuminated stripes make on the ray's way to it. The middle between bright and dark
-decides rightly as long as V is less than O. Beyond, coarse stripes may light most of that way (f near 1) before a dark
-pixel, or next to none of it before a bright one: bits then follow the water, and whole patches would become smooth
-surfaces that are nowhere.
+In a Gray image a pixel shows G = b O + f V over the dark frame: the object's light O if its bit b is set, and the share
+f of the backscatter V that illuminated stripes make along its ray. The middle between bright and dark decides correctly
+as long as V is less than O. Beyond, coarse stripes may illuminate most of the ray (f near 1) before a dark pixel, or
+almost none of it before a bright one: the bits then follow the water, and whole patches would become smooth surfaces at
+wrong places.
 
-O is told by the fringes, which backscatter cannot have: a ray crosses many of them. So V = (bright − dark) − O is known
-for each pixel, and f is smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V:
-set), and carried from there to their neighbours, whose bits it tells in turn. Where V is many times O hardly any pixel
-is beyond doubt; of fine stripes f is then ½ to begin with, since a ray crosses many of them; and whole pieces of the
-surface are told by all of their sure bits together (``pieces``). A pixel whose bit remains in doubt asks its neighbours
-(``neighbours``) and is masked if they do not tell, unless it lies on the border of that bit's stripes, where the phase
-tells the half period anyway.
+O follows from the fringes, which backscatter averages away, since a ray crosses many of them. So V = (bright − dark) −
+O is known for each pixel. f is smooth over the image: it is computed from pixels with a reliable bit (G < O: not set; G
+> V: set) and extrapolated to their neighbours, whose bits it decides in turn. Where V is many times O, hardly any pixel
+is reliable. There f of fine stripes is ½ initially, since a ray crosses many of them, and whole pieces of the surface
+are decided by all of their reliable bits together (``pieces``). A pixel whose bit remains doubtful takes its order from
+its neighbours and is masked if they do not decide, unless it lies on the border of that bit's stripes, where the phase
+determines the half period anyway.
 
-Symbols, per pixel and in grey values: G ``gray_dn``, O ``object_dn`` and ``own``, bright − dark ``light_dn``, V
-``veil``, f ``share`` (per block of the image) and ``lit``, σ ``noise_dn`` and ``sigma``.
+read_through_backscatter                  the half periods of one camera's columns
+examine, fringe_scale, any_backscatter    whether there is so much backscatter, and the scale of O
+
+Symbols, per pixel and in grey values: G ``gray_dn``, O ``object_dn``, bright − dark ``light_dn``, V ``veil``, f
+``share`` (per block of the image) and ``veil_share``, σ ``noise_dn`` and ``sigma``.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.decode.gray_code import periods, plain_number
-from appliance.measure.decode.pieces import ask_neighbours, find_pieces, tell_pieces
+from appliance.measure.decode.pieces import decide_by_neighbours, decide_pieces, find_pieces
 from appliance.measure.light.noise import FULL_DN, CameraNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
 
@@ -41,53 +43,47 @@ BLOCKS = 100
 SAMPLES_PER_BLOCK = 4
 """Number of samples across a block, and down it, from which f is estimated."""
 LOOK_SAMPLES = 15_000
-"""Number of pixels that are examined for backscatter worth speaking of."""
+"""Number of pixels that are examined for relevant backscatter."""
 SPREAD_BLOCKS = 1.5
 """Standard deviation, in blocks, of the neighbourhood from which f is averaged."""
 LEAST_KNOWN = 0.03
-"""Share of that neighbourhood that must be known for f to be known."""
+"""Least share of that neighbourhood with known bits for an estimate of f."""
 LEVEL = 2.0
-"""Strength of the prior that f is level, in blocks squared: about what a neighbourhood known on all sides says of a
-slope."""
+"""Strength of the prior that f has no slope, in blocks squared: about that of a completely known neighbourhood."""
 ROUNDS = 48
 SETTLED = 0.0002
-"""Share of the pixels: where a round decides no more, the next one would not either."""
+"""Share of the pixels that a round must decide for another round."""
 SURE = 0.75
-"""Share of the fringes' estimate of O that is certainly there: blur and the projector's response differ from place to
-place."""
+"""Lower limit of O over its estimate from the fringes: blur and the projector's response vary over the image."""
 CONTINUOUS_SIGMAS = 6.0
-"""O in σ from which on a sample's phase is good enough to be followed to the next."""
+"""Least O, in σ, of a sample whose phase continues to the next."""
 PIECE_ROUNDS = 8
-"""Number of times that f is carried on beside what is told, and what it tells is asked again."""
+"""Largest number of rounds in which f is extrapolated and pieces are decided."""
 NOISE_SIGMAS = 3.0
 MARGIN = 0.25
-"""A pixel tells its neighbours where G is farther from the threshold than this, in O, and than ``NOISE_SIGMAS``."""
+"""Least distance of G from the threshold, in O, of a reliable bit; it must also exceed ``NOISE_SIGMAS``."""
 MARGIN_OF_VEIL = 0.15
-"""Uncertainty of f: a bit is in doubt where G is nearer to the threshold than this share of V, and at most ``MARGIN``
-of O."""
+"""Uncertainty of f: a bit is doubtful if G is nearer to the threshold than this share of V, at most ``MARGIN`` of O."""
 APART_SIGMAS = 5.0
-"""Distance from the threshold, in σ, beyond which noise does not carry the other value of the bit; nearer, it is in
-doubt."""
+"""Least distance from the threshold, in σ, of a bit that noise does not change."""
 BEYOND = 0.6
-"""Distance, in O, beyond what either value of the bit makes, from which on f is taken as unknown here."""
+"""Largest distance of G from the values of both bits, in O; beyond it f is taken as unknown."""
 FINE_IMAGES = 3
-"""Number of finest Gray images: one of them has no border near a given pixel; they light half of the water everywhere.
-"""
+"""Number of finest Gray images: one of them has no border near a given pixel, and f is ½ in all of them."""
 CLEAR_MODULATION_DN = 8.0
-"""Modulation from which on a pixel's fringes tell which share of the object's light they are."""
+"""Least modulation of pixels whose fringes give the share of the fringes in the object's light."""
 MIN_LIGHT_DN, MIN_MODULATION_DN = 8.0, 5.0
-"""Least contrast that decoding demands of a pixel, and least modulation where nothing is known of the noise."""
+"""Least contrast of a decoded pixel, and least modulation if the noise is unknown."""
 MAX_PHASE_ERROR_PERIODS = 1 / 20
-"""Expected phase error of the weakest fringes that are used where backscatter takes the scale: five such errors are the
-quarter of a period that lies between the phase and a wrong order. A weak fringe there says nothing of the surface, as a
-shadow or an edge would."""
+"""Largest standard deviation of the phase with much backscatter: five of them are the quarter of a period between the
+phase and a wrong order. Weak fringes there do not mean a shadow or an edge."""
 MIN_CLEAR = 20
-"""Least number of clear pixels from which anything is concluded."""
+"""Fewest clear pixels for an estimate."""
 HALF_VEIL, FEW = 0.5, 0.005
-"""Backscatter of half the object's light in less than this share of the decoded pixels endangers no bit."""
+"""Backscatter of half the object's light, and the largest share of pixels with so much that changes no bit."""
 _ZERO_BIT, _ONE_BIT, _OPEN, _NONE = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
 _SURE, DOUBT, UNSEEN = np.uint8(0), np.uint8(1), np.uint8(2)
-"""A pixel's Gray bits are known well enough; too badly for its half period; not at all, for it has too little light."""
+"""Reliable Gray bits; too doubtful for the half period; too little light."""
 _FULL, _SHADOW, _SATURATED = np.uint8(FULL_DN), np.uint8(1), np.uint8(2)
 
 
@@ -97,7 +93,7 @@ class SampledPixels(NamedTuple):
     light_dn: Floats
     """Bright minus dark."""
     object_dn: Floats
-    """Object's light O, told by the fringes."""
+    """The object's light O, from the fringes."""
     noise_dn: Floats
     """Standard deviation of the bright frame."""
     usable: NDArray[np.bool_]
@@ -105,13 +101,12 @@ class SampledPixels(NamedTuple):
 
 
 class FringeScale(NamedTuple):
-    """Factors that turn grey values into O and its noise."""
+    """Factors from grey values to O and its noise."""
 
     per_half_dn: np.float32
     """O per half grey value of modulation."""
     light_per_sines: np.float32
-    """Bright minus dark, over the sum of the four sines less four times dark: replaces it where the bright frame is
-    saturated."""
+    """Bright minus dark over (sum of the four sines − 4 dark), for pixels whose bright frame is saturated."""
     dark_dn2: np.float32
     """Variance at no light."""
     shot_dn: np.float32
@@ -126,13 +121,12 @@ def read_through_backscatter(
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> float | None:
-    """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 ``DOUBT`` where a
-    bit cannot be told, ``UNSEEN`` where there is too little light to ask.
+    """Write the half periods of the pattern columns (h, w) uint8, and the reliability into ``doubtful``.
 
-    Too little is a modulation below the weakest one that noise allows, where backscatter is half of the object's light
-    and more, and below ``MIN_MODULATION_DN`` elsewhere. ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is
-    as decoding them left it. Returns the weakest modulation, in grey values; ``None``, with nothing written, where the
-    backscatter is too weak to have turned a bit.
+    ``DOUBT``: a bit cannot be decided; ``UNSEEN``: too little light. Too little is a modulation below the weakest one
+    that noise allows, if backscatter is at least half of the object's light, and below ``MIN_MODULATION_DN`` otherwise.
+    ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is the decoder's. Returns the weakest modulation, in
+    grey values; ``None``, with nothing written, if the backscatter is too weak to have changed a bit.
     """
     scale = scale_of_backscatter(sequence, frames, mask, noise)
     if scale is None:
@@ -145,24 +139,23 @@ def read_through_backscatter(
 def _weakest_modulation_dn(
     sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], noise: CameraNoise
 ) -> float:
-    """Return the modulation at which the phase of one camera's pixels has ``MAX_PHASE_ERROR_PERIODS``, at most
-    ``MIN_MODULATION_DN``.
+    """Return the modulation with ``MAX_PHASE_ERROR_PERIODS`` of noise, at most ``MIN_MODULATION_DN``.
 
     Four steps with noise σ and modulation B give the phase an error of σ / (√2 B) rad. The noise is that of the mean
-    light of the lit pixels, most of which is the water's: one limit for all of them. ``frames`` and ``mask`` as in
-    ``read_through_backscatter``.
+    grey value of the illuminated pixels, most of which is backscatter: one limit for all of them. ``frames`` and
+    ``mask`` as in ``read_through_backscatter``.
     """
-    at = _few(mask.shape)
-    lit = mask[at] != _SHADOW
-    if not lit.any():
+    sample = _few(mask.shape)
+    illuminated = mask[sample] != _SHADOW
+    if not illuminated.any():
         return MIN_MODULATION_DN
-    grey_dn = 0.5 * sum(float(frames[k][at][lit].mean()) for k in (sequence.bright, sequence.dark))
+    grey_dn = 0.5 * sum(float(frames[k][sample][illuminated].mean()) for k in (sequence.bright, sequence.dark))
     sigma_dn = math.sqrt(noise.variance_dn2(grey_dn))
     return min(MIN_MODULATION_DN, sigma_dn / (math.sqrt(2.0) * math.tau * MAX_PHASE_ERROR_PERIODS))
 
 
 def warm_up(sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise) -> None:
-    """Run every kernel on frames (n, h, w), whatever they show."""
+    """Run every kernel on frames (n, h, w) of any content."""
     number, doubtful = np.zeros((2, *frames.shape[1:]), np.uint8)
     _read(sequence, frames, scale_of(1.0, 0.5, noise), number, doubtful, MIN_MODULATION_DN)
 
@@ -177,26 +170,25 @@ def _read(
 ) -> None:
     across = sequence.axis(Direction.X)
     stride = max(1, -(-frames.shape[2] // BLOCKS) // SAMPLES_PER_BLOCK)
-    at = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-    pixels = sample_pixels(sequence, frames, at, scale)
-    shares = _shares(sequence, frames, at, pixels)
+    sample = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
+    pixels = sample_pixels(sequence, frames, sample, scale)
+    shares = _shares(sequence, frames, sample, pixels)
     soft, sine = np.empty_like(half_period), np.array(across.sine, np.int64)
     _number(
         frames, np.array(across.gray, np.int64), sine, sequence.bright, sequence.dark, shares,
         SAMPLES_PER_BLOCK * stride, scale, np.float32(weakest_dn), half_period, soft, doubtful,
     )  # fmt: skip
-    ask_neighbours(frames, sine, soft, half_period, doubtful)
+    decide_by_neighbours(frames, sine, soft, half_period, doubtful)
 
 
 def _shares(
-    sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], pixels: SampledPixels
+    sequence: PatternSequence, frames: NDArray[np.uint8], sample: tuple[slice, slice], pixels: SampledPixels
 ) -> Floats:
-    """Return f of all Gray images of the columns in each block, (images, rows, columns) float32; NaN where it is not
-    known."""
+    """Return f of all Gray images of the columns in each block, (images, rows, columns); NaN if unknown."""
     across = sequence.axis(Direction.X)
     coarse = len(across.gray) - FINE_IMAGES
-    dark = frames[sequence.dark][at].astype(np.float32)
-    gray_dn = [frames[k][at].astype(np.float32) - dark for k in across.gray]
+    dark = frames[sequence.dark][sample].astype(np.float32)
+    gray_dn = [frames[k][sample].astype(np.float32) - dark for k in across.gray]
     states = np.empty((len(gray_dn), *dark.shape), np.uint8)
     block = SAMPLES_PER_BLOCK
     rows, columns = (-(-size // block) for size in dark.shape)
@@ -205,23 +197,25 @@ def _shares(
         _seed(gray, pixels.light_dn, pixels.object_dn, pixels.noise_dn, pixels.usable, states[k])
         if k >= coarse:
             _decide(gray, pixels.light_dn, pixels.object_dn, pixels.noise_dn, half, block, states[k])
-    i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
+    i0, i1, i2, i3 = (frames[k][sample].astype(np.float32) for k in across.sine)
     turns = np.float32(0.5 / np.pi) * np.arctan2(i3 - i1, i0 - i2)
     turns[~pixels.usable | (pixels.object_dn < np.float32(CONTINUOUS_SIGMAS) * pixels.noise_dn)] = np.nan
     ahead, members, ends = find_pieces(turns)
-    told = np.zeros(ends.size, np.bool_)
+    is_decided = np.zeros(ends.size, np.bool_)
     sums, shares = np.empty((rows, columns, 3), np.float32), np.empty((len(gray_dn), rows, columns), np.float32)
     for _ in range(PIECE_ROUNDS):
-        new = tell_pieces(ahead, members, ends, told, states, coarse)
-        found = 0
+        new = decide_pieces(ahead, members, ends, is_decided, states, coarse)
+        decided_bits = 0
         for k, gray in enumerate(gray_dn):
             _gather(gray, pixels.light_dn, pixels.object_dn, states[k], block, sums)
             shares[k] = _smooth_share(sums)
             if k >= coarse:
                 shares[k][np.isnan(shares[k])] = 0.5
-            # Beside what is told f is known now, and tells bits of the next piece.
-            found += _decide(gray, pixels.light_dn, pixels.object_dn, pixels.noise_dn, shares[k], block, states[k])
-        if new == 0 and found <= dark.size * SETTLED:
+            # f is known now beside the decided pieces, and decides bits of the next ones.
+            decided_bits += _decide(
+                gray, pixels.light_dn, pixels.object_dn, pixels.noise_dn, shares[k], block, states[k]
+            )
+        if new == 0 and decided_bits <= dark.size * SETTLED:
             break
     return shares
 
@@ -230,7 +224,7 @@ class ExaminedPixels(NamedTuple):
     """Pixels that are examined for backscatter, (n,) float32 each, grey values."""
 
     reason: NDArray[np.uint8]
-    """(n,) uint8: their mask."""
+    """(n,) uint8: the mask."""
     bright_dn: Floats
     light_dn: Floats
     """Bright minus dark."""
@@ -243,13 +237,14 @@ class ExaminedPixels(NamedTuple):
 
 
 def examine(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8]) -> ExaminedPixels:
-    """Examine one pixel in so many of one camera's ``frames`` (n, h, w) uint8, of which ``mask`` (h, w) is the
-    decoder's."""
-    at, across = _few(mask.shape)[0], sequence.axis(Direction.X)
+    """Sample one camera's ``frames`` (n, h, w) uint8 evenly; ``mask`` (h, w) is the decoder's."""
+    grid_rows, across = _few(mask.shape)[0], sequence.axis(Direction.X)
     shown = np.array([sequence.bright, sequence.dark, *across.sine, *across.gray[-FINE_IMAGES:]], np.int64)
-    room = len(range(at.start, mask.shape[0], at.step)) * len(range(at.start, mask.shape[1], at.step))
+    room = len(range(grid_rows.start, mask.shape[0], grid_rows.step)) * len(
+        range(grid_rows.start, mask.shape[1], grid_rows.step)
+    )
     reason, levels = np.empty(room, np.uint8), np.empty((5, room), np.float32)
-    _examine(frames, shown, mask, at.start, at.step, reason, levels)
+    _examine(frames, shown, mask, grid_rows.start, grid_rows.step, reason, levels)
     return ExaminedPixels(reason, *levels)
 
 
@@ -263,15 +258,17 @@ def _examine(
     reason: NDArray[np.uint8],
     levels: Floats,
 ) -> None:
-    """Write to ``reason`` (n,) and ``levels`` (5, n) what ``ExaminedPixels`` holds; ``shown``: bright, dark, sines of X
-    and fine Gray images."""
+    """Write ``reason`` (n,) and ``levels`` (5, n), the fields of ``ExaminedPixels``.
+
+    ``shown``: indices of bright, dark, sines of X and fine Gray images.
+    """
     n = 0
     for y in range(first, mask.shape[0], stride):
         for x in range(first, mask.shape[1], stride):
             bright, dark = np.float32(frames[shown[0], y, x]), np.float32(frames[shown[1], y, x])
             i0, i1 = np.float32(frames[shown[2], y, x]), np.float32(frames[shown[3], y, x])
             i2, i3 = np.float32(frames[shown[4], y, x]), np.float32(frames[shown[5], y, x])
-            # Four steps of 90°: (I0 − I2, I3 − I1) is 2 B (cos φ, sin φ). All are whole numbers but the root.
+            # Four steps of 90°: (I0 − I2, I3 − I1) is 2 B (cos φ, sin φ). Only the root is not an integer.
             cosine, sine = i0 - i2, i3 - i1
             swing = np.float32(1.0)
             for k in range(6, shown.size):
@@ -283,21 +280,27 @@ def _examine(
             n += 1
 
 
-def fringe_scale(seen: ExaminedPixels, noise: CameraNoise, clear_dn: float = CLEAR_MODULATION_DN) -> FringeScale | None:
-    """Measure the scale on pixels whose modulation is above ``clear_dn``; ``None`` where nothing is seen."""
-    clear = seen.double_dn > 2.0 * clear_dn
-    clear &= (seen.reason != _SHADOW) & (seen.reason != _SATURATED) & (seen.bright_dn < FULL_DN)
+def fringe_scale(
+    examined: ExaminedPixels, noise: CameraNoise, clear_dn: float = CLEAR_MODULATION_DN
+) -> FringeScale | None:
+    """Measure the scale on pixels whose modulation exceeds ``clear_dn``; ``None`` if there are too few."""
+    clear = examined.double_dn > 2.0 * clear_dn
+    clear &= (examined.reason != _SHADOW) & (examined.reason != _SATURATED) & (examined.bright_dn < FULL_DN)
     if np.count_nonzero(clear) < MIN_CLEAR:
         return None
     # Contrast: 2B over the swing of a fine Gray image about its middle, (2b − 1) O + (2f − 1) V, which is ± O since f
-    # is ½ there. Swings are whole numbers: float32 has them exactly.
-    contrast = _median(seen.double_dn[clear] / seen.swing_dn[clear].astype(np.float64))
-    return scale_of(contrast, _median(seen.light_dn[clear] / np.maximum(seen.sines_dn[clear], np.float32(1.0))), noise)
+    # is ½ there. Swings are integers, exact in float32.
+    contrast = _median(examined.double_dn[clear] / examined.swing_dn[clear].astype(np.float64))
+    return scale_of(
+        contrast, _median(examined.light_dn[clear] / np.maximum(examined.sines_dn[clear], np.float32(1.0))), noise
+    )
 
 
 def _median(values: NDArray[Any]) -> float:
-    """Return what ``numpy.median`` returns of finite values, in a third of its time: it sorts for two ranks, this one
-    for one."""
+    """Return the median of finite values as ``numpy.median`` does, in a third of its time.
+
+    That sorts for two ranks, this for one.
+    """
     half = values.size // 2
     parted = np.partition(values, half)
     if values.size % 2:
@@ -306,7 +309,7 @@ def _median(values: NDArray[Any]) -> float:
 
 
 def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> FringeScale:
-    """Return the scale for a ``contrast``, which is the modulation in halves of the object's light."""
+    """Return the scale for a ``contrast``: the modulation over half of the object's light."""
     return FringeScale(
         np.float32(1.0 / contrast),
         np.float32(light_per_sines),
@@ -315,17 +318,17 @@ def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Fri
     )
 
 
-def any_backscatter(seen: ExaminedPixels, scale: FringeScale) -> bool:
-    """Tell whether enough decoded pixels show backscatter of half their object's light for a bit to be wrong.
+def any_backscatter(examined: ExaminedPixels, scale: FringeScale) -> bool:
+    """Return True if enough decoded pixels have backscatter of half the object's light.
 
-    What moves between the images shows some pixels more light than their fringes tell, too, and others as much less;
-    water shows none less. So pixels of the second kind are taken off.
+    Motion between the images also gives some pixels more light than their fringes, and as many others less; water gives
+    none less. So the number of pixels with less light is subtracted.
     """
-    object_dn, noise_dn = _object_and_noise_dn(seen.bright_dn, seen.double_dn, scale)
-    valid = seen.reason == np.uint8(0)
+    object_dn, noise_dn = _object_and_noise_dn(examined.bright_dn, examined.double_dn, scale)
+    valid = examined.reason == np.uint8(0)
     noise_dn = NOISE_SIGMAS * noise_dn
-    more = np.count_nonzero(valid & (seen.light_dn > (1.0 + HALF_VEIL) * object_dn + noise_dn))
-    less = np.count_nonzero(valid & (object_dn > (1.0 + HALF_VEIL) * seen.light_dn + noise_dn))
+    more = np.count_nonzero(valid & (examined.light_dn > (1.0 + HALF_VEIL) * object_dn + noise_dn))
+    less = np.count_nonzero(valid & (object_dn > (1.0 + HALF_VEIL) * examined.light_dn + noise_dn))
     return bool(more - less > FEW * max(int(np.count_nonzero(valid)), 1))
 
 
@@ -336,11 +339,13 @@ def scale_of_backscatter(
     noise: CameraNoise,
     clear_dn: float = CLEAR_MODULATION_DN,
 ) -> FringeScale | None:
-    """Return the scale of one camera's ``frames``, ``None`` where no backscatter worth speaking of asks for it; see
-    ``fringe_scale`` and ``any_backscatter``."""
-    seen = examine(sequence, frames, mask)
-    scale = fringe_scale(seen, noise, clear_dn)
-    return scale if scale is not None and any_backscatter(seen, scale) else None
+    """Return the scale of one camera's ``frames``; ``None`` if no relevant backscatter needs it.
+
+    See ``fringe_scale`` and ``any_backscatter``.
+    """
+    examined = examine(sequence, frames, mask)
+    scale = fringe_scale(examined, noise, clear_dn)
+    return scale if scale is not None and any_backscatter(examined, scale) else None
 
 
 def _few(shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -349,10 +354,10 @@ def _few(shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 
 def sample_pixels(
-    sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], scale: FringeScale
+    sequence: PatternSequence, frames: NDArray[np.uint8], sample: tuple[slice, slice], scale: FringeScale
 ) -> SampledPixels:
-    i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in sequence.axis(Direction.X).sine)
-    bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
+    i0, i1, i2, i3 = (frames[k][sample].astype(np.float32) for k in sequence.axis(Direction.X).sine)
+    bright, dark = (frames[k][sample].astype(np.float32) for k in (sequence.bright, sequence.dark))
     top = np.maximum(np.maximum(i0, i1), np.maximum(i2, i3))
     double: Floats = np.hypot(i0 - i2, i3 - i1)
     object_dn, noise_dn = _object_and_noise_dn(bright, double, scale)
@@ -361,16 +366,16 @@ def sample_pixels(
 
 
 def _object_and_noise_dn(bright_dn: Floats, double_dn: Floats, scale: FringeScale) -> tuple[Floats, Floats]:
-    """Return O and σ of pixels by their bright image and twice their modulation."""
+    """Return O and σ of pixels from their bright image and twice their modulation."""
     variance = np.maximum(scale.dark_dn2 + scale.shot_dn * bright_dn, np.float32(0.0))
     return double_dn * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32)
 
 
 def illuminated_share(gray_dn: Floats, pixels: SampledPixels, fine: bool = False) -> Floats:
-    """Return f of one Gray image in each block, (rows, columns) float32; NaN where it is not known.
+    """Return f of one Gray image in each block, (rows, columns) float32; NaN if unknown.
 
-    Alternates between fitting f to the pixels whose bit is known, and deciding the bits that this f tells. ``fine``:
-    the image has so narrow stripes that f is ½ as far as no pixel says otherwise.
+    Alternates between fitting f to the pixels with a known bit, and deciding bits by this f. ``fine``: the stripes of
+    the image are so narrow that f is ½ where no pixel gives another value.
     """
     block = SAMPLES_PER_BLOCK
     state = np.empty(gray_dn.shape, np.uint8)
@@ -384,27 +389,38 @@ def illuminated_share(gray_dn: Floats, pixels: SampledPixels, fine: bool = False
         share[:] = _smooth_share(sums)
         if fine:
             share[np.isnan(share)] = 0.5
-        found = _decide(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, share, block, state)
-        if found <= state.size * SETTLED:
+        decided_bits = _decide(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, share, block, state)
+        if decided_bits <= state.size * SETTLED:
             break
     return share
 
 
 def _smooth_share(sums: Floats) -> Floats:
-    """Return f (rows, columns) float32 of blocks from their ``sums`` (``_gather``), as a plane fitted to the
-    neighbourhood of each; NaN where too little of that is known.
+    """Return f (rows, columns) float32 of blocks: a plane fitted around each block; NaN if unknown.
 
-    A plane, for f is carried on into parts of the image where no bit is known yet: a mean would lag behind there.
+    ``sums`` is from ``_gather``. It is a plane, since f is extrapolated to parts of the image without known bits, where
+    a mean would lag behind.
     """
-    # About the middle of the image, where 32 bits tell a block from its neighbours in the squares, too.
+    # Coordinates about the middle of the image, so that their squares are exact enough in 32 bits.
     y, x = np.mgrid[: sums.shape[0], : sums.shape[1]].astype(np.float32)
     y, x = y - np.float32(sums.shape[0] // 2), x - np.float32(sums.shape[1] // 2)
-    known, lit, veil = (sums[..., k] for k in range(3))
+    known_count, lit_veil, veil = (sums[..., k] for k in range(3))
     # Weighted by V: minimise Σ w V (g / V − f − a Δx − b Δy)², g = f V of the block; w is Gaussian.
-    moments = [known, veil, veil * x, veil * y, veil * x * x, veil * x * y, veil * y * y, lit, lit * x, lit * y]
+    moments = [
+        known_count,
+        veil,
+        veil * x,
+        veil * y,
+        veil * x * x,
+        veil * x * y,
+        veil * y * y,
+        lit_veil,
+        lit_veil * x,
+        lit_veil * y,
+    ]
     blurred = cv2.GaussianBlur(np.stack(moments, -1), (0, 0), SPREAD_BLOCKS)
     n, s, sx, sy, sxx, sxy, syy, g, gx, gy = np.moveaxis(blurred, -1, 0)
-    # About the block's own place, with a weak prior of slopes of 0.
+    # Moments about the block itself, with a weak prior of slopes of 0.
     prior = np.float32(LEVEL) * s + np.float32(1e-6)
     sxx, sxy, syy = (
         sxx - np.float32(2.0) * x * sx + x * x * s,
@@ -412,11 +428,11 @@ def _smooth_share(sums: Floats) -> Floats:
         syy - np.float32(2.0) * y * sy + y * y * s,
     )
     sx, sy, gx, gy, sxx, syy = sx - x * s, sy - y * s, gx - x * g, gy - y * g, sxx + prior, syy + prior
-    # Cramer's rule for f. What the plane leaves of the weight: all of it where neighbours lie around, little at the end
-    # of a lever.
-    down, across, both = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
-    weight = s * down - sx * across + sy * both
-    share = (g * down - gx * across + gy * both) / np.maximum(weight, np.float32(1e-9))
+    # Cramer's rule for f. The weight of f is full if known neighbours surround the block, and small if it is
+    # extrapolated.
+    down, across, cross_term = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
+    weight = s * down - sx * across + sy * cross_term
+    share = (g * down - gx * across + gy * cross_term) / np.maximum(weight, np.float32(1e-9))
     share[n * weight <= LEAST_KNOWN * SAMPLES_PER_BLOCK**2 * s * down] = np.nan
     return np.asarray(np.clip(share, 0.0, 1.0), np.float32)
 
@@ -430,16 +446,18 @@ def _seed(
     usable: NDArray[np.bool_],
     state: NDArray[np.uint8],
 ) -> None:
-    """Write the bits that are beyond doubt for any f between 0 and 1 into ``state``; _OPEN for the others, _NONE if
-    unusable."""
+    """Write the bits that are reliable for any f between 0 and 1 into ``state``; _OPEN for the others.
+
+    _NONE if unusable.
+    """
     for y in range(state.shape[0]):
         for x in range(state.shape[1]):
             state[y, x] = _NONE
             if usable[y, x]:
-                # The least that O certainly is.
+                # Lower limit of O.
                 sure = np.float32(SURE) * object_dn[y, x] - np.float32(NOISE_SIGMAS) * noise_dn[y, x]
                 light, gray = light_dn[y, x], gray_dn[y, x]
-                # V < O: the middle between bright and dark decides. Else G > V is a set bit, G < O is none.
+                # V < O: the middle between bright and dark decides. Otherwise G > V is a set bit, G < O is not.
                 if light < np.float32(2.0) * sure:
                     state[y, x] = _ONE_BIT if gray >= np.float32(0.5) * light else _ZERO_BIT
                 elif gray > light - sure:
@@ -452,7 +470,7 @@ def _seed(
 def _gather(
     gray_dn: Floats, light_dn: Floats, object_dn: Floats, state: NDArray[np.uint8], block: int, sums: Floats
 ) -> None:
-    """Sum per block: number of pixels whose bit is known, their backscatter f V in this image, and V in the bright one."""
+    """Sum per block: number of pixels with a known bit, their f V in this image, and their V."""
     sums[:] = np.float32(0.0)
     for y in range(state.shape[0]):
         row = sums[y // block]
@@ -475,22 +493,22 @@ def _decide(
     block: int,
     state: NDArray[np.uint8],
 ) -> int:
-    """Decide the open bits that f tells beyond doubt; return how many."""
-    found = 0
+    """Decide the open bits that f makes reliable; return their number."""
+    count = 0
     for y in range(state.shape[0]):
         row = share[y // block]
         for x in range(state.shape[1]):
             if state[y, x] == _OPEN:
-                lit = row[x // block]
-                own = object_dn[y, x]
-                # G − f V is O or 0: decided where it is off O/2 by more than doubt, and by less than O.
-                rest = gray_dn[y, x] - lit * max(light_dn[y, x] - own, np.float32(0.0))
-                off = rest - np.float32(0.5) * own
-                doubt = max(np.float32(MARGIN) * own, np.float32(NOISE_SIGMAS) * noise_dn[y, x])
-                if (abs(off) > doubt) & (abs(off) < own):
+                veil_share = row[x // block]
+                object_light = object_dn[y, x]
+                # G − f V is O or 0: reliable if its distance from O/2 is more than doubt and less than O.
+                object_part = gray_dn[y, x] - veil_share * max(light_dn[y, x] - object_light, np.float32(0.0))
+                off = object_part - np.float32(0.5) * object_light
+                doubt = max(np.float32(MARGIN) * object_light, np.float32(NOISE_SIGMAS) * noise_dn[y, x])
+                if (abs(off) > doubt) & (abs(off) < object_light):
                     state[y, x] = _ONE_BIT if off > np.float32(0.0) else _ZERO_BIT
-                    found += 1
-    return found
+                    count += 1
+    return count
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -508,13 +526,12 @@ def _number(
     soft_bits: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> None:
-    """Write half periods, bits in doubt, and whether they matter (DOUBT; UNSEEN where nothing is seen), (h, w) each."""
+    """Write half periods, doubtful bits, and their reliability (DOUBT; UNSEEN without light), (h, w)."""
     rows, columns = half_period.shape
     last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
-    # The vector of both differences is twice the modulation. Where fringes are weak though hardly any light is the
-    # water's, it is dark.
+    # The length of both differences is twice the modulation. Fringes that are weak without backscatter mean darkness.
     weak, dark_weak = np.float32(4.0) * weakest_dn * weakest_dn, np.float32((2.0 * MIN_MODULATION_DN) ** 2)
-    own = np.empty(columns, np.float32)
+    object_light = np.empty(columns, np.float32)
     veil = np.empty(columns, np.float32)
     room = np.empty(columns, np.float32)
     doubt = np.empty(columns, np.float32)
@@ -529,38 +546,38 @@ def _number(
             cosine, quadrature = np.float32(i0[x]) - np.float32(i2[x]), np.float32(i3[x]) - np.float32(i1[x])
             black = np.float32(frames[dark, y, x])
             light = np.float32(frames[bright, y, x]) - black
-            if frames[bright, y, x] == _FULL:  # bright − dark as the sines have it
+            if frames[bright, y, x] == _FULL:  # bright − dark from the sines
                 sines = np.float32(i0[x]) + np.float32(i1[x]) + np.float32(i2[x]) + np.float32(i3[x])
                 light = max(light, scale.light_per_sines * (sines - np.float32(4.0) * black))
-            # σ² = dark + shot · grey. O from the fringes' length, but never more than there is light; V is the rest.
+            # σ² = dark + shot · grey. O from the fringes, but at most all light; V is the remainder.
             sigma = np.sqrt(max(scale.dark_dn2 + scale.shot_dn * (light + black), np.float32(0.0)))
-            told = scale.per_half_dn * np.sqrt(cosine * cosine + quadrature * quadrature)
-            own[x] = min(told, light)
-            veil[x] = light - own[x]
-            # A bit is in doubt nearer to its threshold than a share of V, at most one of O, and what noise exceeds O/2
-            # by; beyond room, a value is neither that of a set bit nor of one that is not.
+            from_fringes = scale.per_half_dn * np.sqrt(cosine * cosine + quadrature * quadrature)
+            object_light[x] = min(from_fringes, light)
+            veil[x] = light - object_light[x]
+            # A bit is doubtful nearer to its threshold than a share of V, at most one of O, plus the excess of noise
+            # over O/2; beyond room, a value fits neither bit.
             apart = np.float32(APART_SIGMAS) * sigma
-            doubt[x] = min(np.float32(MARGIN_OF_VEIL) * veil[x], np.float32(MARGIN) * own[x])
-            doubt[x] += max(apart - np.float32(0.5) * own[x], np.float32(0.0))
-            room[x] = np.float32(0.5) * own[x] + max(np.float32(BEYOND) * own[x], apart)
-            sure[x] = np.float32(SURE) * told - np.float32(NOISE_SIGMAS) * sigma
+            doubt[x] = min(np.float32(MARGIN_OF_VEIL) * veil[x], np.float32(MARGIN) * object_light[x])
+            doubt[x] += max(apart - np.float32(0.5) * object_light[x], np.float32(0.0))
+            room[x] = np.float32(0.5) * object_light[x] + max(np.float32(BEYOND) * object_light[x], apart)
+            sure[x] = np.float32(SURE) * from_fringes - np.float32(NOISE_SIGMAS) * sigma
             squared = cosine * cosine + quadrature * quadrature
-            limit = weak if veil[x] >= np.float32(HALF_VEIL) * own[x] else dark_weak
+            limit = weak if veil[x] >= np.float32(HALF_VEIL) * object_light[x] else dark_weak
             unseen[x] = (light < np.float32(MIN_LIGHT_DN)) | (squared < limit)
             code[x], soft[x] = 0, 0
-        # Bit by bit: code takes the bits, soft a 1 where a bit is in doubt.
+        # Bit by bit: code takes the bits, soft a 1 for a doubtful bit.
         for k in range(gray.size):
             image, share = frames[gray[k], y], shares[k, min(y // block_px, last_y)]
             for x in range(columns):
-                lit = share[min(x // block_px, last_x)]
-                rest = np.float32(image[x]) - np.float32(frames[dark, y, x])
+                veil_share = share[min(x // block_px, last_x)]
+                gray_dn = np.float32(image[x]) - np.float32(frames[dark, y, x])
                 # G − f V against the middle O/2, where f is known; else G against (O + V)/2.
-                if lit == lit:
-                    off = rest - lit * veil[x] - np.float32(0.5) * own[x]
+                if veil_share == veil_share:
+                    off = gray_dn - veil_share * veil[x] - np.float32(0.5) * object_light[x]
                     unsure = (abs(off) < doubt[x]) | (abs(off) > room[x])
                 else:
-                    middle = np.float32(0.5) * (own[x] + veil[x])
-                    off = rest - middle
+                    middle = np.float32(0.5) * (object_light[x] + veil[x])
+                    off = gray_dn - middle
                     unsure = abs(off) < middle - sure[x]
                 code[x] = (code[x] << 1) | (1 if off >= np.float32(0.0) else 0)
                 soft[x] = (soft[x] << 1) | (1 if unsure else 0)
@@ -571,7 +588,7 @@ def _number(
             soft_bits[y, x] = np.uint8(soft[x])
             lost = False
             if (soft[x] != 0) & (not unseen[x]):
-                # On the border of its own stripes a bit turned over is the half period beside, and the phase tells.
+                # At the border of its stripes a wrong bit gives the next half period, which the phase corrects.
                 turned = plain_number(code[x] ^ soft[x])
                 wrapped = np.arctan2(np.float32(i3[x]) - np.float32(i1[x]), np.float32(i0[x]) - np.float32(i2[x]))
                 wrapped *= np.float32(0.5 / np.pi)

@@ -1,15 +1,17 @@
-"""Owns decoding: the frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
+"""Decoding: the frames of one camera become pattern coordinates (p, q), modulation and a mask.
 
-Frames are worked on in the order of the sequence: the references give the Gray threshold and the illuminated part of
-each row, beyond which nothing is read or written again; the last Gray image of a direction gives its half periods, for
-which seven images are read once and one byte per pixel is written once; and the fourth sine image closes it: phase,
-fringe order, masks and edges, row by row in the cache, a coordinate being written once, when its row has been judged.
-So little is left to do after the last frame.
+Frames are processed in the order of the sequence. The references give the Gray threshold and the illuminated part of
+each row; nothing is computed beyond it. The last Gray image of a direction gives its half periods, for which seven
+images are read once and one byte per pixel is written once. The fourth sine image closes the direction: phase, fringe
+order, masks and edges, row by row in the cache; a coordinate is written once, after its row has been judged. So little
+is left to do after the last frame.
 
-It also owns which part of each row the projector illuminates: from the first illuminated pixel to the last. Nothing
-else is worked on.
+CameraDecoder, DecodedMaps    the decoder, and a copy of its maps
+Mask                          why a pixel has no coordinates
+find_illuminated_columns      the illuminated part of each row, from the first illuminated pixel to the last
+edge_limits_px                the limits of a smooth coordinate
 
-Parts begin and end at whole blocks, so that vector instructions have no rest to do pixel by pixel.
+Illuminated parts begin and end at whole blocks, so that vector instructions leave no remainder.
 """
 
 from __future__ import annotations
@@ -34,17 +36,16 @@ _NAN = np.float32(np.nan)
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _any_illuminated(mask: NDArray[np.uint8]) -> bool:
-    """Tell whether any place of ``mask`` is 0."""
-    least = np.uint8(255)
+    """Return True if any element of ``mask`` is 0."""
+    minimum = np.uint8(255)
     for x in range(mask.size):
-        least = min(least, mask[x])
-    return bool(least == np.uint8(0))
+        minimum = min(minimum, mask[x])
+    return bool(minimum == np.uint8(0))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _ends(mask: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the first column of the first block of a row that is not all masked, and the one behind the last such
-    block."""
+    """Return the start of a row's first block with an unmasked pixel, and the end of the last such block."""
     first, stop = 0, mask.size
     while first < stop and not _any_illuminated(mask[first : first + _BLOCK]):
         first += _BLOCK
@@ -55,7 +56,7 @@ def _ends(mask: NDArray[np.uint8]) -> tuple[int, int]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _count(mask: NDArray[np.uint8]) -> int:
-    """Return the number of pixels of a row that are not in the shadow; 16 bits hold a row and keep the loop short."""
+    """Return the number of pixels of a row outside of the shadow; 16 bits suffice and keep the loop short."""
     shadow = np.uint16(0)
     for x in range(mask.size):
         shadow = np.uint16(shadow + mask[x])
@@ -66,10 +67,10 @@ def _count(mask: NDArray[np.uint8]) -> int:
 def find_illuminated_columns(
     mask: NDArray[np.uint8], illuminated: NDArray[np.int32], p_px: NDArray[np.float32], q_px: NDArray[np.float32]
 ) -> int:
-    """Enter the first column of each row's illuminated part, and the one behind it, in ``illuminated`` (h, 2).
+    """Write the start and end of each row's illuminated part to ``illuminated`` (h, 2).
 
-    Returns how many pixels are illuminated. ``mask`` (h, w): 1 in the shadow, else 0. Coordinates (h, w) that the scan
-    before left outside become NaN: those outside of its own part are NaN already.
+    Returns the number of illuminated pixels. ``mask`` (h, w): 1 in the shadow, else 0. Coordinates (h, w) of the scan
+    before become NaN outside of the illuminated part; those outside of their own part are NaN already.
     """
     pixels = 0
     for y in range(mask.shape[0]):
@@ -84,18 +85,18 @@ def find_illuminated_columns(
 
 
 MIN_CONTRAST_DN = 8
-"""Bright minus dark below this is shadow: no projector light."""
+"""Least difference of bright and dark of an illuminated pixel."""
 MIN_MODULATION_DN = 5.0
-"""Modulation below this is noise: at 1.6 DN camera noise the phase error would exceed 1/30 of a period."""
+"""Least modulation: below it, with 1.6 DN camera noise, the phase error would exceed 1/30 of a period."""
 MAX_GRAY_DISAGREEMENT = 0.36
-"""Distance between phase and the middle of its Gray half period, in periods; ¼ is perfect, ½ is a wrong order."""
+"""Largest distance of the phase from the middle of its Gray half period, in periods; ¼ is perfect, ½ a wrong order."""
 MAX_VEILED_DISAGREEMENT = 0.46
-"""The same along the rows where backscatter outshines the object: there its own stripes, which lie up to a quarter of a
-period beside the object's, decide the Gray bits, and less so the phase. A row of the wrong order has a ray gap of
-millimetres and makes no point."""
+"""The same along the rows if backscatter is brighter than the object. Then the Gray bits, and less so the phase, follow
+the stripes of the backscatter, which lie up to a quarter of a period beside the object's. A row of the wrong order has
+a ray gap of millimetres and makes no point."""
 MAX_GRAY_BITS = 8
 OFFSET_SAMPLES = 1_500
-"""Number of pixels of which the mean of the sine images is compared with the Gray threshold."""
+"""Number of pixels whose mean of the sine images is compared with the Gray threshold."""
 
 
 class Mask(IntEnum):
@@ -107,15 +108,16 @@ class Mask(IntEnum):
     WEAK = 3
     """Too little modulation."""
     CONTRADICTION = 4
-    """Gray code and phase disagree, or the water hides what the Gray code is: a mixed pixel, or something that moved.
-    """
+    """Gray code and phase disagree, or backscatter hides the Gray code: a mixed pixel, or motion."""
     EDGE = 5
     """The pixel lies at a jump of the coordinates and sees two surfaces."""
 
 
 def edge_limits_px(period_px: int, width_px: int, pattern_px: int) -> tuple[np.float32, np.float32]:
-    """Return how much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px`` and
-    patterns of ``pattern_px``."""
+    """Return the largest first and second difference of a smooth coordinate between pixels.
+
+    ``width_px``: of the camera; ``pattern_px``: of the pattern.
+    """
     # A pixel spans about 0.63 pattern px at full resolution, more on a small camera; steep surfaces double it.
     step_px = float(pattern_px) / width_px
     noise_px = period_px / 45.0
@@ -124,7 +126,7 @@ def edge_limits_px(period_px: int, width_px: int, pattern_px: int) -> tuple[np.f
 
 @dataclass(slots=True, eq=False)
 class DecodedMaps:
-    """Maps to which one camera's sequence was decoded; arrays as those of ``CameraDecoder``."""
+    """The maps of one decoded sequence; arrays as those of ``CameraDecoder``."""
 
     mask: NDArray[np.uint8]
     p_px: NDArray[np.float32]
@@ -138,13 +140,13 @@ class DecodedMaps:
 
 
 class CameraDecoder:
-    """Decodes one camera's sequence as its frames arrive. Buffers are allocated once and reused scan after scan."""
+    """Decodes one camera's sequence as its frames arrive; the buffers are reused scan after scan."""
 
     def __init__(self, sequence: PatternSequence, width_px: int, height_px: int) -> None:
-        most = max(len(sequence.axis(d).gray) for d in Direction)
-        if most > MAX_GRAY_BITS:
+        bits = max(len(sequence.axis(d).gray) for d in Direction)
+        if bits > MAX_GRAY_BITS:
             raise ValueError(
-                f"a sequence of period {sequence.period_px} px has {most} Gray images per direction; allowed are up to "
+                f"a sequence of period {sequence.period_px} px has {bits} Gray images per direction; allowed are up to "
                 f"{MAX_GRAY_BITS}: choose a longer period"
             )
         self._sequence = sequence
@@ -183,7 +185,7 @@ class CameraDecoder:
         self._next = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
-        """Work on frame ``index`` of ``frames`` (n, h, w) uint8. Raises ValueError unless frames come as 0, 1, …"""
+        """Process frame ``index`` of ``frames`` (n, h, w) uint8; raise ValueError if it is out of order."""
         if index != self._next:
             raise ValueError(f"frame {index} was pushed; frame {self._next} is next; start again with frame 0")
         pattern = self._sequence.patterns[index]
@@ -206,9 +208,9 @@ class CameraDecoder:
         )
 
     def _number(self, frames: NDArray[np.uint8], gray: tuple[int, ...]) -> None:
-        """Number the half periods from all images at once: each is read once, the half periods are written once."""
+        """Compute the half periods from all images at once: each is read once, the result is written once."""
         at_once = gray[:BITS_AT_ONCE]
-        # The dark image is a zero bit wherever there is light: it fills up to seven images.
+        # The dark image is a zero bit in illuminated pixels: it fills up to seven images.
         padded = (self._sequence.dark,) * (BITS_AT_ONCE - len(at_once)) + at_once
         a, b, c, d, e, f, g = (frames[k] for k in padded)
         threshold_map, half_period = self._threshold.reshape(self._shape), self._half_period.reshape(self._shape)
@@ -233,7 +235,7 @@ class CameraDecoder:
             np.float32(max_disagreement),
             self._closed,
         )
-        # What fails now loses the other direction's coordinate, too.
+        # A pixel that fails in this direction loses the other direction's coordinate, too.
         jump_px, bend_px = edge_limits_px(self._sequence.period_px, self._shape[1], self._sequence.width_px)
         mine_px, other_px = (self.p_px, self.q_px) if direction is Direction.X else (self.q_px, self.p_px)
         close_axis(
@@ -245,7 +247,7 @@ class CameraDecoder:
         self._closed = True
 
     def _offset_per_threshold(self, frames: NDArray[np.uint8], sine: tuple[int, ...]) -> float:
-        """Compute ``offset_per_threshold`` from a thousand pixels; 1 where none is valid."""
+        """Return ``offset_per_threshold`` from a thousand pixels; 1 if none is valid."""
         step = max(1, int((self.mask.size / OFFSET_SAMPLES) ** 0.5))
         valid = self.mask[::step, ::step] == Mask.VALID
         half_way = int(self.gray_threshold[::step, ::step][valid].sum(dtype=np.int64))
@@ -253,22 +255,21 @@ class CameraDecoder:
         return mean / half_way if half_way else 1.0
 
     def read_again_through_backscatter(self, frames: NDArray[np.uint8], noise: CameraNoise) -> bool:
-        """Decode anew, bit by bit, where backscatter outshines the object; call after the last of ``frames`` (n, h, w)
-        uint8.
+        """Decode again, bit by bit, where backscatter is brighter than the object; after the last frame.
 
-        Returns False, with the maps as they were, where it does so nowhere; this takes a millisecond. See
-        ``backscatter``.
+        ``frames`` (n, h, w) uint8. Returns False, with the maps unchanged, if that is so nowhere; this takes a
+        millisecond. See ``backscatter``.
         """
         columns, doubtful = np.empty((2, *self._shape), np.uint8)
         weakest_dn = read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful)
         if weakest_dn is None:
             return False
-        # A camera's ray crosses the stripes of X and stays within one of Y: only bits of X follow the water.
+        # A camera's ray crosses the stripes of X and stays within one of Y: only bits of X are changed by the water.
         self._begin(frames)
-        lit = self.mask == np.uint8(Mask.VALID)
-        obscured = lit & (doubtful == DOUBT)
+        illuminated = self.mask == np.uint8(Mask.VALID)
+        obscured = illuminated & (doubtful == DOUBT)
         self.mask[obscured] = Mask.CONTRADICTION
-        self.mask[lit & (doubtful == UNSEEN)] = Mask.WEAK
+        self.mask[illuminated & (doubtful == UNSEEN)] = Mask.WEAK
         self.backscatter_pixels = int(np.count_nonzero(obscured))
         for direction in Direction:
             if direction is Direction.X:
@@ -280,14 +281,14 @@ class CameraDecoder:
         return True
 
     def finish(self) -> None:
-        """Close the scan: the maps are final. Raises ValueError when frames are missing."""
+        """Close the scan: the maps are final. Raises ValueError if frames are missing."""
         if self._next != len(self._sequence):
             raise ValueError(f"{self._next} of {len(self._sequence)} frames were pushed; push all before finishing")
         self._next = 0
         self.variance_factor = 1.0
 
     def copied(self) -> DecodedMaps:
-        """Return the maps as they are now, in memory of their own: 11 bytes per pixel."""
+        """Return a copy of the present maps: 11 bytes per pixel."""
         return DecodedMaps(
             self.mask.copy(),
             self.p_px.copy(),

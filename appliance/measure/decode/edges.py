@@ -1,7 +1,7 @@
-"""Owns which pixels see an edge: where a coordinate jumps, or bends more than noise and curvature can.
+"""Edges: pixels in which a coordinate jumps, or bends more than by noise and curvature.
 
-Such a pixel's grey values are a mixture of two surfaces, and so would be its point. A jump is a first difference to one
-of the four neighbours, a bend a second difference across the pixel, along a row or a column.
+The grey values of such a pixel are a mixture of two surfaces, and so would be its point. A jump is a first difference
+to one of the four neighbours, a bend a second difference across the pixel, along a row or a column.
 
 Symbols, of one coordinate c at row y, column x: left = c(x) − c(x − 1), right = c(x + 1) − c(x), up and down the same
 along the column; jump is the greatest of their sizes, bend the greater of |right − left| and |down − up|, all in px of
@@ -31,17 +31,16 @@ def keep_smooth(
     coordinate: NDArray[np.float32],
     edge: NDArray[np.uint8],
 ) -> bool:
-    """Write into ``coordinate`` what is no edge, NaN for the others, and 1 into ``edge`` there; return whether there
-    was one.
+    """Write the coordinates that are at no edge, NaN for the others; return True if there are edges.
 
-    All are (n,), but for ``around`` (n + 2,), which begins one column before. In the form ``a if a > m else m`` a
-    missing neighbour (NaN) says nothing.
+    ``edge`` becomes 1 at edges. All are (n,), except ``around`` (n + 2,), which begins one column before. In the form
+    ``a if a > m else m`` a missing neighbour (NaN) has no effect.
     """
-    found = np.int32(0)
+    any_edge = np.int32(0)
     for x in range(coordinate.size):
-        here = around[x + 1]
-        left, right = here - around[x], around[x + 2] - here
-        up, down = here - above[x], below[x] - here
+        centre = around[x + 1]
+        left, right = centre - around[x], around[x + 2] - centre
+        up, down = centre - above[x], below[x] - centre
         # Greatest first difference, then greatest second one.
         jump = abs(left) if abs(left) > _ZERO else _ZERO
         jump = abs(right) if abs(right) > jump else jump
@@ -50,10 +49,10 @@ def keep_smooth(
         bend = abs(right - left) if abs(right - left) > _ZERO else _ZERO
         bend = abs(down - up) if abs(down - up) > bend else bend
         bad = (jump > jump_px) | (bend > bend_px)
-        coordinate[x] = _NAN if bad else here
+        coordinate[x] = _NAN if bad else centre
         edge[x] = np.uint8(1) if bad else np.uint8(0)
-        found = np.int32(found | (np.int32(1) if bad else np.int32(0)))
-    return bool(found != np.int32(0))
+        any_edge = np.int32(any_edge | (np.int32(1) if bad else np.int32(0)))
+    return bool(any_edge != np.int32(0))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -81,22 +80,26 @@ def close_axis(
     axis: AxisDecoding,
     jump_px: np.float32,
     bend_px: np.float32,
-    other: NDArray[np.float32],
+    first_coordinate: NDArray[np.float32],
     coordinate: NDArray[np.float32],
     half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> None:
-    """Close the illuminated part (h, 2) of one direction's (h, w) maps and mask its edges, while each row is in the
-    cache.
+    """Close the illuminated part (h, 2) of one direction's (h, w) maps and mask its edges, row by row.
 
-    ``other`` is the map of the direction that was closed before (in the second one): what fails now loses its
+    ``other`` is the map of the direction that was closed before (in the second one): a pixel that fails now loses its
     coordinate there too. Each pixel is judged by its four neighbours as they were before edges were masked: three rows
-    wait in scratch, and row y − 1 is judged, and written, when row y is closed. Beyond its illuminated part, a row in
+    are kept in scratch, and row y − 1 is judged and written when row y is closed. Beyond its illuminated part, a row in
     scratch is NaN.
     """
-    # Each row takes a dozen views.
+    # Borrowed, since each row takes a dozen views.
     i0, i1, i2, i3, half_period = borrowed(i0), borrowed(i1), borrowed(i2), borrowed(i3), borrowed(half_period)
-    other, coordinate, half_dn, mask = borrowed(other), borrowed(coordinate), borrowed(half_dn), borrowed(mask)
+    first_coordinate, coordinate, half_dn, mask = (
+        borrowed(first_coordinate),
+        borrowed(coordinate),
+        borrowed(half_dn),
+        borrowed(mask),
+    )
     rows, columns = coordinate.shape
     # Rows y − 2, y − 1 and y, in turns.
     scratch = np.full((3, DECODING_SIZE), _NAN, np.float32)
@@ -104,7 +107,7 @@ def close_axis(
     begin, end = 0, 0
     for y in range(rows + 1):
         # Close row y into its scratch row.
-        # Behind the last row comes one of NaN, as if the image went on dark.
+        # A row of NaN follows the last row, as if the image were dark beyond.
         s = scratch[y % 3]
         s[COORDINATE : COORDINATE + columns] = _NAN
         if y < rows:
@@ -120,14 +123,14 @@ def close_axis(
                 half_dn[y, first:stop],
                 mask[y, first:stop],
             )
-            # A point needs both coordinates: what has no second one loses the first.
+            # A point needs both coordinates: a pixel without the second one loses the first.
             if failed and axis.second:
-                _drop(mask[y, first:stop], other[y, first:stop])
+                _drop(mask[y, first:stop], first_coordinate[y, first:stop])
         else:
             first, stop = 0, 0
         # Row y − 1 has both neighbours now: judge it, and write it.
         if y > 0:
-            # One place more at either end, for the neighbours to the left and to the right.
+            # One more element at either end, for the neighbours to the left and to the right.
             above, around = scratch[(y - 2) % 3, COORDINATE:], scratch[(y - 1) % 3, COORDINATE - 1 :]
             done, judged = slice(begin, end), edge[: end - begin]
             if keep_smooth(
@@ -141,5 +144,5 @@ def close_axis(
             ):
                 _name(judged, mask[y - 1, done])
                 if axis.second:
-                    _drop(judged, other[y - 1, done])
+                    _drop(judged, first_coordinate[y - 1, done])
         begin, end = first, stop

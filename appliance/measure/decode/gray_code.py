@@ -1,4 +1,4 @@
-"""Owns the Gray code of a pixel: which threshold, and which half period its bits name.
+"""The Gray code of a pixel: its threshold, and its half-period order.
 
 Symbols: a … g are the Gray images, most significant bit first; m is the pixel's threshold.
 """
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from appliance.measure.decode.scratch import borrowed
 
 BITS_AT_ONCE = 7
-"""Number of images read in one loop: with the threshold, eight inputs to one output are the most of which LLVM checks
-that they do not overlap."""
+"""Number of images read in one loop: LLVM checks at most eight inputs, the threshold included, for overlap with the
+output."""
 _SHADOW = np.uint8(1)
 _ONE, _ZERO = np.uint8(1), np.uint8(0)
 
@@ -26,11 +26,13 @@ def threshold(
     gray_threshold: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> None:
-    """Write the middle between bright and dark, rounded up, and 1 into ``mask`` where they differ too little; arrays
-    (n,) uint8."""
+    """Write the middle between bright and dark, rounded up, and 1 into ``mask`` for too little contrast.
+
+    Arrays are (n,) uint8.
+    """
     for i in range(gray_threshold.size):
         gray_threshold[i] = np.uint8((np.uint16(bright[i]) + np.uint16(dark[i]) + np.uint16(1)) >> np.uint16(1))
-        # Wraps around where bright is below dark, which is asked first.
+        # The difference wraps around if bright is below dark, which is tested first.
         contrast = np.uint8(np.int16(bright[i]) - np.int16(dark[i]))
         mask[i] = _SHADOW if (bright[i] < dark[i]) | (contrast < min_contrast_dn) else _ZERO
 
@@ -47,7 +49,7 @@ def _number(
     gray_threshold: NDArray[np.uint8],
     half_period: NDArray[np.uint8],
 ) -> None:
-    """Write the half-period number of each pixel of a row.
+    """Write the half-period order of each pixel of a row.
 
     A bit of the number is the Gray bit, inverted when the bit before is set (b_k = g_k xor b_{k−1}): no table is
     needed.
@@ -83,9 +85,9 @@ def number_half_periods(
     illuminated: NDArray[np.int32],
     half_period: NDArray[np.uint8],
 ) -> None:
-    """Write the half period that seven Gray images name, most significant first, for the illuminated part of each row.
+    """Write the half-period order by seven Gray images, most significant first, in the illuminated parts.
 
-    Images are (h, w) uint8; for fewer than seven, put the dark image in front: where there is light it is a zero bit.
+    Images are (h, w) uint8; for fewer than seven, put the dark image in front: it is a zero bit in illuminated pixels.
     """
     a, b, c, d, e, f, g = borrowed(a), borrowed(b), borrowed(c), borrowed(d), borrowed(e), borrowed(f), borrowed(g)
     gray_threshold, half_period = borrowed(gray_threshold), borrowed(half_period)
@@ -106,7 +108,7 @@ def number_half_periods(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def add_bit(frame: NDArray[np.uint8], gray_threshold: NDArray[np.uint8], half_period: NDArray[np.uint8]) -> None:
-    """Append one more bit to each half period; arrays (n,) uint8."""
+    """Append one more bit to each half-period order; arrays (n,) uint8."""
     for i in range(half_period.size):
         bit = _ONE if frame[i] >= gray_threshold[i] else _ZERO
         half_period[i] = np.uint8(half_period[i] << _ONE) | ((half_period[i] & _ONE) ^ bit)
@@ -114,7 +116,7 @@ def add_bit(frame: NDArray[np.uint8], gray_threshold: NDArray[np.uint8], half_pe
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def plain_number(gray: int) -> int:
-    """Return the number that a reflected Gray code of up to eight bits stands for."""
+    """Return the number of a reflected Gray code of up to eight bits."""
     number = gray ^ (gray >> 1)
     number ^= number >> 2
     return number ^ (number >> 4)
@@ -122,6 +124,6 @@ def plain_number(gray: int) -> int:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def periods(number: int, turns: float) -> int:
-    """Return the number of whole periods of the coordinate that phase and half period make together."""
+    """Return the fringe order that follows from phase and half period."""
     middle = np.float32(0.5) * np.float32(number) + np.float32(0.25)
     return int(np.floor(middle - turns + np.float32(0.5)))

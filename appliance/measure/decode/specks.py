@@ -1,9 +1,8 @@
-"""Owns which pixels something passed by while their fringes were recorded: their phase is wrong, and nothing else shows
-it.
+"""Specks: pixels that a particle passed while their fringes were recorded.
 
-Of four steps of a quarter period, opposite ones have the same sum, I0 + I2 = I1 + I3 = 2A, and both directions have the
-same mean. What comes and goes within a scan breaks one or the other. An even harmonic of the projector's response
-breaks the first everywhere alike, by an amount times cos 2φ: it is measured, and allowed for.
+Their phase is wrong. Of four steps of a quarter period, opposite ones have the same sum, I0 + I2 = I1 + I3 = 2A, and
+both directions have the same mean. A speck breaks one or the other. An even harmonic of the projector's response breaks
+the first everywhere by a constant times cos 2φ, which is measured and subtracted.
 
 Symbols: cosine = I0 − I2 = 2B cos φ, sine = I3 − I1 = 2B sin φ, twice = 2B, off = I0 − I1 + I2 − I3.
 """
@@ -22,23 +21,22 @@ from appliance.measure.light.patterns import Direction, PatternSequence
 
 SIGMAS = 6.0
 SHARE = 0.12
-"""Disagreement allowed beside noise, as a share of the modulation: what soft fringes leave of the harmonic here and
-there."""
+"""Largest disagreement beside noise, over the modulation: blur makes the harmonic vary over the image."""
 MEAN_SHARE = 0.25
-"""The same share for the two directions' means: motion and flicker are judged elsewhere, and are no specks."""
+"""The same for the two directions' means; it is larger, since motion and flicker are no specks."""
 SAMPLES = 20_000
 STRUCK = np.uint8(Mask.CONTRADICTION)
 _NAN, _ZERO, _ONE = np.float32(np.nan), np.uint8(0), np.uint8(1)
 
 
 class Allowed(NamedTuple):
-    """Disagreement that is no speck."""
+    """Disagreement without specks."""
 
     second_x: np.float32
     """Disagreement of the steps over cos 2φ, in twice the modulation, for X, and below for Y."""
     second_y: np.float32
     offset_x: np.float32
-    """Difference of the sums of opposite steps that daylight makes everywhere."""
+    """Difference of the sums of opposite steps by ambient light, everywhere."""
     offset_y: np.float32
     offset_mean: np.float32
     """The same for the sums of both directions."""
@@ -49,7 +47,7 @@ class Allowed(NamedTuple):
 
 
 def warm_up(frames: NDArray[np.uint8]) -> None:
-    """Run the kernels on frames (n, h, w), whatever they show."""
+    """Run the kernels on frames (n, h, w) of any content."""
     shape, zero = frames.shape[1:], np.float32(0.0)
     p_px, q_px, mask = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     allowed = Allowed(*(zero for _ in Allowed._fields))
@@ -60,10 +58,9 @@ def warm_up(frames: NDArray[np.uint8]) -> None:
 def mask_specks(
     sequence: PatternSequence, frames: NDArray[np.uint8], decoded: CameraDecoder, noise: CameraNoise
 ) -> int:
-    """Take the coordinates from pixels of ``decoded`` that something passed by in ``frames`` (n, h, w) uint8; return
-    how many.
+    """Mask pixels of ``decoded`` that a speck passed in ``frames`` (n, h, w) uint8; return their number.
 
-    Call after the last frame. Their mask becomes CONTRADICTION.
+    Call after the last frame. Their mask becomes CONTRADICTION, and they lose their coordinates.
     """
     steps = [frames[k] for direction in Direction for k in sequence.axis(direction).sine]
     allowed = _allowed(steps, decoded.mask, noise)
@@ -77,13 +74,13 @@ def mask_specks(
 
 def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: CameraNoise) -> Allowed | None:
     stride = max(1, int((mask.size / SAMPLES) ** 0.5))
-    at = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-    valid = mask[at] == Mask.VALID
+    sample = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
+    valid = mask[sample] == Mask.VALID
     if not valid.any():
         return None
-    i = [step[at][valid].astype(np.float32) for step in steps]
+    i = [step[sample][valid].astype(np.float32) for step in steps]
     seconds, offsets = [], []
-    # What all pixels have in common: an offset (daylight), and an even harmonic, as a slope over cos 2φ.
+    # Common to all pixels: an offset (ambient light), and an even harmonic, as a slope over cos 2φ.
     for i0, i1, i2, i3 in (i[:4], i[4:]):
         off = i0 - i1 + i2 - i3
         offsets.append(float(np.median(off)))
@@ -124,15 +121,17 @@ def _flag(
     length: NDArray[np.float32],
     struck: NDArray[np.uint8],
 ) -> None:
-    """Examine one direction of a row: write its sum of steps to ``total``, twice its modulation to ``length``, and add
-    1 to ``struck`` where opposite steps disagree."""
+    """Examine one direction of a row: add 1 to ``struck`` where opposite steps disagree.
+
+    Writes the sum of its steps to ``total`` and twice its modulation to ``length``.
+    """
     for x in range(struck.size):
         a, b, c, d = np.float32(i0[x]), np.float32(i1[x]), np.float32(i2[x]), np.float32(i3[x])
         cosine, sine = a - c, d - b
         squared = cosine * cosine + sine * sine
         twice = np.sqrt(squared if squared > np.float32(1.0) else np.float32(1.0))
         light = a + b + c + d
-        # |I0 − I1 + I2 − I3 − what is seen everywhere| beyond the share allowed, against SIGMAS of its noise.
+        # |I0 − I1 + I2 − I3 − its common part| beyond the allowed share, against SIGMAS of its noise.
         off = (a - b) + (c - d) - offset - second * (cosine - sine) * (cosine + sine) / twice
         room = np.float32(0.5 * SHARE) * twice
         over = abs(off) - room
@@ -161,7 +160,7 @@ def _mask(
     # Per direction (0: x, 1: y) and pixel: the sum 4A of its steps, and its length 2B.
     totals, lengths = np.empty((2, columns), np.float32), np.empty((2, columns), np.float32)
     struck = np.empty(columns, np.uint8)
-    found = 0
+    count = 0
     for y in range(rows):
         first, stop = illuminated[y]
         if first >= stop:
@@ -175,16 +174,16 @@ def _mask(
               totals[0, :n], lengths[0, :n], flags)  # fmt: skip
         _flag(e[y, part], f[y, part], g[y, part], h[y, part], allowed.second_y, allowed.offset_y, allowed,
               totals[1, :n], lengths[1, :n], flags)  # fmt: skip
-        # Both directions together: 4A_x − 4A_y beyond what daylight adds everywhere, against the weaker fringes.
+        # Both directions together: 4A_x − 4A_y without its common part, against the weaker fringes.
         for x in range(n):
             apart = abs(totals[0, x] - totals[1, x] - allowed.offset_mean)
-            least = min(lengths[0, x], lengths[1, x])
-            # A pixel that is masked for another reason keeps that one.
-            hit = (flags[x] != _ZERO) | (apart > np.float32(2.0 * MEAN_SHARE) * least)
+            weaker_length = min(lengths[0, x], lengths[1, x])
+            # A pixel that is masked for another reason keeps that reason.
+            hit = (flags[x] != _ZERO) | (apart > np.float32(2.0 * MEAN_SHARE) * weaker_length)
             if hit & (mask[y, first + x] == _ZERO):
-                # No coordinate of such a pixel is to be believed: the same fringes made both.
+                # Both coordinates of such a pixel are wrong.
                 mask[y, first + x] = STRUCK
                 p_px[y, first + x] = _NAN
                 q_px[y, first + x] = _NAN
-                found += 1
-    return found
+                count += 1
+    return count

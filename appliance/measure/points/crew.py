@@ -1,8 +1,13 @@
-"""Owns who works on a scan: the thread that asks, and helpers that take what it has not begun yet.
+"""A pool of threads for the work on a scan: the caller's thread and its helpers.
 
-Whoever waits for a task that nobody has begun does it. So nothing waits for a thread to be free, tasks may ask for
-others, and without helpers all is done by the caller, in the order in which it asks. What a task returns must not
-depend on who does it, or when.
+A thread that waits for a task which has not been begun runs it. So nothing waits for a free thread, tasks may wait for
+other tasks, and without helpers the caller runs everything in the order in which it asks. The result of a task must not
+depend on the thread or the time.
+
+Crew        the threads
+WorkList    tasks that are dropped or awaited together
+WorkItem    one task
+answers     the results of several tasks
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from functools import partial
 from typing import Generic, TypeVar, cast
 
 MOST_S = 900.0
-"""Longest wait for a task that another thread has begun; its kernels may have to be compiled first."""
+"""Longest wait for a task that another thread runs; its kernels may have to be compiled first."""
 
 T = TypeVar("T")
 Item = TypeVar("Item")
@@ -32,35 +37,32 @@ class Crew:
     def __init__(self, helpers: int = 1) -> None:
         self.helpers = helpers
         self._pool = ThreadPoolExecutor(helpers, "kf-decode") if helpers else None
-        # The lock itself is entered and left, which takes one step of the interpreter each; a condition's own way takes
-        # several, and an interruption between them would leave it locked for ever.
+        # The lock itself is used as context manager: one step of the interpreter. A condition takes several, and an
+        # interruption between them would leave it locked for ever.
         self._lock = threading.Lock()
         """Guards what follows, and the state of all tasks."""
         self._changed = threading.Condition(self._lock)
         self._open: deque[WorkItem[object]] = deque()
-        """Tasks that nobody has begun."""
+        """Tasks that have not been begun."""
 
     def close(self) -> None:
-        """End the helpers' threads, after what they have begun."""
+        """End the helpers' threads after their current tasks."""
         if self._pool is not None:
             self._pool.shutdown()
 
     @contextmanager
     def tasks(self) -> Iterator[WorkList]:
-        """Open a list of tasks; however it is left, none of them is at work afterwards."""
+        """Open a list of tasks; when the context ends, none of them is running."""
         with WorkList(self) as tasks:
             yield tasks
 
     def each(self, work: Callable[[Item], T], items: Iterable[Item]) -> list[T]:
-        """Return what ``work`` returns for each item, in their order.
-
-        Raises what the first of them raised that failed.
-        """
+        """Return the results of ``work`` for each item, in order; raise the first error."""
         with self.tasks() as tasks:
             return answers([tasks.add(partial(work, item)) for item in items])
 
     def add(self, task: WorkItem[object]) -> None:
-        """Let whoever is free begin ``task``."""
+        """Add ``task`` for the next free thread."""
         with self._lock:
             self._open.append(task)
             self._changed.notify_all()
@@ -68,7 +70,7 @@ class Crew:
             self._pool.submit(self._help)
 
     def take(self, task: WorkItem[object]) -> bool:
-        """Take ``task`` off the list, for the caller to do or to drop; False where somebody has begun it."""
+        """Take ``task`` off the list, for the caller to run or to drop; False if a thread has begun it."""
         with self._lock:
             if task not in self._open:
                 return False
@@ -76,42 +78,44 @@ class Crew:
             return True
 
     def ended(self, task: WorkItem[object]) -> None:
-        """Note that ``task`` is done, and wake who waits for it."""
+        """Mark ``task`` as done and wake the threads that wait for it."""
         with self._lock:
             task.is_done = True
             self._changed.notify_all()
 
     def await_or_help(self, task: WorkItem[object], *, helping: bool) -> bool:
-        """Wait until ``task`` is done, and return True; or do another one meanwhile, and return False.
+        """Wait until ``task`` is done and return True, or run another one meanwhile and return False.
 
         Raises TimeoutError after ``MOST_S``.
         """
-        other: WorkItem[object] | None = None
+        open_task: WorkItem[object] | None = None
         try:
             with self._lock:
                 if not self._changed.wait_for(lambda: task.is_done or (helping and self._open), MOST_S):
                     raise TimeoutError(f"a part of the reconstruction has not ended for {MOST_S:g} s")
                 if task.is_done:
                     return True
-                other = self._open[0]
-                self._take(other)
-            other.do()
+                open_task = self._open[0]
+                self._take(open_task)
+            open_task.do()
         except BaseException:
-            if other is not None:
-                self.end_left(other)
+            if open_task is not None:
+                self.end_left(open_task)
             raise
         return False
 
     def await_end(self, task: WorkItem[object]) -> None:
-        """Wait until nobody is at ``task``. Raises TimeoutError after ``MOST_S``."""
+        """Wait until no thread runs ``task``. Raises TimeoutError after ``MOST_S``."""
         with self._lock:
-            # Nobody has taken what an interruption kept from being added.
+            # A task that an interruption kept from being added was never taken.
             if task.taken_by is not None and not self._changed.wait_for(lambda: task.is_done, MOST_S):
                 raise TimeoutError(f"a part of the reconstruction has not ended for {MOST_S:g} s")
 
     def end_left(self, task: WorkItem[object]) -> None:
-        """Note that ``task`` is done where this thread has taken it and left it: an interruption (Ctrl-C) may strike
-        between the taking and the work, or between the work and its end, and others would wait for it."""
+        """Mark ``task`` as done if this thread took it and was interrupted before or after running it.
+
+        Otherwise threads that wait for it would wait for ever.
+        """
         with self._lock:
             if task.taken_by == threading.get_ident() and not task.is_done and task not in self._open:
                 task.raised = RuntimeError("it was interrupted; begin the scan again")
@@ -119,8 +123,8 @@ class Crew:
                 self._changed.notify_all()
 
     def _take(self, task: WorkItem[object]) -> None:
-        """Take an open task; ``_lock`` is held."""
-        # Before it is off the list: whoever is interrupted in between has left it open.
+        """Take an open task; the caller holds ``_lock``."""
+        # First, before the task is off the list: after an interruption in between it is still open.
         task.taken_by = threading.get_ident()
         self._open.remove(task)
 
@@ -129,29 +133,29 @@ class Crew:
             task = self._open[0] if self._open else None
             if task is not None:
                 self._take(task)
-        # None: the caller has begun it meanwhile.
+        # None: another thread has begun it meanwhile.
         if task is not None:
             task.do()
 
 
 class WorkItem(Generic[T]):
-    """A task: work that some thread does once. Made by ``WorkList.add``."""
+    """A task, run once by one thread. Made by ``WorkList.add``."""
 
     def __init__(self, crew: Crew, work: Callable[[], T]) -> None:
         self._crew = crew
         self._work: Callable[[], T] | None = work
-        """None once it is done or dropped: what it holds of a scan, and whatever points at this task, is free then."""
+        """None once the task is done or dropped, which frees the memory that it refers to."""
         self._returned: T | None = None
         self.raised: BaseException | None = None
-        """Error that the work, or what became of it, ended with; raised where the answer is awaited."""
+        """Error with which the work ended; raised again where the answer is awaited."""
         self.is_done = False
         self.taken_by: int | None = None
-        """Thread that has taken it off the list; ``None``: nobody has."""
+        """Thread that has taken the task off the list; ``None``: it is still open."""
         self.cpu_s = 0.0
         """Processor time of the thread that did it, once it is done."""
 
     def do(self) -> None:
-        """Do the work; whoever calls has taken it off the crew's list."""
+        """Run the work; the caller must have taken the task off the crew's list."""
         work, self._work = self._work, None
         assert work is not None, "a task is taken off the list once"
         begun_s = time.thread_time()
@@ -164,9 +168,9 @@ class WorkItem(Generic[T]):
         self._crew.ended(cast(WorkItem[object], self))
 
     def answer(self, *, helping: bool = False) -> T:
-        """Return what the work returned, or raise what it raised; it is done here and now unless somebody has begun it.
+        """Return the result of the work or raise its error; run it now unless a thread has begun it.
 
-        ``helping``: while another thread is at it, the caller does whatever else is open.
+        ``helping``: run other open tasks while another thread runs this one.
         """
         crew, itself = self._crew, cast(WorkItem[object], self)
         self.do_unless_begun()
@@ -177,7 +181,7 @@ class WorkItem(Generic[T]):
         return cast(T, self._returned)
 
     def do_unless_begun(self) -> None:
-        """Do the work here and now unless somebody has begun it."""
+        """Run the work now unless a thread has begun it."""
         itself = cast(WorkItem[object], self)
         try:
             if self._crew.take(itself):
@@ -187,7 +191,7 @@ class WorkItem(Generic[T]):
             raise
 
     def drop(self) -> None:
-        """Let nobody begin it any more."""
+        """Take the task off the list if it has not been begun."""
         crew, itself = self._crew, cast(WorkItem[object], self)
         if crew.take(itself):
             self._work = None
@@ -195,13 +199,12 @@ class WorkItem(Generic[T]):
             crew.ended(itself)
 
     def await_end(self) -> None:
-        """Wait until nobody is at it; what it raised is nobody's concern any more."""
+        """Wait until no thread runs the task; its error is ignored."""
         self._crew.await_end(cast(WorkItem[object], self))
 
 
 class WorkList:
-    """Tasks that belong together: when the list is closed, those that nobody has begun are dropped and the others
-    awaited."""
+    """Tasks that belong together: closing the list drops those not begun and awaits the others."""
 
     def __init__(self, crew: Crew) -> None:
         self._crew = crew
@@ -214,7 +217,7 @@ class WorkList:
         self.close()
 
     def add(self, work: Callable[[], T]) -> WorkItem[T]:
-        """Add ``work``, for whoever is free."""
+        """Add ``work`` for the next free thread."""
         task = WorkItem(self._crew, work)
         itself = cast(WorkItem[object], task)
         self._added.append(itself)
@@ -222,8 +225,8 @@ class WorkList:
         return task
 
     def close(self) -> None:
-        """Drop what nobody has begun and wait for the rest; again is allowed."""
-        # All are dropped before any is awaited: else a helper would go on with the next.
+        """Drop the tasks that have not been begun and wait for the others; may be called again."""
+        # Drop all before awaiting any: otherwise a helper would begin the next one.
         for task in self._added:
             task.drop()
         for task in self._added:
@@ -232,9 +235,9 @@ class WorkList:
 
 
 def answers(tasks: Sequence[WorkItem[T]]) -> list[T]:
-    """Return what all of ``tasks`` returned.
+    """Return the results of all ``tasks``.
 
-    The caller does what nobody has begun before it waits for any; of several errors, that of the first is raised.
+    The caller runs those not begun before it waits for any; of several errors, the first is raised.
     """
     for task in tasks:
         task.do_unless_begun()

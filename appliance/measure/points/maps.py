@@ -1,11 +1,14 @@
-"""Makes points of two images' maps of the pattern's coordinates, whoever decoded them, where both directions were
-projected.
+"""Points from the pattern coordinate maps of two images, for imports of other rigs' images.
 
-Callers are imports of other rigs' images; matching and intersection are the instrument's own kernels. Points of one
-direction alone are ``one_direction.py``'s.
+Both directions must have been projected; ``one_direction.py`` is for one. Matching and triangulation are the
+instrument's kernels.
 
-Scale: the coordinates are scaled so that one camera pixel sees about as much of the pattern as on the instrument, for
-which the search for neighbours was made; no point depends on it.
+Scale: the coordinates are scaled so that a camera pixel sees about as much of the pattern as on the instrument, for
+which the search for neighbours was made. No point depends on the scale.
+
+CoordinateMap         coordinates of one direction in one image
+points_of_maps        the points of two images
+pixels_without_ray    the mask of pixels that the ray lattice does not cover
 """
 
 from __future__ import annotations
@@ -34,10 +37,10 @@ Floats = NDArray[np.float32]
 USUAL_STEP_PX = 0.63
 """Change of a coordinate from one pixel to the next on the instrument, for images 1600 px wide."""
 STRIP_PX = 512
-"""Left columns that are reconstructed together: fewer than a scratch row has room for (``scratch.MAX_WIDTH_PX``), and
-copies that need little."""
+"""Number of left columns that are reconstructed together: less than ``scratch.MAX_WIDTH_PX``, so that copies are small.
+"""
 _ALL = PointLimits(*np.array([np.inf, np.inf, -np.inf, np.inf, np.inf, 0.0], np.float32))
-"""Limits that every point keeps: which one it breaks is told afterwards."""
+"""Limits that every point keeps; the caller applies the real ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,11 +48,11 @@ class CoordinateMap:
     """Coordinates of one direction of the pattern in one image, without edges, with their noise."""
 
     coordinate_px: Floats
-    """(h, w) float32; NaN where there is none."""
+    """(h, w) float32; NaN where there is no coordinate."""
     sigma_px: Floats
     """(h, w) float32: standard deviation by noise, in px of the pattern."""
     step_px: float
-    """Usual change from a pixel to the next, in either direction of the image."""
+    """Typical change from a pixel to the next, in either direction of the image."""
 
 
 def points_of_maps(
@@ -64,58 +67,60 @@ def points_of_maps(
     """Return the points where rays meet, without any limit.
 
     ``left``, ``right``: keyed ``x`` and ``y``. ``index``: the water's refractive index. ``grey``, ``modulation_dn``:
-    (h, w), the left image's. ``depths_mm``: nearest and farthest, between which rays are computed best.
+    (h, w) of the left image. ``depths_mm``: nearest and farthest depth; the rays are most accurate between them.
     """
     low_px, size_px = [], []
     for name in "xy":
-        both = [one[name].coordinate_px for one in (left, right)]
-        low_px.append(min(float(np.nanmin(one)) for one in both))
-        size_px.append(max(float(np.nanmax(one)) for one in both) - low_px[-1])
-    # So large is the pattern that one pixel sees as much of it as on the instrument, and no larger than its map has
-    # room for.
+        coordinates_px = [maps[name].coordinate_px for maps in (left, right)]
+        low_px.append(min(float(np.nanmin(values)) for values in coordinates_px))
+        size_px.append(max(float(np.nanmax(values)) for values in coordinates_px) - low_px[-1])
+    # The scale gives a pixel as much of the pattern as on the instrument, but no more nodes than the map can fill.
     scale = min(
         USUAL_STEP_PX * 1600.0 / rig.right.width_px / max(right["x"].step_px, right["y"].step_px),
         4.0 * math.sqrt(rig.right.width_px * rig.right.height_px / (size_px[0] * size_px[1] + 1.0)),
     )
     p2, q2, variance2 = _scaled(right, low_px, scale)
-    seen = np.full(p2.shape, np.uint8(255))
-    maps = right_maps(p2, q2, seen, int(scale * size_px[0]) + 2, int(scale * size_px[1]) + 2, variance2)
-    fill_inverse_map(maps, 1)
+    full_modulation = np.full(p2.shape, np.uint8(255))
+    lookup = right_maps(p2, q2, full_modulation, int(scale * size_px[0]) + 2, int(scale * size_px[1]) + 2, variance2)
+    fill_inverse_map(lookup, 1)
     plane_mm = math.sqrt(depths_mm[0] * depths_mm[1])
     # The series of a ray needs three rows of nodes.
     step_px = min(min(usual_step_px(camera), camera.height_px - 1) for camera in (rig.left, rig.right))
     first_rays, second_rays = (
-        ray_lattice(one, index, plane_mm, step_px, partial=True) for one in (rig.left, rig.right)
+        ray_lattice(camera, index, plane_mm, step_px, partial=True) for camera in (rig.left, rig.right)
     )
     rays = rays_of(first_rays, second_rays, rig.left.width_px)
     cloud = no_points(grey)
     height = grey.shape[0]
     table, scratch = PointTable(height * (STRIP_PX + 2)), scratch_rows()
-    factors = sigma_factors(16, TYPICAL_PAIR)  # for its footprints alone: noise is the maps' own
+    factors = sigma_factors(16, TYPICAL_PAIR)  # only for footprints: the maps have their variances
     for first in range(0, grey.shape[1], STRIP_PX):
-        # With one more on either side: the noise of a pixel is told with its neighbours.
+        # One more column on either side, since the standard deviation needs the neighbours.
         begin = max(first - 1, 0)
         columns = np.s_[..., begin : first + STRIP_PX + 1]
         bright = np.ascontiguousarray(grey[columns])
         half = np.clip(np.rint(2.0 * modulation_dn[columns]), 0.0, 255.0).astype(np.uint8)
-        own = rays._replace(left=np.ascontiguousarray(rays.left[columns]))
+        strip_rays = rays._replace(left=np.ascontiguousarray(rays.left[columns]))
         p, q, variance = _scaled(left, low_px, scale, columns)
-        lit = np.tile(np.array([0, p.shape[1]], np.int32), (height, 1))
-        strip = LeftMaps(p, q, half, bright, bright, lit, np.float32(1.0), variance)
-        count = int(reconstruct_rows(strip, maps, own, _ALL, factors, 0, height, 1, scratch, table.points, 0))
-        found = table.points
-        # Flat in the strip, and in all rows and columns of the image.
-        row, column = np.divmod(found.pixel[:count], p.shape[1])
+        illuminated = np.tile(np.array([0, p.shape[1]], np.int32), (height, 1))
+        strip = LeftMaps(p, q, half, bright, bright, illuminated, np.float32(1.0), variance)
+        count = int(reconstruct_rows(strip, lookup, strip_rays, _ALL, factors, 0, height, 1, scratch, table.points, 0))
+        points = table.points
+        # From flat indices in the strip to rows and columns of the image.
+        row, column = np.divmod(points.pixel[:count], p.shape[1])
         inner = np.flatnonzero((column + begin >= first) & (column + begin < first + STRIP_PX))
-        at = row[inner], column[inner] + begin
-        cloud.points_mm[at], cloud.sigma_mm[at] = found.xyz_mm[inner], found.sigma_mm[inner]
-        cloud.ray_gap_mm[at] = found.gap_mm[inner]
-        cloud.modulation_dn[at] = np.float32(0.5) * found.modulation_half_dn[inner]
+        target = row[inner], column[inner] + begin
+        cloud.points_mm[target], cloud.sigma_mm[target] = points.xyz_mm[inner], points.sigma_mm[inner]
+        cloud.ray_gap_mm[target] = points.gap_mm[inner]
+        cloud.modulation_dn[target] = np.float32(0.5) * points.modulation_half_dn[inner]
     return cloud
 
 
 def pixels_without_ray(camera: HousedCamera, index: float) -> NDArray[np.bool_]:
-    """Tell (h, w) which pixels have no ray, as those have none about which the lattice has none."""
+    """Return a mask (h, w) of the pixels that have no ray.
+
+    The cells of the lattice decide, whole cells at a time.
+    """
     lattice = ray_lattice(camera, index, 0.0, partial=True)
     lost = np.isnan(lattice.nodes[..., 2])
     cells = lost[1:, 1:] | lost[1:, :-1] | lost[:-1, 1:] | lost[:-1, :-1]
@@ -125,13 +130,13 @@ def pixels_without_ray(camera: HousedCamera, index: float) -> NDArray[np.bool_]:
 def _scaled(
     maps: Mapping[str, CoordinateMap], low_px: list[float], scale: float, part: Any = ...
 ) -> tuple[Floats, Floats, Floats]:
-    """Return a part of both coordinates from the lowest on, NaN where one is missing, and the mean of their variances,
-    in scaled px."""
-    both = [maps[name] for name in "xy"]
+    """Return p and q from their least value on, scaled, and their mean variance; NaN if either is missing."""
+    coordinate_maps = [maps[name] for name in "xy"]
     p, q = (
-        (one.coordinate_px[part] - np.float32(low)) * np.float32(scale) for one, low in zip(both, low_px, strict=True)
+        (coordinate_map.coordinate_px[part] - np.float32(low)) * np.float32(scale)
+        for coordinate_map, low in zip(coordinate_maps, low_px, strict=True)
     )
     missing = np.isnan(p) | np.isnan(q)
     p[missing], q[missing] = np.nan, np.nan
-    spread = np.hypot(*(one.sigma_px[part] for one in both))
+    spread = np.hypot(*(coordinate_map.sigma_px[part] for coordinate_map in coordinate_maps))
     return p, q, np.square(spread, out=spread) * np.float32(0.5 * scale**2)

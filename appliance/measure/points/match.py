@@ -1,19 +1,18 @@
-"""Owns correspondence: for a left pixel's pattern coordinates (p, q), the right image point that has the same.
+"""Correspondence: for a left pixel's pattern coordinates (p, q), the right image point with the same.
 
-No epipolar line is assumed: refraction bends it. From one left row to the next the right point moves little: last row's
-point and derivatives predict the nearest pixel, and one Newton step on central differences gives the subpixel point.
-That holds for nearly all pixels and is written as short loops over a row. The others (at edges, behind steps, in the
-first row) start from an inverse map (pattern node → pixel) and go a slower way, one by one.
+There is no epipolar line, since refraction bends it. From one left row to the next the right point moves little: last
+row's point and derivatives predict the nearest pixel, and one Newton step on central differences gives the subpixel
+point. That works for nearly all pixels and is written as short loops over a row. The others (at edges, depth
+discontinuities, in the first row) start from an inverse map (pattern node → pixel) and are matched one by one, which is
+slower.
 
-The last step is of second order: a parabola through three pixels in each direction. It follows curved surfaces and, as
-its weights on noise are smaller than those of a straight line, it scatters less: 0.80 instead of 1.08 of one pixel's
-variance.
+The last step is of second order: a parabola through three pixels in each direction. It follows curved surfaces, and its
+weights on noise are smaller than those of a straight line: 0.80 instead of 1.08 of one pixel's variance.
 
 Symbols: (u, v) is a right column and row in px, (du, dv) the step from a pixel to the point. pu, pv, qu, qv are ∂p/∂u …
 ∂q/∂v, puu … qvv second differences, det = pu qv − pv qu. up, uq, vp, vq are the inverse derivatives up to their signs:
 du = up dp − uq dq, dv = vq dq − vp dp. In the scratch row, PC, PL, PR, PT, PB are p at the pixel (centre) and at its
-neighbours to the left, right, top and bottom; QC … QB the same of q. s is the row's scratch, w what lasts for its
-chunk.
+neighbours to the left, right, top and bottom; QC … QB the same of q. s is the row's scratch, w that of its chunk.
 """
 
 from __future__ import annotations
@@ -57,27 +56,27 @@ MAX_STEPS = 4
 MAX_FINAL_STEP_PX = np.float32(0.75)
 """Longest last step in px.
 
-Noise can make two neighbours point at each other for ever; a little more than half a pixel is as good.
+Noise can make two neighbours point at each other for ever; a little more than half a pixel is as accurate.
 """
 MAX_FIRST_STEP_PX = np.float32(4.0)
-"""Longest step in px from the pixel that the inverse map knows."""
+"""Longest step in px from the pixel of the inverse map."""
 MIN_DETERMINANT = np.float32(1e-4)
 NODE_MARGIN = np.float32(1.5)
 """Offset of node numbers, so that coordinates from −1 px on round to nodes from 0 on."""
 _HOME, _LOST, _OUTSIDE = 1, 0, -1
-"""The three ends of a walk."""
+"""Results of a walk."""
 _BLOCK = 64
-"""Number of pixels that are passed over at once where all have a match."""
+"""Number of pixels that are skipped at once if all have a match."""
 _LINE = LINE_BYTES // 4
 """Coordinates in a cache line."""
 _ZERO, _ONE, _TWO, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
 _NAN = np.float32(np.nan)
 NO_VARIANCE = np.zeros((0, 0), np.float32)
-"""The variance map of maps that have none. A kernel is compiled for an array, and so there always is one."""
+"""Variance map of maps without variances: kernels are compiled for an array."""
 
 
 class RightMaps(NamedTuple):
-    """Maps of the right camera in which a left pixel is looked up, (h, w) each."""
+    """Maps of the right camera, (h, w) each, in which left pixels are looked up."""
 
     p_px: NDArray[np.float32]
     """Pattern column; NaN where there is none."""
@@ -90,8 +89,7 @@ class RightMaps(NamedTuple):
     max_derivative_sum_px: np.float32
     """Largest sum of the absolute derivatives of p and q; beyond, the neighbours lie on another surface."""
     variance_px2: NDArray[np.float32] = NO_VARIANCE
-    """(h, w): variance of either coordinate, in px² of the pattern, where it is known better than by modulation and
-    light."""
+    """(h, w): variance of either coordinate, in px² of the pattern, if it does not follow from modulation and light."""
 
 
 def right_maps(
@@ -102,9 +100,9 @@ def right_maps(
     projector_height_px: int,
     variance_px2: NDArray[np.float32] = NO_VARIANCE,
 ) -> RightMaps:
-    """Return the right camera's maps (h, w) with room for an inverse map.
+    """Return the right camera's maps (h, w) with an empty inverse map.
 
-    Its nodes are 2 pattern px apart for 1600 px, farther for smaller images: so that all get filled.
+    Its nodes are 2 pattern px apart for images 1600 px wide, and farther for smaller ones, so that all are filled.
     """
     width_px = p_px.shape[1]
     node_px = max(2, -(-3200 // width_px))
@@ -123,14 +121,14 @@ def right_maps(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def fill_inverse_map(right: RightMaps, stride: int) -> None:
-    """Enter every ``stride``-th right pixel at its node, then let each empty node ask its neighbours once."""
+    """Enter every ``stride``-th right pixel at its node, then fill each empty node from a neighbour."""
     inverse = right.inverse
     node_rows, node_columns = inverse.shape
     inverse[:, :] = np.uint32(0)
     rows, columns = right.p_px.shape
     scale = right.nodes_per_px
     for y in range(1, rows - 1, stride):
-        # The last pixel of those that round to a node stays.
+        # Of the pixels that round to a node, the last one remains.
         p, q = right.p_px[y], right.q_px[y]
         for x in range(1, columns - 1, stride):
             if p[x] == p[x]:
@@ -152,12 +150,12 @@ def _upper_left(u: np.int32, v: np.int32, width: np.int32) -> np.int32:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _nearest(at: np.float32, last: np.float32) -> np.float32:
-    """Return the pixel nearest to ``at`` among those from 1 to ``last``."""
+def _nearest(position: np.float32, last: np.float32) -> np.float32:
+    """Return the pixel from 1 to ``last`` that is nearest to ``position``."""
     # In this form NaN becomes 1.
-    at = at if at > _ONE else _ONE
-    at = at if at < last else last
-    return np.float32(np.floor(at + _HALF))
+    position = position if position > _ONE else _ONE
+    position = position if position < last else last
+    return np.float32(np.floor(position + _HALF))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -168,10 +166,9 @@ def _predict(
     n: int,
     width: np.int32,
     height: np.int32,
-    at: NDArray[np.int32],
+    corner: NDArray[np.int32],
 ) -> None:
-    """Choose the pixel nearest to where the point above moves, by its own derivatives; some pixel where nothing is
-    known."""
+    """Choose the pixel nearest to the prediction from the point above; some pixel if there is none."""
     last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
     for x in range(n):
         # (u, v) = (u, v)_above + J⁻¹ (dp, dq), with the derivatives of the row above.
@@ -180,45 +177,47 @@ def _predict(
         v = _nearest(above[V + x] + above[VQ + x] * dq - above[VP + x] * dp, last_v)
         w[U_START + x] = u
         w[V_START + x] = v
-        at[x] = _upper_left(np.int32(u), np.int32(v), width)
+        corner[x] = _upper_left(np.int32(u), np.int32(v), width)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _look_up(right: RightMaps, s: NDArray[np.float32], w: NDArray[np.float32], n: int, at: NDArray[np.int32]) -> None:
-    """Choose the pixel that the inverse map knows; some pixel where it knows none."""
+def _look_up(
+    right: RightMaps, s: NDArray[np.float32], w: NDArray[np.float32], n: int, corner: NDArray[np.int32]
+) -> None:
+    """Choose the pixel of the inverse map; some pixel if its node is empty."""
     inverse = right.inverse.reshape(-1)
     columns, width = np.int32(right.inverse.shape[1]), np.int32(right.p_px.shape[1])
     for x in range(n):
         start = np.uint32(0)
         if s[P + x] == s[P + x]:
-            # 65537 is pixel (1, 1): where nothing is known, what it leads to is judged like all else.
+            # 65537 is pixel (1, 1): for an empty node, the match from there is judged like every other.
             i = np.int32(s[P + x] * right.nodes_per_px + NODE_MARGIN)
             j = np.int32(s[Q + x] * right.nodes_per_px + NODE_MARGIN)
             start = inverse[np.uint32(j * columns + i)]
         start = start if start != np.uint32(0) else np.uint32(65537)
         v, u = np.int32(start >> np.uint32(16)), np.int32(start & np.uint32(0xFFFF))
         w[U_START + x], w[V_START + x] = np.float32(u), np.float32(v)
-        at[x] = _upper_left(u, v, width)
+        corner[x] = _upper_left(u, v, width)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _move_on(
-    s: NDArray[np.float32], w: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]
+    s: NDArray[np.float32], w: NDArray[np.float32], n: int, width: np.int32, height: np.int32, corner: NDArray[np.int32]
 ) -> None:
-    """Choose the pixel nearest to where the last step went."""
+    """Choose the pixel nearest to the end of the last step."""
     last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
     for x in range(n):
         u, v = _nearest(s[U + x], last_u), _nearest(s[V + x], last_v)
         w[U_START + x] = u
         w[V_START + x] = v
-        at[x] = _upper_left(np.int32(u), np.int32(v), width)
+        corner[x] = _upper_left(np.int32(u), np.int32(v), width)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _take(source: NDArray[np.float32], at: NDArray[np.int32], n: int, target: NDArray[np.float32]) -> None:
-    """Copy ``source`` at the places ``at`` to ``target``; unsigned places need no check for negative ones."""
+def _take(source: NDArray[np.float32], indices: NDArray[np.int32], n: int, target: NDArray[np.float32]) -> None:
+    """Copy ``source`` at ``indices`` to ``target``; unsigned indices need no check for negative ones."""
     for x in range(n):
-        target[x] = source[np.uint32(at[x])]
+        target[x] = source[np.uint32(indices[x])]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -226,51 +225,53 @@ def _gather(
     p: NDArray[np.float32],
     q: NDArray[np.float32],
     width: int,
-    at: NDArray[np.int32],
+    corner: NDArray[np.int32],
     n: int,
     w: NDArray[np.float32],
 ) -> None:
-    """Load the pixels chosen and their neighbours. ``at`` names the neighbour to the upper left: so all else lies
-    behind it.
+    """Load the chosen pixels and their neighbours; ``corner``: indices of the upper left neighbours.
 
-    One quantity after the other: a loop with ten places to load from and ten to store to takes a third longer.
+    All other indices are larger. One quantity is loaded after the other: a loop with ten loads and ten stores takes a
+    third longer.
     """
     top, left, centre, right, bottom = 1, width, width + 1, width + 2, 2 * width + 1
-    _take(p[centre:], at, n, w[PC:])
-    _take(p[left:], at, n, w[PL:])
-    _take(p[right:], at, n, w[PR:])
-    _take(p[top:], at, n, w[PT:])
-    _take(p[bottom:], at, n, w[PB:])
-    _take(q[centre:], at, n, w[QC:])
-    _take(q[left:], at, n, w[QL:])
-    _take(q[right:], at, n, w[QR:])
-    _take(q[top:], at, n, w[QT:])
-    _take(q[bottom:], at, n, w[QB:])
+    _take(p[centre:], corner, n, w[PC:])
+    _take(p[left:], corner, n, w[PL:])
+    _take(p[right:], corner, n, w[PR:])
+    _take(p[top:], corner, n, w[PT:])
+    _take(p[bottom:], corner, n, w[PB:])
+    _take(q[centre:], corner, n, w[QC:])
+    _take(q[left:], corner, n, w[QL:])
+    _take(q[right:], corner, n, w[QR:])
+    _take(q[top:], corner, n, w[QT:])
+    _take(q[bottom:], corner, n, w[QB:])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _take_modulation(
-    half_dn: NDArray[np.uint8], width: int, at: NDArray[np.int32], n: int, w: NDArray[np.float32]
+    half_dn: NDArray[np.uint8], width: int, corner: NDArray[np.int32], n: int, w: NDArray[np.float32]
 ) -> None:
-    """Write MODULATION_RIGHT of the pixels chosen, and their half grey values in place of ``at``: to collect them one
-    by one and make floats of many at once takes half as long."""
-    here = half_dn[width + 1 :]
+    """Write MODULATION_RIGHT of the chosen pixels; ``corner`` is overwritten.
+
+    It first gets their half grey values: to collect them one by one and convert many at once takes half as long.
+    """
+    centre_dn = half_dn[width + 1 :]
     for x in range(n):
-        at[x] = here[np.uint32(at[x])]
+        corner[x] = centre_dn[np.uint32(corner[x])]
     for x in range(n):
-        w[MODULATION_RIGHT + x] = _HALF * np.float32(at[x])
+        w[MODULATION_RIGHT + x] = _HALF * np.float32(corner[x])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _share(a: np.float32, b: np.float32) -> np.float32:
-    """Return the variance of a coordinate read off (du, dv) from a pixel, over that of one pixel; a = ½ du², b = ½ dv².
+    """Return the variance of a coordinate interpolated at (du, dv), over that of one pixel.
 
-    Its weight is 1 − du² − dv², its neighbours' are ½(du² ± du) and ½(dv² ± dv): the sum of their squares is
-    (1 − 2(a + b))² + (a + b) + 2(a² + b²).
+    a = ½ du², b = ½ dv². The weight of the pixel is 1 − du² − dv², those of its neighbours are ½(du² ± du) and
+    ½(dv² ± dv): the sum of their squares is (1 − 2(a + b))² + (a + b) + 2(a² + b²).
     """
-    both = a + b
-    centre = _ONE - _TWO * both
-    return np.float32(centre * centre + both + _TWO * (a * a + b * b))
+    total = a + b
+    centre = _ONE - _TWO * total
+    return np.float32(centre * centre + total + _TWO * (a * a + b * b))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -282,7 +283,7 @@ def _newton(
     max_sum: np.float32,
     curvature: np.float32,
 ) -> None:
-    """Make one step on central differences; NaN in U where it is not trusted.
+    """Make one step on central differences; U is NaN where it is not reliable.
 
     ``curvature`` 1: along the parabola, in one more substitution; 0: straight, which is safer over several pixels.
     """
@@ -297,13 +298,13 @@ def _newton(
         # Straight step: (du, dv) = J⁻¹ (dp, dq).
         dp, dq = s[P + x] - w[PC + x], s[Q + x] - w[QC + x]
         du, dv = up * dp - uq * dq, vq * dq - vp * dp
-        # Take off what the parabola adds there: dp − ½ du² puu − ½ dv² pvv; no mixed term, whose pixels are not loaded.
+        # Subtract the second-order terms: dp − ½ du² puu − ½ dv² pvv; no mixed term, whose pixels are not loaded.
         puu, pvv = w[PR + x] + w[PL + x] - _TWO * w[PC + x], w[PB + x] + w[PT + x] - _TWO * w[PC + x]
         quu, qvv = w[QR + x] + w[QL + x] - _TWO * w[QC + x], w[QB + x] + w[QT + x] - _TWO * w[QC + x]
         du2, dv2 = half * du * du, half * dv * dv
         dp -= du2 * puu + dv2 * pvv
         dq -= du2 * quu + dv2 * qvv
-        # Judged by the straight step: a parabola far from its pixel may lead anywhere.
+        # The limit is on the straight step: a parabola far from its pixel may lead anywhere.
         home = (abs(du) <= max_step) & (abs(dv) <= max_step)
         du, dv = up * dp - uq * dq, vq * dq - vp * dp
         # No neighbour on another surface, and derivatives that can be inverted.
@@ -321,7 +322,7 @@ def _newton(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def _derivative(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
-    """Return the central difference, or a one-sided one where one neighbour is missing; NaN where both are."""
+    """Return the central difference, a one-sided one if a neighbour is missing, or NaN if both are."""
     if m0 == m0 and m1 == m1:
         return _HALF * (m1 - m0)
     return m1 - c if m1 == m1 else c - m0
@@ -329,7 +330,7 @@ def _derivative(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def _bend(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
-    """Return the second difference; 0 where a neighbour is missing."""
+    """Return the second difference; 0 if a neighbour is missing."""
     return m0 + m1 - _TWO * c if m0 == m0 and m1 == m1 else _ZERO
 
 
@@ -344,7 +345,7 @@ def _walk(
     s: NDArray[np.float32],
     w: NDArray[np.float32],
 ) -> int:
-    """Make Newton steps from one right pixel to the next until home, one-sided where a neighbour is missing.
+    """Make Newton steps between right pixels until home, one-sided where a neighbour is missing.
 
     Returns _HOME, _LOST, or _OUTSIDE when a step leaves the image.
     """
@@ -353,7 +354,7 @@ def _walk(
     v, u = np.int64(start >> np.uint32(16)), np.int64(start & np.uint32(0xFFFF))
     far = np.float32(3.0)
     for step in range(MAX_STEPS):
-        # J = (pu pv; qu qv) by differences; where the surface ends on both sides of the pixel, no step is believed.
+        # J = (pu pv; qu qv) by differences; no step if the surface ends on both sides of the pixel.
         c, d = p_px[v, u], q_px[v, u]
         pu = _derivative(p_px[v, u - 1], c, p_px[v, u + 1])
         qu = _derivative(q_px[v, u - 1], d, q_px[v, u + 1])
@@ -369,18 +370,18 @@ def _walk(
         # At most three pixels at a time: far from home, derivatives are those of another place.
         nu = u + np.int64(np.rint(min(max(du, -far), far)))
         nv = v + np.int64(np.rint(min(max(dv, -far), far)))
-        # Half a pixel is home; more is only where the walk must end: no coordinate at the next pixel, or no step left.
+        # Within half a pixel it is home, or farther if the walk must end: no coordinate at the next pixel, or no steps.
         inside = 1 <= nu < columns - 1 and 1 <= nv < rows - 1
         goes_on = inside and step < MAX_STEPS - 1 and p_px[nv, nu] == p_px[nv, nu]
         limit = _HALF if goes_on else MAX_FINAL_STEP_PX
         if abs(du) <= limit and abs(dv) <= limit:
-            # Home: the same second-order step as in ``_newton``, and all that it leaves behind.
+            # Home: the same second-order step as in ``_newton``, with the same results.
             puu, pvv = _bend(p_px[v, u - 1], c, p_px[v, u + 1]), _bend(p_px[v - 1, u], c, p_px[v + 1, u])
             quu, qvv = _bend(q_px[v, u - 1], d, q_px[v, u + 1]), _bend(q_px[v - 1, u], d, q_px[v + 1, u])
             du2, dv2 = _HALF * du * du, _HALF * dv * dv
             dp, dq = p - c - du2 * puu - dv2 * pvv, q - d - du2 * quu - dv2 * qvv
             du, dv = (qv * dp - pv * dq) * inverse, (pu * dq - qu * dp) * inverse
-            # Bend ½ ∇²p = ½ Σ of the four neighbours − 2 p; NaN where one is missing, which sigma takes for a border.
+            # Bend ½ ∇²p = ½ Σ of the four neighbours − 2 p; NaN if one is missing, which sigma treats as a border.
             around = p_px[v, u - 1] + p_px[v, u + 1] + p_px[v - 1, u] + p_px[v + 1, u]
             w[BEND_RIGHT + x] = _HALF * around - _TWO * c
             w[RIGHT_SHARE + x] = _share(du2, dv2)
@@ -403,7 +404,7 @@ def _node(coordinate_px: np.float32, nodes_per_px: np.float32) -> int:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _start(inverse: NDArray[np.uint32], i: int, j: int) -> np.uint32:
-    """Return the pixel that the inverse map knows at a node; 0 for none, and beyond its edges."""
+    """Return the pixel of the inverse map at a node; 0 for none, and beyond its edges."""
     if i < 0 or j < 0 or i >= inverse.shape[1] or j >= inverse.shape[0]:
         return np.uint32(0)
     return np.uint32(inverse[j, i])
@@ -411,23 +412,23 @@ def _start(inverse: NDArray[np.uint32], i: int, j: int) -> np.uint32:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _any_missing(s: NDArray[np.float32], n: int) -> bool:
-    """Tell whether any of ``n`` places has coordinates and no match."""
-    found = np.int32(0)
+    """Return True if any of ``n`` places has coordinates and no match."""
+    any_missing = np.int32(0)
     for x in range(n):
         missing = (s[P + x] == s[P + x]) & (s[U + x] != s[U + x])
-        found = np.int32(found | (np.int32(1) if missing else np.int32(0)))
-    return bool(found != np.int32(0))
+        any_missing = np.int32(any_missing | (np.int32(1) if missing else np.int32(0)))
+    return bool(any_missing != np.int32(0))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _list_missing(s: NDArray[np.float32], n: int, missing: NDArray[np.int32]) -> int:
-    """Write the places that have coordinates and no match into ``missing`` (n,); return how many."""
+    """Write the places that have coordinates and no match into ``missing`` (n,); return their number."""
     count = 0
     for begin in range(0, n, _BLOCK):
         size = min(_BLOCK, n - begin)
         if not _any_missing(s[begin:], size):
             continue
-        # Written everywhere and kept where it counts: a branch would be guessed wrong at every edge.
+        # Always written, but counted only if missing: a branch would be mispredicted at every edge.
         for x in range(begin, begin + size):
             missing[count] = x
             count += 1 if (s[P + x] == s[P + x]) & (s[U + x] != s[U + x]) else 0
@@ -447,11 +448,10 @@ def _search(
     missing: NDArray[np.int32],
     count: int,
 ) -> None:
-    """Match ``count`` places that have no match yet, the slower way: walk from the pixel's node or, when lost, once
-    more from a neighbour of it.
+    """Match ``count`` places without a match, one by one, from the node's pixel or a neighbour of it.
 
-    Where walks begin is asked for beforehand: each is a chain of steps that waits for memory, and none can be begun
-    before the last.
+    The starts are prefetched: each walk is a chain of steps that waits for memory, and none can begin before the last
+    one has ended.
     """
     width = p_px.shape[1]
     nodes, p, q = inverse.reshape(-1), p_px.reshape(-1), q_px.reshape(-1)
@@ -472,15 +472,15 @@ def _search(
         x = missing[k]
         ni, nj = _node(s[P + x], nodes_per_px), _node(s[Q + x], nodes_per_px)
         # The node itself, then its four neighbours.
-        tried = np.uint32(0)
+        first_start = np.uint32(0)
         for ring in range(5):
             start = _start(inverse, ni + (0, 1, -1, 0, 0)[ring], nj + (0, 0, 0, 1, -1)[ring])
-            if start == 0 or start == tried:
+            if start == 0 or start == first_start:
                 continue
-            # A second time only when the first one was lost.
-            if _walk(p_px, q_px, half_dn, max_sum, start, x, s, w) != _LOST or tried != 0:
+            # A second walk only if the first one was lost.
+            if _walk(p_px, q_px, half_dn, max_sum, start, x, s, w) != _LOST or first_start != 0:
                 break
-            tried = start
+            first_start = start
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -496,17 +496,19 @@ def _prefetch_below(
     q: NDArray[np.float32],
     half_dn: NDArray[np.uint8],
     width: int,
-    at: NDArray[np.int32],
+    corner: NDArray[np.int32],
     n: int,
 ) -> None:
-    """Ask for what the left row after the next will be the first to read: it sees right pixels two rows below those of
-    this one."""
+    """Prefetch the right pixels of the left row after the next one.
+
+    They lie two rows below those of this row.
+    """
     centre, bottom = 3 * width + 1, 4 * width + 1
     for x in range(0, n, _LINE):
-        prefetch(p, at[x] + bottom)
-        prefetch(q, at[x] + bottom)
+        prefetch(p, corner[x] + bottom)
+        prefetch(q, corner[x] + bottom)
     for x in range(0, n, 4 * _LINE):
-        prefetch(half_dn, at[x] + centre)
+        prefetch(half_dn, corner[x] + centre)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -517,40 +519,40 @@ def match_row(
     w: NDArray[np.float32],
     n: int,
     coherent: bool,
-    at: NDArray[np.int32],
+    corner: NDArray[np.int32],
 ) -> None:
     """Match ``n`` left pixels of a row whose coordinates are in P and Q (NaN: none).
 
-    Writes U, V: right column and row in px, U = NaN where there is no match; SLOPE, the gradient of p across right
-    columns in px/px, and all of UP … VP; MODULATION_RIGHT; BEND_RIGHT, half the second differences of p in px, NaN
-    where a neighbour is missing; RIGHT_SHARE, the variance of p there, of that of one pixel; PHASE_VARIANCE_RIGHT,
-    where the maps carry variances. ``coherent``: ``above`` is the matched row above. ``at`` (n,) int32 is scratch.
-    ``w``, laid out as ``s``, takes what the next row does not ask for (``scratch``).
+    Writes U, V: right column and row in px, U = NaN without a match; SLOPE, the gradient of p across right columns in
+    px/px, and all of UP … VP; MODULATION_RIGHT; BEND_RIGHT, half the second differences of p in px, NaN if a neighbour
+    is missing; RIGHT_SHARE, the variance of p there over that of one pixel; PHASE_VARIANCE_RIGHT if the maps have
+    variances. ``coherent``: ``above`` is the matched row above. ``corner`` (n,) int32 is scratch. ``w``, laid out as
+    ``s``, takes the quantities that the next row does not need (``scratch``).
     """
     height, width = right.p_px.shape
     p, q, modulation = right.p_px.reshape(-1), right.q_px.reshape(-1), right.modulation_half_dn.reshape(-1)
     # A pixel near the match: from the row above, or from the inverse map and one straight step.
     if coherent:
-        _predict(above, s, w, n, np.int32(width), np.int32(height), at)
+        _predict(above, s, w, n, np.int32(width), np.int32(height), corner)
     else:
-        _look_up(right, s, w, n, at)
-        _gather(p, q, width, at, n, w)
+        _look_up(right, s, w, n, corner)
+        _gather(p, q, width, corner, n, w)
         _newton(s, w, n, MAX_FIRST_STEP_PX, right.max_derivative_sum_px, _ZERO)
-        _move_on(s, w, n, np.int32(width), np.int32(height), at)
-    # The subpixel step, and the slower way for what it does not lead home.
-    _gather(p, q, width, at, n, w)
-    # What the rows below will read is on its way while this one is computed.
+        _move_on(s, w, n, np.int32(width), np.int32(height), corner)
+    # The subpixel step, and the slower search for pixels that it does not match.
+    _gather(p, q, width, corner, n, w)
+    # Prefetch for the rows below while this one is computed.
     if coherent:
-        _prefetch_below(p, q, modulation, width, at, n)
-    _take_modulation(modulation, width, at, n, w)
+        _prefetch_below(p, q, modulation, width, corner, n)
+    _take_modulation(modulation, width, corner, n, w)
     # Along the parabola: the subpixel point.
     _newton(s, w, n, MAX_FINAL_STEP_PX, right.max_derivative_sum_px, _ONE)
-    # Where it began is no longer asked.
-    missing = _list_missing(s, n, at)
+    # The start is no longer needed, so its buffer is free.
+    missing = _list_missing(s, n, corner)
     if missing:
         _search(
             right.p_px, right.q_px, right.modulation_half_dn, right.inverse, right.nodes_per_px, right.max_derivative_sum_px,
-            s, w, at, missing,
+            s, w, corner, missing,
         )  # fmt: skip
     if right.variance_px2.size:
         _take_variance(right.variance_px2, w, n)

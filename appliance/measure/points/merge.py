@@ -1,11 +1,11 @@
-"""Owns two exposures of one scene as one: the maps of two decoded sequences, merged pixel by pixel.
+"""Merging of two exposures of one scene: the maps of two decoded sequences, pixel by pixel.
 
-Each coordinate has a variance that follows from modulation, offset and camera noise; where both sequences have one,
-they are weighted by it, and must agree within it. Where only one has one, because the other is saturated or too dark
-there, that one is taken. What disagrees is masked: something moved in between.
+Each coordinate has a variance that follows from modulation, offset and camera noise. If both sequences have a
+coordinate, the result is their weighted mean, and they must agree within their noise. If one is saturated or too dark,
+the other one is used. Pixels that disagree are masked, since the scene moved in between.
 
 Symbols: V1, V2 are the variances of a pixel's coordinates in the first and in the second sequence; their mean is
-(V2 x1 + V1 x2)/(V1 + V2), with variance V1 V2/(V1 + V2). a and b say which sequence has a coordinate to be believed.
+(V2 x1 + V1 x2)/(V1 + V2), with variance V1 V2/(V1 + V2). a and b mark the pixels with a valid coordinate in each.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from appliance.measure.points.sigma import four_step_variance_px2
 
 Maps = CameraDecoder | DecodedMaps
 MAX_SIGMA = 5.0
-"""Largest distance of two coordinates over its noise: those of one surface point differ by more in one pixel of a
-million."""
+"""Largest difference of two coordinates of one point in standard deviations: noise exceeds it once in a million pixels.
+"""
 ROWS = 64
-"""Number of rows that are merged at once: the whole stays small."""
+"""Number of rows that are merged at once, which bounds the memory."""
 SAMPLE_ROWS = 8
-"""Distance of the rows that tell which sequence is the clearer one."""
+"""Distance of the rows from which the clearer sequence is determined."""
 BLOCK_ROWS, BLOCK_COLUMNS, LEAST_SHARED = 6, 8, 100
-"""Parts of the image each of which is asked whether it has moved, and the least number of pixels both sequences must
-share in it."""
+"""Blocks of the image in which a shift is measured, and the least number of pixels of a block that both sequences have.
+"""
 MAX_SHIFT = 0.5
-"""Shift common to the image, over the noise of a difference, from which on what has moved is seen in the surface."""
+"""Largest shift of the whole image, over the noise of a difference, that does not show in the surface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +42,16 @@ class Agreement:
     """Pixels that only the first sequence has."""
     second: float
     both: float
-    """Pixels that both had, those masked included."""
+    """Pixels that both have, including those masked."""
     masked: float
     """Pixels in which the two disagreed."""
     shift: float | None
-    """Movement of the whole image from the first sequence to the second: median over its parts of what the coordinates
-    of neighbours have in common, over their noise; ``None`` where too few pixels are shared to tell."""
+    """Shift of the whole image from the first sequence to the second, over the noise of a difference: the median over
+    the blocks' median differences; ``None``: too few pixels are in both."""
 
     @property
     def agrees(self) -> bool | None:
-        """True if both saw the same; ``None``: it cannot be told."""
+        """True if both show the same scene; ``None``: unknown."""
         return None if self.shift is None else self.shift <= MAX_SHIFT
 
 
@@ -62,12 +62,12 @@ def merge(
     period_px: int,
     variance_px2: NDArray[np.float32],
 ) -> Agreement:
-    """Write the merged maps into those of ``first``, after the last frame of both and before any point is found.
+    """Write the merged maps into those of ``first``, after the last frame of both sequences.
 
-    ``noise`` is that of the camera in either sequence. ``variance_px2`` (h, w) float32 is filled with the variance of
-    each pixel's coordinates, in px² of the pattern. Modulation and Gray threshold are, where both sequences have a
-    coordinate, those of the sequence whose coordinates have the smaller variance in most of the image; else those of
-    the one that has. Raises ValueError for maps of different size.
+    No point may have been found before. ``noise`` is that of the camera in either sequence. ``variance_px2`` (h, w)
+    float32 is filled with the variance of each pixel's coordinates, in px² of the pattern. Where both sequences have a
+    coordinate, modulation and Gray threshold are those of the sequence with the smaller variance in most of the image;
+    elsewhere those of the one that has a coordinate. Raises ValueError for maps of different size.
     """
     if first.mask.shape != second.mask.shape:
         raise ValueError(
@@ -87,10 +87,10 @@ def merge(
 
 
 def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], period_px: int) -> bool:
-    """Tell whether the second sequence has the smaller variance in most of the pixels of every ``SAMPLE_ROWS``-th row.
+    """Return True if the second sequence has the smaller variance in most sampled pixels.
 
-    One answer for the image: a modulation that went to and fro between two exposures, from pixel to pixel, would look
-    like an edge of the albedo everywhere, and points would expect more error than they have.
+    The answer is one for the image: if the modulation changed between two exposures from pixel to pixel, it would look
+    like an edge of the albedo everywhere, and the standard deviations of points would be too large.
     """
     rows = slice(0, None, SAMPLE_ROWS)
     shared = (first.mask[rows] == Mask.VALID) & (second.mask[rows] == Mask.VALID)
@@ -99,14 +99,13 @@ def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, Came
 
 
 def _shift(differences: NDArray[np.float32]) -> float | None:
-    """Return the shift of the differences (2, h, w) of both coordinates over their noise, NaN where only one sequence
-    has one."""
+    """Return the shift of the differences (2, h, w) over their noise, NaN where a sequence has none."""
     shifts = []
     for strip in np.array_split(differences, BLOCK_ROWS, axis=1):
         for block in np.array_split(strip, BLOCK_COLUMNS, axis=2):
-            known = block[:, ~np.isnan(block[0])]
-            if known.shape[1] >= LEAST_SHARED:
-                shifts.append(float(np.max(np.abs(np.median(known, axis=1)))))
+            finite = block[:, ~np.isnan(block[0])]
+            if finite.shape[1] >= LEAST_SHARED:
+                shifts.append(float(np.max(np.abs(np.median(finite, axis=1)))))
     return float(np.median(shifts)) if shifts else None
 
 
@@ -120,47 +119,47 @@ def _merge_rows(
     differences: NDArray[np.float32],
     variance_px2: NDArray[np.float32],
 ) -> NDArray[np.int64]:
-    mask, other = first.mask[rows], second.mask[rows]
+    mask, second_mask = first.mask[rows], second.mask[rows]
     variance = [_variance_px2(d, n, period_px, rows) for d, n in ((first, noise[0]), (second, noise[1]))]
-    a, b = mask == Mask.VALID, other == Mask.VALID
-    # What the clearer sequence shows as an edge is one, whatever the other shows.
+    a, b = mask == Mask.VALID, second_mask == Mask.VALID
+    # An edge in the clearer sequence is an edge, even if the other does not show it.
     doubtful = (Mask.CONTRADICTION, Mask.EDGE)
-    a &= ~(np.isin(other, doubtful) & (variance[1] < variance[0]))
+    a &= ~(np.isin(second_mask, doubtful) & (variance[1] < variance[0]))
     b &= ~(np.isin(mask, doubtful) & (variance[0] < variance[1]))
     # Differences over their noise √(V1 + V2), of both coordinates.
-    both = a & b
+    in_both = a & b
     expected = np.sqrt(variance[0] + variance[1])
     apart = np.zeros(mask.shape, np.float32)
     for k, (mine, theirs) in enumerate(((first.p_px[rows], second.p_px[rows]), (first.q_px[rows], second.q_px[rows]))):
         z = (mine - theirs) / expected
-        differences[k, rows][both] = z[both]
-        apart[both] = np.maximum(apart, np.abs(z))[both]
-    differs = both & (apart > MAX_SIGMA)
-    merged = both & ~differs
-    taken = b & ~a
-    # The mean by variance, or the one there is.
+        differences[k, rows][in_both] = z[in_both]
+        apart[in_both] = np.maximum(apart, np.abs(z))[in_both]
+    differs = in_both & (apart > MAX_SIGMA)
+    merged = in_both & ~differs
+    added = b & ~a
+    # The weighted mean, or the only value.
     weight = variance[1] / (variance[0] + variance[1])
     for mine, theirs in ((first.p_px[rows], second.p_px[rows]), (first.q_px[rows], second.q_px[rows])):
         mine[merged] = (weight * mine + (1.0 - weight) * theirs)[merged]
-        mine[taken] = theirs[taken]
+        mine[added] = theirs[added]
         mine[~(a | b) | differs] = np.nan
-    # A coordinate that the clearer sequence calls an edge, a contradiction of both, and what the second one gives.
+    # The mask: edges of the clearer sequence, contradictions of both, and pixels that only the second one has.
     mask[~a & (mask == Mask.VALID)] = Mask.EDGE
     mask[differs] = Mask.CONTRADICTION
-    mask[taken] = Mask.VALID
-    # 1/V = 1/V1 + 1/V2; modulation and threshold stay what one sequence saw.
+    mask[added] = Mask.VALID
+    # 1/V = 1/V1 + 1/V2; modulation and threshold are those of one sequence.
     mean = 1.0 / (1.0 / variance[0] + 1.0 / variance[1])
-    variance_px2[rows] = np.where(merged, mean, np.where(taken, variance[1], variance[0]))
-    from_second = taken | merged if second_is_clearer else taken
+    variance_px2[rows] = np.where(merged, mean, np.where(added, variance[1], variance[0]))
+    from_second = added | merged if second_is_clearer else added
     first.modulation_half_dn[rows][from_second] = second.modulation_half_dn[rows][from_second]
     first.gray_threshold[rows][from_second] = second.gray_threshold[rows][from_second]
-    return np.array([(a & ~b).sum(), taken.sum(), both.sum(), differs.sum()], np.int64)
+    return np.array([(a & ~b).sum(), added.sum(), in_both.sum(), differs.sum()], np.int64)
 
 
 def _variance_px2(maps: Maps, noise: CameraNoise, period_px: int, rows: slice) -> NDArray[np.float32]:
     """Return the variance (rows, w) of either coordinate.
 
-    In the shadow, where nothing else means anything, it is that of the least modulation.
+    In the shadow, where it has no meaning, it is that of the least modulation.
     """
     illuminated = maps.mask[rows] != Mask.SHADOW
     offset_dn = np.float32(maps.offset_per_threshold) * maps.gray_threshold[rows].astype(np.float32)

@@ -1,4 +1,4 @@
-"""Owns a cloud on the pixel grid of the left image: which points are neighbours, and where there are none."""
+"""An organised cloud: a cloud on the pixel grid of the left image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from appliance.measure.points.table import Cloud
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrganisedCloud:
-    """A full cloud of one scan, left camera frame; every array is (h, w) or (h, w, 3) over the left image's pixels.
+    """A full cloud of one scan, left camera frame; every array is (h, w) or (h, w, 3) over the left image.
 
     Where a pixel has no point, floating point values are NaN. Arrays are not copied; do not write to them.
     """
@@ -21,11 +21,11 @@ class OrganisedCloud:
     points_mm: NDArray[np.float32]
     """(h, w, 3) float32."""
     sigma_mm: NDArray[np.float32]
-    """Expected standard deviation of the point along its ray."""
+    """Standard deviation of the point along its ray."""
     modulation_dn: NDArray[np.float32]
     ray_gap_mm: NDArray[np.float32]
     grey: NDArray[np.uint8]
-    """The left camera's bright frame, also where there are no points."""
+    """The left camera's bright frame, also in pixels without a point."""
 
     __repr__ = one_line
 
@@ -41,13 +41,13 @@ class OrganisedCloud:
 
 
 def no_points(grey: NDArray[np.uint8]) -> OrganisedCloud:
-    """Return a cloud without points on the grid of the image ``grey``, (h, w) uint8, to be filled in."""
-    points, *others = (np.full((*grey.shape, *more), np.nan, np.float32) for more in ((3,), (), (), ()))
-    return OrganisedCloud(points, others[0], others[1], others[2], grey)
+    """Return a cloud without points on the grid of ``grey``, (h, w) uint8, to be filled in."""
+    points, *attributes = (np.full((*grey.shape, *trailing), np.nan, np.float32) for trailing in ((3,), (), (), ()))
+    return OrganisedCloud(points, attributes[0], attributes[1], attributes[2], grey)
 
 
 def organised(cloud: Cloud, bright: NDArray[np.uint8]) -> OrganisedCloud:
-    """Lay the points of ``cloud`` on the grid of the left camera's ``bright`` frame, (h, w) uint8.
+    """Return ``cloud`` on the grid of the left camera's ``bright`` frame, (h, w) uint8.
 
     Raises ValueError for a cloud of a larger image.
     """

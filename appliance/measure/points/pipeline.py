@@ -1,11 +1,12 @@
-"""Owns the way from two cameras' frames to a cloud: push frames as they arrive, then coarse, then full.
+"""The pipeline from two cameras' frames to a cloud.
 
-All buffers are allocated when the pipeline is made, none during a scan.
+Push frames as they arrive, then ask for the coarse and the full cloud. All buffers are allocated when the pipeline is
+made, none during a scan.
 
 After the last frame only the second direction of both cameras remains to be decoded, then the inverse map and every
 eighth row and column: the coarse cloud. The full cloud follows in two blocks of rows, which two threads share
-(``crew``), each row in chunks of 256 columns that pass through matching and triangulation in the first-level cache.
-Sixteen neighbours ask one node of the right camera's rays: its series of second order is within 0.1 µm.
+(``crew``). Each row passes through matching and triangulation in chunks of 256 columns, in the first-level cache.
+Sixteen neighbours use one node of the right camera's rays, whose second-order series is within 0.1 µm.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ from appliance.measure.points.triangulate import Rays, rays_of
 from appliance.measure.points.veil import VeilFringes, find_veil, looks_veiled, remove_veil
 
 COARSE_POINTS = 30_000
-"""Number of left pixels asked for the coarse cloud; 20,000 points remain when 70 % of them see the object."""
+"""Number of left pixels in the grid of the coarse cloud; 20,000 points remain when 70 % of them see the object."""
 MIN_COARSE_NEIGHBOURS = 2
-"""Least number of neighbours of a coarse point, of eight: they are farther apart, and one may lie beyond an edge."""
+"""Least number of neighbours of a coarse point, of eight: they are farther apart, and some lie beyond an edge."""
 LOOSE_GAP_MM = np.float32(5.0)
 """Largest gap of the two rays of the same point, seen while it moved."""
 VEIL_POINTS = 1_500
-"""Number of left pixels that are asked for the fringes of backscatter."""
+"""Number of left pixels from which the backscatter fringes are estimated."""
 BLOCKS = 2
 """Number of blocks of rows that are reconstructed side by side.
 
@@ -57,11 +58,11 @@ __all__ = ["Cloud", "Pipeline"]
 
 
 class Pipeline:
-    """A reconstruction of scans of one sequence with one calibration in one water; reusable, not thread-safe.
+    """Reconstructs scans of one sequence with one calibration in one water; reusable, not thread-safe.
 
-    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors; ``helpers`` threads
-    work beside the caller's, and change nothing in what is found. Raises ValueError for cameras wider than 4096 px and
-    for a table that is too small.
+    Points are left in ``table``, by default one of its own. Their standard deviations follow from ``noise``.
+    ``helpers`` threads work beside the caller's; the results do not depend on their number. Raises ValueError for
+    cameras wider than 4096 px and for a table that is too small.
     """
 
     def __init__(
@@ -91,21 +92,27 @@ class Pipeline:
             "right": CameraDecoder(sequence, right.width_px, right.height_px),
         }
         self._rays, self._rig, self._index = _rays(calibration, water), calibration.rig, water.index
-        seen = self._decoders["right"]
-        self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
+        right_decoder = self._decoders["right"]
+        self._right = right_maps(
+            right_decoder.p_px,
+            right_decoder.q_px,
+            right_decoder.modulation_half_dn,
+            sequence.width_px,
+            sequence.height_px,
+        )
         self._gaps = _sampler(calibration, water)
-        # Another one for ``matches``, which may be asked for beside the full cloud: each has a buffer of its own.
-        self._asked = _sampler(calibration, water)
+        # A second one with another buffer, since ``matches`` may run beside the full cloud.
+        self._match_sampler = _sampler(calibration, water)
         # Every second pixel fills the inverse map of a large image; a small one needs all.
         self._inverse_stride = 2 if right.width_px >= 800 else 1
         self._noise, self._ripple = noise, STILL
         self._factors = sigma_factors(sequence.period_px, noise)
         self._straight = False
-        """The response's bend was taken out of this scan's coordinates, or looked for in vain."""
+        """This scan's coordinates were corrected for the response, or need no correction."""
         self._bend: PhaseBend | None = None
-        """The bend of this scan's coordinates; ``None``: not measured yet."""
+        """The phase error of this scan's coordinates; ``None``: not measured yet."""
         self._noisier = np.float32(1.0)
-        """Factor by which taking it out multiplied the variance of the scan's coordinates."""
+        """Factor by which the response correction multiplied the variance of the scan's coordinates."""
         volume = calibration.rig.volume
         self._limits = (limits or QualityLimits()).of(volume)
         self._pixel_mm = volume.scaled(0.16) * 1600.0 / left.width_px
@@ -114,9 +121,9 @@ class Pipeline:
         self._bright: NDArray[np.uint8] | None = None
         self._scratch = [scratch_rows() for _ in range(BLOCKS)]
         self._sampled = scratch_rows()
-        """Scratch rows of ``sample``, which may be asked for beside the full cloud."""
+        """Scratch rows of ``sample``, which may run beside the full cloud."""
         self.crew = Crew(helpers)
-        """Threads that work on its scans."""
+        """The threads that work on the scans."""
         self.coarse_stride = coarse_stride_px(left.width_px, left.height_px)
 
     def __enter__(self) -> Pipeline:
@@ -125,11 +132,11 @@ class Pipeline:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End its threads; without this, they end with the process."""
+        """End the threads; otherwise they end with the process."""
         self.crew.close()
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
-        """Work on frame ``index`` of one side's ``frames`` (n, h, w) uint8; in order. Sides may run in two threads."""
+        """Decode frame ``index`` of one side's ``frames`` (n, h, w) uint8, in order; one thread for each side."""
         self._decoders[side].push(frames, index)
         self._frames[side] = frames
         if side == "left" and index == self._sequence.bright:
@@ -137,16 +144,16 @@ class Pipeline:
 
     @property
     def limits(self) -> QualityLimits:
-        """Limits that points must keep."""
+        """The limits that points must keep."""
         return self._limits
 
     @property
     def sequence(self) -> PatternSequence:
-        """The patterns of the scans it reconstructs."""
+        """The sequence of the scans."""
         return self._sequence
 
     def expect(self, noise: StereoNoise) -> None:
-        """Make points' expected errors those of cameras with this noise, from now on."""
+        """Use this noise for the standard deviations of points from now on."""
         self._noise = noise
         self._factors = sigma_factors(self._sequence.period_px, noise, self._ripple)
 
@@ -162,8 +169,8 @@ class Pipeline:
     def recalibrate(self, calibration: Calibration, water: Water) -> None:
         """Use another calibration of cameras of the same size, or other water, from now on.
 
-        A scan whose ``coarse`` was called stays decoded: ``full`` gives its points anew. Raises ValueError for cameras
-        of another size.
+        A scan whose ``coarse`` was called stays decoded: ``full`` gives its points with the new calibration. Raises
+        ValueError for cameras of another size.
         """
         for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
             height_px, width_px = self._decoders[side].p_px.shape
@@ -174,18 +181,18 @@ class Pipeline:
                 )
         self._rays, self._rig, self._index = _rays(calibration, water), calibration.rig, water.index
         modes = GapModes(calibration.rig, water.index)
-        self._gaps, self._asked = GapSampler(modes), GapSampler(modes)
+        self._gaps, self._match_sampler = GapSampler(modes), GapSampler(modes)
 
     def coarse(self) -> Cloud:
         """Return the coarse cloud. Call once per scan, after the last frame and before ``full``."""
         return self.table.cloud(self.find_coarse())
 
     def full(self) -> Cloud:
-        """Return the full cloud: every left pixel that has a true correspondence. Call after ``coarse``."""
+        """Return the full cloud: every left pixel with a valid correspondence. Call after ``coarse``."""
         return self.table.cloud(self.find_full())
 
     def find_coarse(self) -> Found:
-        """Find the coarse cloud, as ``coarse`` does, and leave the points in the table."""
+        """Compute the coarse cloud, as ``coarse`` does, and leave the points in the table."""
         for decoder in self._decoders.values():
             decoder.finish()
         self._read_through_backscatter()
@@ -198,14 +205,14 @@ class Pipeline:
     def find_changed(
         self, bright: NDArray[np.uint8] | None = None, variance_px2: Mapping[str, NDArray[np.float32]] | None = None
     ) -> Found:
-        """Find the full cloud anew, after ``coarse`` and after the maps of the decoders were changed.
+        """Compute the full cloud again, after ``coarse`` and a change of the decoders' maps.
 
-        ``bright`` (h, w) uint8 is the left image whose grey values the points get, in place of the sequence's own.
+        ``bright`` (h, w) uint8 is the left image for the points' grey values, in place of the sequence's bright frame.
         ``variance_px2`` holds for each side the variance (h, w) float32 of the changed coordinates, in px² of the
         pattern; without it, the variance follows from modulation, light and camera noise.
         """
         self._bright = self._bright if bright is None else bright
-        # Maps that were merged are those of two scans, each straightened by itself.
+        # Merged maps are of two scans, each of which has had its response correction.
         self._straight = True
         self._prepare()
         if variance_px2 is None:
@@ -232,7 +239,7 @@ class Pipeline:
         self.crew.each(work, self._frames)
 
     def _take_veil_out(self) -> None:
-        """Find the fringes that backscatter keeps along the rows, and take them out where they are strong."""
+        """Find the backscatter fringes along the rows, and remove them where they are strong."""
         if self._gaps is None or len(self._frames) < len(SIDES):
             return
         maps = {side: (decoder.p_px, decoder.q_px) for side, decoder in self._decoders.items()}
@@ -251,37 +258,37 @@ class Pipeline:
         self._prepare()
 
     def find_full(self, *, straightened: bool = True) -> Found:
-        """Find the full cloud, as ``full`` does, and leave the points in the table.
+        """Compute the full cloud, as ``full`` does, and leave the points in the table.
 
-        ``straightened``: what the projector's response bends coordinates by is taken out of the decoders' maps first,
-        where it counts. Whoever goes on to look at the frames beside the maps wants them as they were decoded.
+        ``straightened``: the response correction is applied to the decoders' maps first, if it is needed. A caller that
+        will compare the maps with the frames needs them uncorrected.
         """
         if straightened and not self._straight:
             self._straighten()
         return self._with_gaps(self._find(1))
 
     def begin_full(self, tasks: WorkList) -> Callable[[], Found]:
-        """Add to ``tasks`` what finds the full cloud of the maps as they are, and return what waits for it and returns
-        it.
+        """Add the tasks of the full cloud to ``tasks`` and return a function that waits for it.
 
-        Until then the maps must stay as they are, and nothing else may be found in the table.
+        Until then the maps must not change, and the table must not be used for anything else.
         """
         blocks = self._blocks(
             self._left_maps(), self._right, self._factors, 1, self._kernel_limits(1), self.table, self._scratch
         )
         added = [tasks.add(block) for block in blocks]
-        return lambda: self._with_gaps(self._found(answers(added), 1, self.table))
+        return lambda: self._with_gaps(self._collect(answers(added), 1, self.table))
 
     def bend(self) -> PhaseBend:
-        """Return what the projector's response bends the decoders' coordinates by, as they were decoded; call after
-        ``coarse`` and before the full cloud."""
+        """Return the phase error of the decoded coordinates by the response.
+
+        Call it between ``coarse`` and the full cloud.
+        """
         if self._bend is None:
             self._bend = measure_bend(list(self._decoders.values()), self._sequence.period_px)
         return self._bend
 
     def masked(self) -> None:
-        """Note that pixels have lost their coordinates since ``bend`` was asked: the full cloud's is measured without
-        them."""
+        """Note that pixels were masked since ``bend``: the full cloud's phase error is measured without them."""
         self._bend = None
 
     def _straighten(self) -> None:
@@ -296,51 +303,49 @@ class Pipeline:
             self._prepare()
 
     def _take_out(self, cameras: Sequence[CoordinateMaps], bend: PhaseBend) -> None:
-        """Take out of both cameras' coordinates what the response bends them by."""
+        """Subtract the phase error by the response from both cameras' coordinates."""
         self.crew.each(lambda camera: take_out(camera, bend, self._sequence.period_px), cameras)
 
-    def _with_gaps(self, found: Found) -> Found:
+    def _with_gaps(self, cloud: Found) -> Found:
         if self._gaps is None:
-            return found
+            return cloud
         decoder = self._decoders["left"]
         gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays)
         gaps = replace(gaps, pattern_size_px=(self._sequence.width_px, self._sequence.height_px))
         if self._veil is not None:
             gaps = without_veil(gaps, self._veil.gaps, (decoder.p_px.shape[1], decoder.p_px.shape[0]))
-        return replace(found, gaps=gaps)
+        return replace(cloud, gaps=gaps)
 
     def matches(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a sample of matched pixels (n, 2) of both cameras, whatever their rays do; call after ``coarse``."""
-        if self._asked is None:
+        """Return a sample of matched pixels (n, 2) of both cameras, also without a point; after ``coarse``."""
+        if self._match_sampler is None:
             return np.empty((0, 2)), np.empty((0, 2))
         decoder = self._decoders["left"]
-        return self._asked.matches(decoder.p_px, decoder.q_px, self._right, self._rays)
+        return self._match_sampler.matches(decoder.p_px, decoder.q_px, self._right, self._rays)
 
     def sample(self, stride: int, any_depth: bool = False) -> Cloud:
-        """Return every ``stride``-th left pixel's point, also where its rays miss each other by far; call after
-        ``coarse``.
+        """Return every ``stride``-th left pixel's point, also with a large ray gap; call after ``coarse``.
 
-        With ``any_depth``, points outside of the depths that are measured are among them. It is for what asks why they
-        are. The table is left as it is.
+        With ``any_depth``, points outside of the depth limits are included, for judges of their cause. The table does
+        not change.
         """
         height_px, width_px = self._decoders["left"].p_px.shape
         table = PointTable(-(-width_px // stride) * -(-height_px // stride))
         limits = self._kernel_limits(stride)._replace(max_gap_mm=LOOSE_GAP_MM, max_sigma_mm=np.float32(np.inf))
         if any_depth:
             limits = limits._replace(min_depth_mm=np.float32(0.0), max_depth_mm=np.float32(np.inf))
-        # Few points, by the caller alone: helpers may be at the full cloud, with the scratch rows of that.
+        # Few points, by the caller alone: helpers may be busy with the full cloud and its scratch rows.
         rows = [self._sampled] * BLOCKS
         blocks = self._blocks(self._left_maps(), self._right, self._factors, stride, limits, table, rows)
-        return table.cloud(self._found([block() for block in blocks], stride, table))
+        return table.cloud(self._collect([block() for block in blocks], stride, table))
 
     def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
-        """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the
-        table.
+        """Compute the full cloud of other maps than the decoded ones and leave the points in the table.
 
-        They were read between pixels. What the projector's response bends them by is taken out of them, where it
-        counts. Gaps are not sampled: they would not be those of a scan at rest, and points have none: rows come from a
-        model of both cameras, and their rays meet whatever is wrong. Raises ValueError for maps without variances: what
-        reading between pixels leaves of the noise does not follow from their modulation.
+        These maps were interpolated between pixels. They get the response correction, if it is needed. Gaps are not
+        sampled and are NaN: the rows come from a model of both cameras, so that the rays always meet. The decoded maps
+        do not change. Raises ValueError for maps without variances: after interpolation the noise does not follow from
+        the modulation.
         """
         if not (left.variance_px2.size and right.variance_px2.size):
             raise ValueError("maps read between pixels came without variances; give both sides' variance_px2")
@@ -351,18 +356,21 @@ class Pipeline:
             ripple = measure_ripple(left.p_px, left.illuminated_columns, shown.period_px)
             factors = sigma_factors(shown.period_px, self._noise, ripple)
             noisier = np.float32(bend.variance_factor(shown.period_px))
-            left, right = (one._replace(variance_px2=one.variance_px2 * noisier) for one in (left, right))
+            left, right = (
+                maps_of_camera._replace(variance_px2=maps_of_camera.variance_px2 * noisier)
+                for maps_of_camera in (left, right)
+            )
         maps = right_maps(
             right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px, right.variance_px2
         )
         fill_inverse_map(maps, self._inverse_stride)
-        # Cameras and projector share the field.
+        # Cameras and projector have the same field of view.
         fringe_px = self._sequence.period_px / self._sequence.width_px * left.p_px.shape[1]
         factors = read_between(factors, fringe_px)
-        found = self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
-        for first, stop in found.pieces:
+        cloud = self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
+        for first, stop in cloud.pieces:
             self.table.points.gap_mm[first:stop] = np.nan
-        return replace(found, summary=replace(found.summary, gap_mm=None))
+        return replace(cloud, summary=replace(cloud.summary, gap_mm=None))
 
     def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:
         limits = limits or self._kernel_limits(stride)
@@ -392,7 +400,7 @@ class Pipeline:
         table: PointTable,
     ) -> Found:
         blocks = self._blocks(left, right, factors, stride, limits, table, self._scratch)
-        return self._found(self.crew.each(lambda block: block(), blocks), stride, table)
+        return self._collect(self.crew.each(lambda block: block(), blocks), stride, table)
 
     def _blocks(
         self,
@@ -404,7 +412,7 @@ class Pipeline:
         table: PointTable,
         scratch: Sequence[NDArray[np.float32]],
     ) -> list[Callable[[], tuple[int, int]]]:
-        """Return what finds the points of each block of rows, in any order, with scratch rows of its own."""
+        """Return a function for each block of rows that finds its points, with scratch rows of its own."""
         points = table.points
         rows, columns = left.p_px.shape
         # Blocks begin at a row of the coarse grid.
@@ -422,16 +430,16 @@ class Pipeline:
 
         return [partial(work, start) for start in range(0, rows, block)]
 
-    def _found(self, pieces: Sequence[tuple[int, int]], stride: int, table: PointTable) -> Found:
+    def _collect(self, pieces: Sequence[tuple[int, int]], stride: int, table: PointTable) -> Found:
         illuminated = self._decoders["left"].illuminated_pixels // stride**2
         return Found(tuple(pieces), summarise(illuminated, table.points, tuple(pieces)))
 
     def _kernel_limits(self, stride: int) -> PointLimits:
         limits = self._limits
-        # Limits on what noise makes grow with it; a coarse fringe has noisier coordinates.
+        # The limits grow with the noise; coordinates of coarse fringes are noisier.
         noise = max(1.0, self._sequence.period_px / 16.0)
-        # What is not known of the veil's fringes opens gaps without making a point wrong: rays pass beside each other
-        # along the rows. Two standard deviations, in mm.
+        # The uncertainty of the backscatter fringes widens gaps along the rows without moving a point. Two standard
+        # deviations, in mm.
         veil_mm = 2.0e-3 * self._veil.doubt_um if self._veil is not None and self._veil.removable else 0.0
         return PointLimits(
             max_gap_mm=np.float32(limits.max_gap_mm * noise + veil_mm),
@@ -456,7 +464,7 @@ def _rays(calibration: Calibration, water: Water) -> Rays:
 
 
 def _sampler(calibration: Calibration, water: Water) -> GapSampler | None:
-    """None for a calibration so strange that its gaps mean nothing; points are found with it all the same."""
+    """Return the sampler of ray gaps; ``None`` for a calibration too extreme for meaningful gaps."""
     try:
         return GapSampler(GapModes(calibration.rig, water.index))
     except ValueError:

@@ -1,8 +1,7 @@
-"""Owns asking the processor for memory before it is needed: where a kernel knows better than the hardware what it will
-read next.
+"""Prefetching for kernels that know better than the processor which memory they will read next.
 
-Chunks of a few hundred columns are too short for the hardware to learn where a row goes on, and the next row begins
-elsewhere.
+Chunks of a few hundred columns are too short for the hardware to learn the continuation of a row, and the next row
+begins elsewhere.
 """
 
 from __future__ import annotations
@@ -42,8 +41,7 @@ def _prefetch(_typing: Any, array: Any, _place: Any) -> Any:
 
 
 prefetch = cast(_Prefetch, intrinsic(_prefetch))
-"""Asks for the cache line of a place of a contiguous array of one dimension, into the second-level cache; inside of
-kernels only.
+"""Fetch the cache line of an element of a contiguous one-dimensional array into the second-level cache; for kernels.
 
-Nothing is read: a place beyond the array does no harm, and results are the same with and without.
+It reads no value: an index beyond the array does no harm, and results are the same with and without.
 """

@@ -1,6 +1,6 @@
-"""Owns the choice among a row's points, and their way into the table of results.
+"""The selection of a row's points by limits, and their copy into the table of results.
 
-A point needs neighbours at nearly its own depth: eight differences of Z, in the rows above and below and beside it.
+A point needs neighbours of similar depth: eight differences of Z, in the rows above and below and in its own.
 
 Symbols: z is the point's depth, near the number of its neighbours on the same surface. A run is source … source + size
 − 1 of the scratch row, and goes to target … of the table; pixel is the flat index of the row's first column in the
@@ -23,14 +23,14 @@ _X, _Y, _Z, _GAP, _SIGMA = (np.uint64(place) for place in (X, Y, Z, GAP, SIGMA))
 
 
 class PointLimits(NamedTuple):
-    """Limits that a point must keep to be chosen."""
+    """Limits that a point must keep to be selected."""
 
     max_gap_mm: np.float32
     max_sigma_mm: np.float32
     min_depth_mm: np.float32
     max_depth_mm: np.float32
     max_step_mm: np.float32
-    """Allowed distance in depth to a neighbour of the same surface."""
+    """Largest distance in depth to a neighbour of the same surface."""
     min_neighbours: np.float32
     """Least number of neighbours on the same surface, of eight."""
 
@@ -61,7 +61,7 @@ def judge(
 ) -> None:
     """Write 1 into ``good`` for the points of scratch row ``row`` that keep all limits, else 0.
 
-    NaN is near to nothing.
+    NaN keeps no limit.
     """
     max_gap_mm, max_sigma_mm, min_depth_mm, max_depth_mm, max_step_mm, min_neighbours = limits
     for x in range(n):
@@ -93,12 +93,12 @@ def append(
     points: Points,
     count: int,
 ) -> int:
-    """Append the good points of scratch row ``row``, run by run; return the new count. ``pixel``: the first flat index.
+    """Append the good points of scratch row ``row``, run by run; return the new count.
 
-    ``good`` has a multiple of eight places.
+    ``good`` has a multiple of eight elements. ``pixel``: flat index of the row's first column.
 
     A run is short, ten to a row: slices of the columns would count references, which takes longer than copying.
-    Unsigned places need no check for negative ones.
+    Unsigned indices need no check for negative ones.
     """
     columns_xyz, gap_mm, sigma_mm, modulation_half_dn, pixels, intensity = points
     # X, Y and Z of point k lie at 3 k, 3 k + 1 and 3 k + 2.
@@ -108,7 +108,7 @@ def append(
     eights = good.view(np.uint64)
     x = 0
     while x < n:
-        # The next run of good points; eight of them are one comparison.
+        # Find the next run of good points; eight flags are one comparison.
         while x < n and good[x] == 0:
             x += 1
         begin = x
@@ -130,7 +130,7 @@ def append(
         first_pixel = np.uint32(pixel + begin * stride)
         for k in range(size):
             pixels[target + k] = first_pixel + np.uint32(k) * np.uint32(stride)
-        # The maps' values of neighbours in the grid lie ``stride`` columns apart, too.
+        # In the maps, neighbours in the grid are ``stride`` columns apart, too.
         if stride == 1:
             for k in range(size):
                 modulation_half_dn[target + k] = half_dn[source + k]

@@ -1,7 +1,7 @@
-"""Owns a cloud as a surface over the left camera's pixels: what lies below a point that was seen a moment later.
+"""A cloud as a surface over the left camera's pixels, for comparison with another exposure.
 
-Which pixel sees a point near the surface is told by the clouds themselves, whose points know their pixels: that
-relation is smooth, whatever refraction makes of it, and is fitted by a cubic.
+The pixel that sees a point near the surface follows from the clouds themselves, whose points know their pixels: this
+relation is smooth, refraction included, and is fitted by a cubic.
 
 Symbols: a, b, t are x/z, y/z, 1/z of a point, less ``centre``, over ``spread``; ``terms`` their 17 products;
 ``projection`` turns them into column and row.
@@ -20,9 +20,9 @@ from appliance.measure.points.table import Cloud
 
 Array = NDArray[np.float64]
 FIT_SAMPLES = 4_000
-"""Number of points of either cloud that tell which pixel sees what."""
+"""Number of points of either cloud to which the projection is fitted."""
 NORMAL_MM = 1.2
-"""Half of the base in mm over which the surface's direction is taken; at least one pixel."""
+"""Half of the base in mm over which the surface normal is computed; at least one pixel."""
 MAX_BEND_MM = 0.4
 """Largest distance in mm of the middle of that base from the line between its ends: more is an edge."""
 TERMS = 17
@@ -35,57 +35,59 @@ class Surface(NamedTuple):
     points_mm: NDArray[np.float32]
     """(n, 3)."""
     sigma_mm: NDArray[np.float32]
-    at: NDArray[np.int32]
-    """(h, w): number of the pixel's point, or -1."""
+    point_index: NDArray[np.int32]
+    """(h, w): index of the pixel's point, or -1."""
     projection: Array
     """(17, 2): coefficients of the column and row that see a point, by the terms of its direction."""
     centre: Array
-    """(3,): of the directions; with ``spread``, terms are of the order of one."""
+    """(3,): mean of the directions; with ``spread`` it normalises the terms."""
     spread: Array
     step: int
     """Number of pixels that ``NORMAL_MM`` spans."""
 
 
 class Below(NamedTuple):
-    """Surface below each of n points."""
+    """The surface below each of n points."""
 
     normal: Array
     """(n, 3), of unit length."""
     apart_mm: Array
     """(n,): distance of the point along the normal."""
     sigma_mm: Array
-    """(n,): expected error of the surface's point."""
-    known: NDArray[np.bool_]
-    """(n,): there is a surface; else the rest means nothing."""
+    """(n,): standard deviation of the surface's point."""
+    exists: NDArray[np.bool_]
+    """(n,): there is a surface; otherwise the other arrays have no meaning there."""
 
 
-def surface_of(cloud: Cloud, other: Cloud, shape: tuple[int, int]) -> Surface:
-    """Return ``cloud`` (not empty) as a surface, with ``other`` as a second witness of what the camera's (h, w) pixels
-    see."""
-    at = np.full(shape[0] * shape[1], -1, np.int32)
-    at[cloud.pixel] = np.arange(len(cloud.pixel), dtype=np.int32)
-    parts = [(one, thinned(len(one.pixel), FIT_SAMPLES)) for one in (cloud, other)]
-    points = np.concatenate([one.points_mm[k] for one, k in parts]).astype(np.float64)
-    pixel = np.concatenate([one.pixel[k] for one, k in parts]).astype(np.int64)
+def surface_of(cloud: Cloud, second_cloud: Cloud, shape: tuple[int, int]) -> Surface:
+    """Return ``cloud`` (not empty) as a surface over the camera's (h, w) pixels.
+
+    ``other``: another cloud of the scene, to whose pixels the projection is fitted, too.
+    """
+    index = np.full(shape[0] * shape[1], -1, np.int32)
+    index[cloud.pixel] = np.arange(len(cloud.pixel), dtype=np.int32)
+    parts = [(part, thinned(len(part.pixel), FIT_SAMPLES)) for part in (cloud, second_cloud)]
+    points = np.concatenate([part.points_mm[k] for part, k in parts]).astype(np.float64)
+    pixel = np.concatenate([part.pixel[k] for part, k in parts]).astype(np.int64)
     direction = np.stack([points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], 1.0 / points[:, 2]], 1)
     centre, spread = direction.mean(axis=0), direction.std(axis=0) + 1e-12
-    seen = np.stack([pixel % shape[1], pixel // shape[1]], 1).astype(np.float64)
-    # Least squares of the seen pixels on the 17 terms.
+    pixels_px = np.stack([pixel % shape[1], pixel // shape[1]], 1).astype(np.float64)
+    # Least squares of the pixels on the 17 terms.
     terms = np.empty((len(points), TERMS))
-    for row, one in zip(terms, (direction - centre) / spread, strict=True):
-        _terms(one[0], one[1], one[2], row)
-    projection = np.ascontiguousarray(np.linalg.lstsq(terms, seen, rcond=None)[0])
+    for row, part in zip(terms, (direction - centre) / spread, strict=True):
+        _terms(part[0], part[1], part[2], row)
+    projection = np.ascontiguousarray(np.linalg.lstsq(terms, pixels_px, rcond=None)[0])
     middle = np.median(cloud.points_mm[thinned(len(cloud.pixel), 1000)], axis=0).astype(np.float64)
-    whole = Surface(cloud.points_mm, cloud.sigma_mm, at.reshape(shape), projection, centre, spread, 1)
+    surface = Surface(cloud.points_mm, cloud.sigma_mm, index.reshape(shape), projection, centre, spread, 1)
     # Pixels per mm in the middle of the cloud, along x.
-    beside = pixels_of(whole, np.stack([middle, middle + np.array([1.0, 0.0, 0.0])]))
-    per_mm = abs(float(beside[1, 0] - beside[0, 0]))
-    return whole._replace(step=max(1, min(round(NORMAL_MM * per_mm), shape[1] // 8)))
+    neighbours_px = pixels_of(surface, np.stack([middle, middle + np.array([1.0, 0.0, 0.0])]))
+    per_mm = abs(float(neighbours_px[1, 0] - neighbours_px[0, 0]))
+    return surface._replace(step=max(1, min(round(NORMAL_MM * per_mm), shape[1] // 8)))
 
 
-def thinned(n: int, most: int) -> NDArray[np.int64]:
+def thinned(n: int, count: int) -> NDArray[np.int64]:
     """Return at most ``most`` of the numbers 0 … n - 1, evenly."""
-    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64)) if n else np.empty(0, np.int64)
+    return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64)) if n else np.empty(0, np.int64)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -99,7 +101,7 @@ def _terms(a: float, b: float, t: float, out: Array) -> None:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def pixel_of(surface: Surface, x: float, y: float, z: float, terms: Array) -> tuple[float, float]:
-    """Return the column and row, in px, that see a point; ``terms`` (17,) is scratch."""
+    """Return the column and row, in px, of a point; ``terms`` (17,) is scratch."""
     centre, spread = surface.centre, surface.spread
     _terms((x / z - centre[0]) / spread[0], (y / z - centre[1]) / spread[1], (1.0 / z - centre[2]) / spread[2], terms)
     column = row = 0.0
@@ -111,26 +113,26 @@ def pixel_of(surface: Surface, x: float, y: float, z: float, terms: Array) -> tu
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _tangent(surface: Surface, row: int, column: int, down: int, across: int, out: Array) -> bool:
-    """Write the tangent along the surface through a pixel with a point to ``out`` (3,); False: none, or over an edge."""
-    at, points = surface.at, surface.points_mm
-    rows, columns = at.shape
-    here = at[row, column]
+    """Write the surface's tangent (3,) at a pixel with a point to ``out``; False: none, or across an edge."""
+    index_map, points = surface.point_index, surface.points_mm
+    rows, columns = index_map.shape
+    centre = index_map[row, column]
     before = after = np.int32(-1)
     if row >= down and column >= across:
-        before = at[row - down, column - across]
+        before = index_map[row - down, column - across]
     if row + down < rows and column + across < columns:
-        after = at[row + down, column + across]
+        after = index_map[row + down, column + across]
     if before < 0 and after < 0:
         return False
-    # Difference of the ends, and how far their middle lies from the point, squared.
-    low, high = (before if before >= 0 else here), (after if after >= 0 else here)
+    # Difference of the ends, and the squared distance of their middle from the point.
+    low, high = (before if before >= 0 else centre), (after if after >= 0 else centre)
     bend = 0.0
     for k in range(3):
         out[k] = np.float64(points[high, k]) - np.float64(points[low, k])
-        bend += (0.5 * (np.float64(points[low, k]) + points[high, k]) - points[here, k]) ** 2
+        bend += (0.5 * (np.float64(points[low, k]) + points[high, k]) - points[centre, k]) ** 2
     if before >= 0 and after >= 0:
         return bool(bend < MAX_BEND_MM**2)
-    # One end is missing: what is steeper than 60 degrees may be the other side of an edge.
+    # One end is missing: a slope of more than 60 degrees may be across an edge.
     return bool(abs(out[2]) < 1.7 * math.sqrt(out[0] ** 2 + out[1] ** 2))
 
 
@@ -157,19 +159,19 @@ def normal_at(surface: Surface, row: int, column: int, a: Array, b: Array, norma
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def pixels_of(surface: Surface, points_mm: Array) -> Array:
-    """Return the columns and rows (n, 2), in px, in which ``points_mm`` (n, 3) are seen."""
-    found, terms = np.empty((len(points_mm), 2)), np.empty(TERMS)
+    """Return the columns and rows (n, 2), in px, of ``points_mm`` (n, 3)."""
+    pixels, terms = np.empty((len(points_mm), 2)), np.empty(TERMS)
     for k in range(len(points_mm)):
-        found[k, 0], found[k, 1] = pixel_of(surface, points_mm[k, 0], points_mm[k, 1], points_mm[k, 2], terms)
-    return found
+        pixels[k, 0], pixels[k, 1] = pixel_of(surface, points_mm[k, 0], points_mm[k, 1], points_mm[k, 2], terms)
+    return pixels
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def below(surface: Surface, points_mm: Array) -> Below:
-    """Return what of ``surface`` is below each of ``points_mm`` (n, 3)."""
+    """Return the part of ``surface`` below each of ``points_mm`` (n, 3)."""
     n = len(points_mm)
-    rows, columns = surface.at.shape
-    found = Below(np.empty((n, 3)), np.empty(n), np.empty(n), np.zeros(n, np.bool_))
+    rows, columns = surface.point_index.shape
+    result = Below(np.empty((n, 3)), np.empty(n), np.empty(n), np.zeros(n, np.bool_))
     terms, a, b = np.empty(TERMS), np.empty(3), np.empty(3)
     for k in range(n):
         x, y, z = points_mm[k]
@@ -178,11 +180,11 @@ def below(surface: Surface, points_mm: Array) -> Below:
             continue
         # Distance along the normal of the pixel that sees the point.
         row, column = round(v), round(u)
-        one = surface.at[row, column]
-        if one < 0 or not normal_at(surface, row, column, a, b, found.normal[k]):
+        index = surface.point_index[row, column]
+        if index < 0 or not normal_at(surface, row, column, a, b, result.normal[k]):
             continue
         apart = 0.0
         for axis in range(3):
-            apart += found.normal[k, axis] * (points_mm[k, axis] - surface.points_mm[one, axis])
-        found.apart_mm[k], found.sigma_mm[k], found.known[k] = apart, surface.sigma_mm[one], True
-    return found
+            apart += result.normal[k, axis] * (points_mm[k, axis] - surface.points_mm[index, axis])
+        result.apart_mm[k], result.sigma_mm[k], result.exists[k] = apart, surface.sigma_mm[index], True
+    return result

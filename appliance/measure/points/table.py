@@ -1,8 +1,8 @@
-"""Owns the point cloud of one scan: ``Cloud``, and ``PointTable``, the memory that its points are written into.
+"""The point cloud of one scan, and the memory into which its points are written.
 
 A ``PointTable`` is one block of memory, divided into columns: coordinates, ray gap, sigma, pixel, modulation, grey
 value. The block may be shared memory, so that two processes use the same points. ``put`` copies a ``Cloud`` in;
-``cloud`` copies the points that were found out, as one ``Cloud``.
+``cloud`` copies the points of a reconstruction out, as one ``Cloud``.
 
 Callers allocate ``POINT_BYTES`` for each point of a table, and ``CLOUD_BYTES`` for each point of a cloud. The order of
 the columns is private to this module.
@@ -28,7 +28,7 @@ CLOUD_BYTES = _XYZ_BYTES + 3 * _FLOAT_BYTES + _PIXEL_BYTES + 1
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Points in the left camera frame, with what is known about each. All arrays have the same length n."""
+    """Points in the left camera frame with their attributes. All arrays have the same length n."""
 
     points_mm: NDArray[np.float32]
     """(n, 3) float32."""
@@ -41,10 +41,10 @@ class Cloud:
     """(n,) uint32: flat index of the left pixel."""
     summary: CloudSummary
     gaps: PatchGaps | None = None
-    """Signed gaps before any limit; of the full cloud only."""
+    """Signed gaps before any limit; only in a full cloud."""
 
     def thinned(self, most: int) -> Cloud:
-        """Return at most about ``most`` of its points, evenly over the image; numbers are those of all."""
+        """Return at most about ``most`` of its points, evenly over the image; ``summary`` does not change."""
         k = slice(None, None, max(1, -(-len(self.pixel) // most)))
         return Cloud(
             self.points_mm[k],
@@ -58,14 +58,14 @@ class Cloud:
 
 
 class PointTable:
-    """Room for ``capacity`` points in ``memory`` (``POINT_BYTES`` each), or in memory of its own."""
+    """Memory for ``capacity`` points, of its own or in ``memory`` (``POINT_BYTES`` each)."""
 
     def __init__(self, capacity: int, memory: memoryview | None = None) -> None:
         self.capacity = capacity
-        whole = np.frombuffer(memory if memory is not None else bytearray(capacity * POINT_BYTES), np.uint8)
+        block = np.frombuffer(memory if memory is not None else bytearray(capacity * POINT_BYTES), np.uint8)
         # Bytes last, so that all else is aligned.
         ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1, 1]) * capacity
-        xyz, gap, sigma, pixel, modulation, intensity = np.split(whole[: ends[-1]], ends[:-1])
+        xyz, gap, sigma, pixel, modulation, intensity = np.split(block[: ends[-1]], ends[:-1])
         self.points = Points(
             xyz.view(np.float32).reshape(capacity, 3),
             gap.view(np.float32),
@@ -76,7 +76,7 @@ class PointTable:
         )
 
     def put(self, cloud: Cloud) -> Found:
-        """Copy a cloud of at most ``capacity`` points in, in place of whatever was there."""
+        """Copy a cloud of at most ``capacity`` points in; the earlier points are lost."""
         n = len(cloud.pixel)
         points = self.points
         points.xyz_mm[:n], points.gap_mm[:n], points.sigma_mm[:n] = cloud.points_mm, cloud.ray_gap_mm, cloud.sigma_mm
@@ -85,8 +85,7 @@ class PointTable:
         return Found(((0, n),), cloud.summary, cloud.gaps)
 
     def cloud(self, found: Found, block: NDArray[np.uint8] | None = None) -> Cloud:
-        """Copy the points out, in one piece: into ``block``, ``CLOUD_BYTES`` for each at least, or into memory of their
-        own."""
+        """Copy the points out, in one piece, into ``block`` (``CLOUD_BYTES`` for each at least) or new memory."""
         count = sum(stop - first for first, stop in found.pieces)
         # Columns of four bytes first, so that all are aligned.
         ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1]) * count

@@ -1,9 +1,9 @@
-"""Owns the intersection of refracted rays: point half way between the two rays, their gap, and the expected error.
+"""Triangulation with refracted rays: the point half way between two rays, and their gap.
 
 Symbols: a ray in water is (x, y) = (x0, y0) + (sx, sy)·(z − plane_z_mm), the left one with suffix 1, the right one with
 suffix 2. h and t are the depths, above the plane, of the nearest points of the left and of the right ray. SHIFT is
-∂x0/∂u of the right ray and SHIFT_SLOPE ∂sx/∂u: so far moves it per px of the right image.
-s and w are scratch rows (``decode/scratch.py``): s has what the whole row keeps, w what only the pixels in work need.
+∂x0/∂u of the right ray and SHIFT_SLOPE ∂sx/∂u: its displacement per px of the right image.
+s and w are scratch rows (``decode/scratch.py``): s has the quantities of the whole row, w those of the current pixels.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from appliance.measure.light.rays import RayLattice
 from appliance.measure.points.prefetch import prefetch
 
 RAY_BLOCK = 16
-"""Number of left pixels of a row that ask one node of the right lattice."""
+"""Number of left pixels of a row that use one node of the right lattice."""
 MAX_DU_PX, MAX_DV_PX = np.float32(16.0), np.float32(8.0)
 """Largest distance of a pixel from its node, for nodes 4 px apart: within it, the series is right to 0.1 µm."""
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
@@ -53,17 +53,17 @@ class Rays(NamedTuple):
     left: NDArray[np.float32]
     """(4, rows, w): x0, y0 in mm, sx, sy for every column of every ``step_px``-th row."""
     right: NDArray[np.float32]
-    """(rows, columns, 24): the same four at nodes every ``step_px`` px, their derivatives by column and by row, and the
-    second ones: twice by column, by both, twice by row, each as the series has it."""
+    """(rows, columns, 24): the same four at nodes every ``step_px`` px, their derivatives by column and by row, and their
+    second derivatives (column-column, column-row, row-row), as coefficients of the series."""
     step_px: int
     plane_z_mm: np.float32
 
 
 def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
-    """Lay out two lattices of equal step and plane. Raises ValueError when they differ.
+    """Return the rays of two lattices of equal step and plane. Raises ValueError if these differ.
 
-    The left camera is asked at whole pixels, row by row: its rows of nodes are spread over all columns. The right one
-    is asked anywhere: the second-order series about a near node.
+    The left camera is evaluated at whole pixels, row by row: its rows of nodes are interpolated to all columns. The
+    right one is evaluated anywhere, by the second-order series about the nearest node.
     """
     if left.step_px != right.step_px or left.plane_z_mm != right.plane_z_mm:
         raise ValueError("left and right ray lattices differ in step or plane; make both with the same arguments")
@@ -93,7 +93,7 @@ def _rays_one_by_one(
 ) -> None:
     """Compute the right ray of each pixel from the node nearest to it, to first order.
 
-    Where there is no match, some node.
+    Without a match, it is some node.
     """
     rows, columns = nodes.shape[0], nodes.shape[1]
     flat = nodes.reshape(-1)
@@ -142,20 +142,18 @@ def _expand(c: tuple[np.float32, ...], du: np.float32, dv: np.float32) -> np.flo
 def _rays_by_blocks(
     nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32], w: NDArray[np.float32]
 ) -> None:
-    """Compute the right rays block by block: neighbours see neighbouring points, so that one node serves all pixels of
-    a block.
+    """Compute the right rays block by block, each from one node, since neighbours see neighbouring points.
 
-    Where it is too far from one of them, each asks its own. The last block may end beyond ``n``: there is room in a
-    slot, which is filled with the row's last pixel. A slice for each block would count references; unsigned places need
-    no check for negative ones.
+    If the node is too far from a pixel of the block, each uses its own. The last block may end beyond ``n``, up to the
+    size of the slot, which is filled with the row's last pixel. A slice for each block would count references; unsigned
+    indices need no check for negative ones.
     """
     rows, columns = np.int32(nodes.shape[0]), np.int32(nodes.shape[1])
     flat = nodes.reshape(-1)
     step = np.float32(step_px)
     per_px = _ONE / step
     last_i, last_j = np.float32(columns - 1), np.float32(rows - 1)
-    # What an earlier row left behind the end would have a say in the last block: in its node, and in whether it serves
-    # all.
+    # Overwrite the values of an earlier row behind the end: they would influence the node of the last block.
     for behind in range(n, (n + RAY_BLOCK - 1) // RAY_BLOCK * RAY_BLOCK):
         s[_U + np.uint64(behind)], s[_V + np.uint64(behind)] = s[_U + np.uint64(n - 1)], s[_V + np.uint64(n - 1)]
     for begin in range(0, n, RAY_BLOCK):
@@ -170,38 +168,38 @@ def _rays_by_blocks(
         ni, nj = np.int32(i), np.int32(j)
         u, v = np.float32(ni) * step, np.float32(nj) * step
         k = np.uint32((nj * columns + ni) * np.int32(24))
-        # The rows that follow will ask the node below.
+        # The following rows will use the node below.
         below = int((nj + np.int32(1)) * columns + ni) * 24
         prefetch(flat, below)
         prefetch(flat, below + 16)
         # A node's 24 numbers: coefficient after coefficient, each of x0, y0, sx, sy.
         x, y = _series(flat, k), _series(flat, np.uint32(k + 1))
         sx, sy = _series(flat, np.uint32(k + 2)), _series(flat, np.uint32(k + 3))
-        # The rays of the block by the series c0 + c1 du + c2 dv + …; their shift per px is its derivative c1. Whether
-        # any pixel is too far from the node is gathered without a branch, so that the loop stays vector instructions.
+        # The rays of the block by the series c0 + c1 du + c2 dv + …; their shift per px is its derivative c1.
+        # Pixels too far from the node are detected without a branch, so that the loop is vectorised.
         far = np.int32(0)
         for place in range(RAY_BLOCK):
-            at = first + np.uint64(place)
-            du, dv = s[_U + at] - u, s[_V + at] - v
+            index = first + np.uint64(place)
+            du, dv = s[_U + index] - u, s[_V + index] - v
             outside = (abs(du) > MAX_DU_PX) | (abs(dv) > MAX_DV_PX)
             far = np.int32(far | (np.int32(1) if outside else np.int32(0)))
-            w[_X2 + at] = _expand(x, du, dv)
-            w[_Y2 + at] = _expand(y, du, dv)
-            w[_SX2 + at] = _expand(sx, du, dv)
-            w[_SY2 + at] = _expand(sy, du, dv)
-            w[_SHIFT + at] = x[1]
-            w[_SHIFT_SLOPE + at] = sx[1]
-        # Some pixel of the block sees another surface: each asks its own node.
+            w[_X2 + index] = _expand(x, du, dv)
+            w[_Y2 + index] = _expand(y, du, dv)
+            w[_SX2 + index] = _expand(sx, du, dv)
+            w[_SY2 + index] = _expand(sy, du, dv)
+            w[_SHIFT + index] = x[1]
+            w[_SHIFT_SLOPE + index] = sx[1]
+        # Some pixel of the block sees another surface: each uses its own node.
         if far != np.int32(0):
             _rays_one_by_one(nodes, step_px, min(RAY_BLOCK, n - begin), s[begin:], w[begin:])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _intersect(s: NDArray[np.float32], w: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
-    """Intersect the rays: write X, Y, Z, GAP, SIGMA.
+    """Triangulate the rays: write X, Y, Z, GAP, SIGMA.
 
-    Sigma is the standard error along the left ray: that of the right image point across the baseline, times the shift
-    of the right ray per px: so much moves the intersection by shift · √(a / det), as h below has it for a shift of x.
+    Sigma is the standard deviation along the left ray: that of the right image point across the baseline, times the
+    shift of the right ray per px, times √(a / det), the derivative of h below by a shift of x.
     """
     for x in range(n):
         sx1, sy1, sx2, sy2 = w[SX1 + x], w[SY1 + x], w[SX2 + x], w[SY2 + x]
@@ -229,7 +227,7 @@ def _intersect(s: NDArray[np.float32], w: NDArray[np.float32], n: int, plane_z_m
 def _left_rays(
     rows: NDArray[np.float32], j: int, share: np.float32, first: int, stride: int, n: int, w: NDArray[np.float32]
 ) -> None:
-    """Compute the left rays between two rows of the table: linear in the row."""
+    """Compute the left rays between two rows of the table, linear in the row."""
     for axis in range(4):
         target = w[(X1, Y1, SX1, SY1)[axis] :]
         upper, lower = rows[axis, j, first:], rows[axis, j + 1, first:]
@@ -245,7 +243,7 @@ def _left_rays(
 def triangulate_row(
     rays: Rays, y: int, first: int, stride: int, s: NDArray[np.float32], w: NDArray[np.float32], n: int
 ) -> None:
-    """Triangulate ``n`` matched left pixels of row ``y``; where U is NaN, so is everything.
+    """Triangulate ``n`` matched left pixels of row ``y``; where U is NaN, so are the results.
 
     Reads U, V, POINT_VARIANCE; writes X, Y, Z, GAP, SIGMA in mm. Place k is left column
     first + k·stride.

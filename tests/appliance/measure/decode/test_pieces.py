@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.measure.decode.pieces import ask_neighbours, find_pieces, tell_pieces
+from appliance.measure.decode.pieces import decide_by_neighbours, decide_pieces, find_pieces
 
 IMAGES, COARSE = 7, 4
 OPEN = 2
@@ -30,7 +30,7 @@ def numbers(c: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def told(c: NDArray[np.float64], states: NDArray[np.uint8]) -> int:
     ahead, members, ends = find_pieces(np.asarray(c - np.floor(c + 0.5), np.float32))
-    return tell_pieces(ahead, members, ends, np.zeros(ends.size, np.bool_), states, COARSE)
+    return decide_pieces(ahead, members, ends, np.zeros(ends.size, np.bool_), states, COARSE)
 
 
 def test_bits_of_different_pixels_and_images_tell_a_piece_together() -> None:
@@ -87,7 +87,7 @@ def test_a_pixel_in_doubt_takes_the_period_in_which_its_phase_continues_its_neig
     for open_bit, asked in ((0b0100000, 1), (0b0001000, 0)):
         doubtful, soft = np.zeros_like(half), np.zeros_like(half)
         half[12, column], doubtful[12, column], soft[12, column] = number, 1, open_bit
-        assert ask_neighbours(fringes(c), np.arange(4), soft, half, doubtful) == asked
+        assert decide_by_neighbours(fringes(c), np.arange(4), soft, half, doubtful) == asked
         assert (half[12, column], doubtful[12, column]) == ((true, 0) if asked else (number, 1))
 
 
@@ -98,6 +98,6 @@ def test_neighbours_that_contradict_each_other_tell_nothing() -> None:
     doubtful, soft = np.zeros_like(half), np.zeros_like(half)
     doubtful[9:11, 20:30], soft[9:11, 20:30] = 1, 127
     half[9, 20:30] = 0
-    ask_neighbours(fringes(c), np.arange(4), soft, half, doubtful)
+    decide_by_neighbours(fringes(c), np.arange(4), soft, half, doubtful)
     wrong = (doubtful[9:11, 20:30] == 0) & (half[9:11, 20:30] != numbers(c)[9:11, 20:30])
     assert not wrong.any()
