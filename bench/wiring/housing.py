@@ -71,16 +71,16 @@ def table() -> str:
     rig = load_rig()
     design, made = rig.design, window(rig)
     rows = (
-        ("distance of the projection centres", f"{design.baseline_mm:g} mm", "`baseline_mm`"),
+        ("length of the baseline", f"{design.baseline_mm:g} mm", "`baseline_mm`"),
         ("each camera turned inwards by", f"{design.toe_in_deg:g}°", "`toe_in_deg`"),
-        ("projection centre to the window's inner face", f"{design.port_distance_mm:g} mm", "`port_distance_mm`"),
-        ("window", f"{design.port_thickness_mm:g} mm thick, index {design.port_index:g} (sapphire)", "`port_thickness_mm`, `port_index`"),
-        ("measured from between the projection centres", f"{rig.volume.nearest_mm:g} to {rig.volume.farthest_mm:g} mm", "`[volume]`"),
+        ("projection centre to the port's inner face", f"{design.port_distance_mm:g} mm", "`port_distance_mm`"),
+        ("port", f"{design.port_thickness_mm:g} mm thick, index {design.port_index:g} (sapphire)", "`port_thickness_mm`, `port_index`"),
+        ("working volume, from between the projection centres", f"{rig.volume.nearest_mm:g} to {rig.volume.farthest_mm:g} mm", "`[volume]`"),
         ("half of a camera's field, to the corner, in air", f"{made.half_field_deg:.1f}°", "from lens and sensor"),
-        ("clear opening of a camera's window", f"{made.clear_mm:.0f} mm", f"beam at f/{FNUMBER:g}, and {RIM_MM:g} mm around it"),
+        ("clear opening of a camera's port", f"{made.clear_mm:.0f} mm", f"beam at f/{FNUMBER:g}, and {RIM_MM:g} mm around it"),
         (f"slope of the inner face that moves a point by {STEEP_PX:g} px", f"{made.slope_inner_urad:.0f} µrad", "prism"),
         ("the same of the outer face", f"{made.slope_outer_urad:.0f} µrad", "prism"),
-        ("bow of the window at 100 m", f"{made.bow_um_at_100_m:.1f} µm", f"plate on a seat {SEAT_MM:g} mm wider all around"),
+        ("bow of the port at 100 m", f"{made.bow_um_at_100_m:.1f} µm", f"plate on a seat {SEAT_MM:g} mm wider all around"),
         ("what that moves at the image's corner", f"{made.bow_px_at_100_m:.2f} px", "both faces bow alike"),
     )  # fmt: skip
     lines = [
