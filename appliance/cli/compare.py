@@ -104,7 +104,7 @@ class Compare(WithObjects):
         for a CAD model that is not, UsageError for files that cannot be written, and MissingLibraryError where what
         reads or writes them is absent: before minutes of work."""
         from appliance.base import require
-        from appliance.desk import checked_drawing, read_object
+        from appliance.desk import check_drawing, read_object
 
         require("igl", "libigl", "a comparison")
         name = object_named(self.nominal)
@@ -112,7 +112,7 @@ class Compare(WithObjects):
         if name is not None:
             require("skimage.measure", "scikit-image", "the mesh of an object")
             nominal = read_object(root, name)
-        elif checked_drawing(Path(self.nominal)) != ".stl":
+        elif check_drawing(Path(self.nominal)) != ".stl":
             require("trimesh", "trimesh", "a CAD model")
         for out in map(Path, self.out):
             writable_as(out, "a comparison")

@@ -65,7 +65,7 @@ if TYPE_CHECKING:
         write_report,  # Write the page, whole or not at all. Raises StorageError
     )
     from .surface.drawing_file import (
-        checked_drawing,  # Return a CAD model's suffix; NominalError for one that cannot be read
+        check_drawing,  # Return a CAD model's suffix; NominalError for one that cannot be read
     )
 else:
     __getattr__, __dir__, __all__ = lazy_face(__name__)

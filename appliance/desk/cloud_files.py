@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from appliance.base import Progress
-from appliance.desk.export.content import CAMERA_FRAME, About
+from appliance.desk.export.content import CAMERA_FRAME, Metadata
 from appliance.desk.export.files import write_mesh, write_scan, write_scans, write_surface
 from appliance.desk.export.formats import (
     MESH_SUFFIXES,
     OBJECT_SCANS_SUFFIXES,
     SCAN_SUFFIXES,
     SURFACE_SUFFIXES,
-    checked_suffix,
+    check_suffix,
     has_triangles,
 )
 from appliance.desk.merging import merge_scans
 from appliance.desk.object_store import StoredObject
-from appliance.desk.objects import about_object, placed_scans, surface_of
+from appliance.desk.objects import metadata_of_object, placed_scans, surface_of
 from appliance.desk.organised import organised_scan
 from appliance.desk.reconstruct import reconstruct_scan
 from appliance.desk.rescue import rescue_recording
@@ -70,7 +70,7 @@ class ObjectFiles:
     ) -> None:
         """``spacing_mm``: the surface has a point about so far apart; holes of its mesh up to ``close_holes_mm`` are
         closed."""
-        self._of, self._progress, self._about = (root, solved, wish, progress), progress, about_object(solved)
+        self._of, self._progress, self._about = (root, solved, wish, progress), progress, metadata_of_object(solved)
         self._spacing_mm, self._close_holes_mm = spacing_mm, close_holes_mm
         self._surface: FusedCloud | None = None
         self._mesh: Mesh | None = None
@@ -102,11 +102,11 @@ def _export(
 
     Raises ExportError for a suffix that is not allowed, MissingLibraryError, ScanError, StorageError.
     """
-    suffix = checked_suffix(out, MESH_SUFFIXES if mesh else SCAN_SUFFIXES, "a mesh" if mesh else "a scan")
+    suffix = check_suffix(out, MESH_SUFFIXES if mesh else SCAN_SUFFIXES, "a mesh" if mesh else "a scan")
     made = organised_scan(source, chosen, progress)
     record, calibration = source.scan.manifest.record, chosen.calibration
     warnings = [f"{fault.code.value}: {fault.detail}" for fault in made.faults]
-    about = About(
+    about = Metadata(
         title=f"scan {source.scan.manifest.scan_id}",
         frame=CAMERA_FRAME,
         notes=(

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import Progress, one_line, refuse_wrong_fields
-from appliance.desk.export.content import CAMERA_FRAME, About
+from appliance.desk.export.content import CAMERA_FRAME, Metadata
 from appliance.desk.export.files import write_surface
 from appliance.desk.object_errors import errors_of, with_sigma_after_registration
 from appliance.desk.object_report import report_of
 from appliance.desk.object_store import StoredObject
-from appliance.desk.objects import about_object, surface_of
+from appliance.desk.objects import metadata_of_object, surface_of
 from appliance.desk.organised import organised_scan
 from appliance.desk.registration.joint import JointErrors
 from appliance.desk.registration.reference import (
@@ -132,7 +132,7 @@ class StoredComparison:
     """A comparison of what is stored, and what was compared."""
 
     found: Comparison
-    about: About
+    about: Metadata
     stored: StoredObject | None
     """The object that the points are of; ``None``: they are of one scan."""
 
@@ -163,7 +163,7 @@ def compare_stored(
     """
     reference, errors, stored = _nominal_surface(root, nominal, wish, progress, spacing_mm), None, None
     if isinstance(what, StoredObject):
-        surface, about = surface_of(root, what, wish, progress, spacing_mm), about_object(what)
+        surface, about = surface_of(root, what, wish, progress, spacing_mm), metadata_of_object(what)
         errors, stored = errors_of(what), what
     else:
         surface, about = _surface_of_scan(what, wish, progress, spacing_mm)
@@ -174,13 +174,13 @@ def compare_stored(
 
 def _surface_of_scan(
     folder: Path, wish: ScanOptions, progress: Progress, spacing_mm: float
-) -> tuple[FusedCloud, About]:
+) -> tuple[FusedCloud, Metadata]:
     progress(f"comparing checksums of {folder.name}")
     source = SourceScan.open(folder, wish, whole=True)
     made = organised_scan(source, source.calibration_for(wish), progress)
     # One scan has no other to be placed beside.
     placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
-    return fuse([placed], spacing_mm), About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)
+    return fuse([placed], spacing_mm), Metadata(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)
 
 
 def _nominal_surface(
@@ -313,7 +313,7 @@ def _pose_words(other: Rigid, best: Rigid) -> str:
 
 
 def _write(
-    path: Path, found: Comparison, about: About, tolerance_mm: float | None, stored: StoredObject | None
+    path: Path, found: Comparison, about: Metadata, tolerance_mm: float | None, stored: StoredObject | None
 ) -> None:
     """Write a comparison: points with their deviation (.ply .e57 .las) in the nominal surface's frame, or a page
     (.html).
@@ -328,7 +328,7 @@ def _write(
     write_surface(path, found.in_nominal_frame, in_frame, found.deviation.deviation_mm, found.origin_mm)
 
 
-def _report(found: Comparison, about: About, tolerance_mm: float | None, stored: StoredObject | None) -> Report:
+def _report(found: Comparison, about: Metadata, tolerance_mm: float | None, stored: StoredObject | None) -> Report:
     nominal = ReportNominal(found.nominal, found.deviation, tolerance_mm)
     whole = Report(about.title) if stored is None or stored.places is None else report_of(stored, found.surface)
     return replace(

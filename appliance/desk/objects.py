@@ -15,7 +15,7 @@ from appliance import __version__
 from appliance.base import Progress, part_of, silent
 from appliance.calibrate import HealthFile, OverlapNews, told_by_overlaps
 from appliance.desk import object_store as objects
-from appliance.desk.export.content import OBJECT_FRAME, About
+from appliance.desk.export.content import OBJECT_FRAME, Metadata
 from appliance.desk.object_errors import errors_of, pack, with_sigma_in_frame
 from appliance.desk.object_store import (
     CloudFacts,
@@ -372,11 +372,11 @@ def _overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None
     )
 
 
-def about_object(stored_object: StoredObject) -> About:
+def metadata_of_object(stored_object: StoredObject) -> Metadata:
     """Return what a file of the object says of it."""
     places = stored_object.places
     if places is None:
-        return About(stored_object.name, OBJECT_FRAME)
+        return Metadata(stored_object.name, OBJECT_FRAME)
     widest = max(places.places.values(), key=lambda one: one.sigma_mm, default=None)
     notes = [
         f"{len(places.places)} scans in the frame of {next(iter(places.places), '-')}",
@@ -388,4 +388,4 @@ def about_object(stored_object: StoredObject) -> About:
             "mm of that by bending"
         )
     notes += [f"without {name}: {why}" for name, why in places.left_out.items()]
-    return About(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))
+    return Metadata(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))

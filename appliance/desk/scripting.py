@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import Progress, refuse_wrong_types, silent
-from appliance.desk.export.content import CAMERA_FRAME, OBJECT_FRAME, About
+from appliance.desk.export.content import CAMERA_FRAME, OBJECT_FRAME, Metadata
 from appliance.desk.export.files import write_mesh, write_scan, write_surface
 from appliance.desk.organised import OrganisedScan, organised_scan
 from appliance.desk.surface.fusion import FusedCloud
@@ -260,7 +260,7 @@ def export(
     Raises ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.
     """
     target = Path(path)
-    about = About(
+    about = Metadata(
         title or target.stem, frame or (OBJECT_FRAME if isinstance(what, FusedCloud) else CAMERA_FRAME), notes
     )
     match what:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.desk.export.content import OBJECT_FRAME, About
+from appliance.desk.export.content import OBJECT_FRAME, Metadata
 from appliance.desk.export.files import write_mesh, write_scans, write_surface
 from appliance.desk.objects import light_of
 from appliance.desk.registration.solve import solve
@@ -40,7 +40,7 @@ SPACING_MM = 0.3
 SOLVE_CPU_S = 240.0
 MEMORY_MB = 1500.0
 LITTLE = 2
-ABOUT = About("pipe", OBJECT_FRAME)
+ABOUT = Metadata("pipe", OBJECT_FRAME)
 
 
 def measure(seed: int, keep: Path | None) -> list[Measured]:

@@ -21,7 +21,7 @@ from appliance.calibrate.health import HealthFile, HealthTrend
 from appliance.calibrate.pictures import ViewFolder
 from appliance.cli.setup import _write as write_firmware
 from appliance.desk.anew.results import Results
-from appliance.desk.export.content import CAMERA_FRAME, About
+from appliance.desk.export.content import CAMERA_FRAME, Metadata
 from appliance.desk.export.files import write_scan
 from appliance.store import archive
 from appliance.store import label as labels
@@ -44,7 +44,7 @@ from tests.systemd.installation import make
 FS = LocalFileSystem()
 ROOT = Path(__file__).parents[2]
 SCANS = (LibraryFolder.SCANS,)
-ABOUT = About("scan 000007", CAMERA_FRAME, ())
+ABOUT = Metadata("scan 000007", CAMERA_FRAME, ())
 Writing = Iterator[None]
 """What lies there before, up to the yield; then the work, in whose middle the power goes."""
 

@@ -18,14 +18,14 @@ from appliance.desk.surface.normals import normals
 from appliance.measure import OrganisedCloud
 
 MM_PER_M = 1000.0
-MOST_CHARACTERS, MOST_OF_MARK = 200, 2000
+MAX_LINE_CHARACTERS, MAX_MARK_CHARACTERS = 200, 2000
 """Longest line, and longest mark: as long as in the instrument's own clouds (``appliance.store.ply``)."""
 CAMERA_FRAME = "left camera frame (x right, y down, z forward)"
 OBJECT_FRAME = "object frame"
 
 
 @dataclass(frozen=True, slots=True)
-class About:
+class Metadata:
     """Description of a file in it, as far as its format has room; ASCII, since most formats have nothing else."""
 
     title: str
@@ -44,12 +44,12 @@ class About:
         """Return all of it as ASCII lines, with the format's ``unit`` of lengths; but for marks, of at most 200
         characters."""
         said = [f"{self.title}: unit {self.unit or unit}, {self.frame}", *self.notes]
-        first, *others = [_plain(line)[:MOST_CHARACTERS] for line in said]
+        first, *others = [_plain(line)[:MAX_LINE_CHARACTERS] for line in said]
         return [first, *self.mark_lines(), *others]
 
     def mark_lines(self) -> list[str]:
         """Return the marks alone, as they stand among the lines."""
-        return [_plain(mark)[:MOST_OF_MARK] for mark in self.marks]
+        return [_plain(mark)[:MAX_MARK_CHARACTERS] for mark in self.marks]
 
 
 def _plain(line: str) -> str:
@@ -133,7 +133,7 @@ def finite(values: NDArray[Any]) -> NDArray[Any]:
     return known
 
 
-def in_mm(points: ExportedPoints, about: About) -> ExportedPoints:
+def scaled_to_mm(points: ExportedPoints, about: Metadata) -> ExportedPoints:
     """Return points for a format that divides by 1000 for its metres; where a cloud's scale is not known, its numbers
     stay as they are."""
     if not about.unit:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from appliance.base import needed
-from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm, points_of_scan
+from appliance.desk.export.content import MM_PER_M, ExportedPoints, Metadata, finite, points_of_scan, scaled_to_mm
 from appliance.desk.surface.fusion import PlacedScan
 from appliance.store import LocalFileSystem
 
@@ -38,15 +38,15 @@ _GREY = (0.0, 255.0)
 _INVALID = "cartesianInvalidState"
 
 
-def write_points(path: Path, points: ExportedPoints, about: About) -> None:
+def write_points(path: Path, points: ExportedPoints, about: Metadata) -> None:
     """Write one scan or surface.
 
     Raises StorageError, ValueError for one without points, MissingLibraryError where pye57 is absent.
     """
-    _replace(path, [(about.title, in_mm(points, about))], about)
+    _replace(path, [(about.title, scaled_to_mm(points, about))], about)
 
 
-def write_scans(path: Path, scans: Iterable[PlacedScan], about: About) -> None:
+def write_scans(path: Path, scans: Iterable[PlacedScan], about: Metadata) -> None:
     """Write an object's scans, each about its own origin, with its place as its pose; one is held at a time.
 
     Raises what ``write_points`` and ``scans`` raise.
@@ -58,12 +58,12 @@ def write_scans(path: Path, scans: Iterable[PlacedScan], about: About) -> None:
     _replace(path, placed, about)
 
 
-def _replace(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: About) -> None:
+def _replace(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: Metadata) -> None:
     # The library wants a name to write to, and gets that of the draft.
     LocalFileSystem().replace_by(path, partial(_write, scans=scans, about=about))
 
 
-def _write(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: About) -> None:
+def _write(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: Metadata) -> None:
     """Write the file at ``path``; ``about``: of all scans; each entry has it under its own title."""
     library = needed("pye57", "pye57", "an E57 file").libe57
     try:
@@ -97,11 +97,11 @@ def _columns(points: ExportedPoints) -> dict[str, NDArray[Any]]:
         "intensity": points.grey.astype(np.float32),
         **{f"nor:normal{axis}": known[:, k] for k, axis in enumerate(_AXES)},
         f"{OWN[0]}:sigma": points.sigma_mm / np.float32(MM_PER_M),
-        **dict(_further(name, values) for name, values in points.more.items()),
+        **dict(_column(name, values) for name, values in points.more.items()),
     }
 
 
-def _further(name: str, values: NDArray[np.float32]) -> tuple[str, NDArray[np.float32]]:
+def _column(name: str, values: NDArray[np.float32]) -> tuple[str, NDArray[np.float32]]:
     # One unit in the whole file: a reader cannot know which columns differ.
     in_metres = name.endswith(_MM)
     return f"{OWN[0]}:{name.removesuffix(_MM)}", values / np.float32(MM_PER_M) if in_metres else values
@@ -124,7 +124,7 @@ def _begin(library: Any, file: Any) -> Any:
     return scans
 
 
-def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, about: About) -> str:
+def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, about: Metadata) -> str:
     """Write one scan; return a text that is another one for any other content."""
 
     def number(value: float) -> Any:

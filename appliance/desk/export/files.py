@@ -11,26 +11,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.export.content import About, points_of_scan, points_of_surface
+from appliance.desk.export.content import Metadata, points_of_scan, points_of_surface
 from appliance.desk.export.formats import (
     FORMATS,
     MESH_SUFFIXES,
     OBJECT_SCANS_SUFFIXES,
     SCAN_SUFFIXES,
     SURFACE_SUFFIXES,
-    checked_suffix,
+    check_suffix,
 )
 from appliance.desk.surface.fusion import FusedCloud, PlacedScan
 from appliance.desk.surface.mesh import Mesh
 from appliance.measure import OrganisedCloud
 
 
-def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
+def write_scan(path: Path, cloud: OrganisedCloud, about: Metadata) -> None:
     """Write the points of one scan; the suffix says how (``SCAN_SUFFIXES``).
 
     Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
     """
-    suffix = checked_suffix(path, SCAN_SUFFIXES, "a scan")
+    suffix = check_suffix(path, SCAN_SUFFIXES, "a scan")
     if any(one.suffix == suffix and "grid" in one.contents for one in FORMATS):
         _writer(suffix, "grid")(path, cloud, about)
     else:
@@ -40,7 +40,7 @@ def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
 def write_surface(
     path: Path,
     cloud: FusedCloud,
-    about: About,
+    about: Metadata,
     deviation_mm: NDArray[np.float32] | None = None,
     origin_mm: NDArray[np.float64] | None = None,
 ) -> None:
@@ -49,32 +49,32 @@ def write_surface(
 
     Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
     """
-    suffix = checked_suffix(path, SURFACE_SUFFIXES, "a surface of points")
+    suffix = check_suffix(path, SURFACE_SUFFIXES, "a surface of points")
     points = points_of_surface(cloud, origin_mm)
     if deviation_mm is not None:
         points = replace(points, more={**points.more, "deviation_mm": deviation_mm})
     _writer(suffix, "points")(path, points, about)
 
 
-def write_scans(path: Path, scans: Iterable[PlacedScan], about: About) -> None:
+def write_scans(path: Path, scans: Iterable[PlacedScan], about: Metadata) -> None:
     """Write an object's single scans, unmoved, with where each lies (``OBJECT_SCANS_SUFFIXES``); one is held at a time.
 
     Raises ExportError, StorageError, MissingLibraryError where the format's library is absent, and what ``scans``
     raises.
     """
-    _writer(checked_suffix(path, OBJECT_SCANS_SUFFIXES, "the scans of an object"), "scans")(path, scans, about)
+    _writer(check_suffix(path, OBJECT_SCANS_SUFFIXES, "the scans of an object"), "scans")(path, scans, about)
 
 
-def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
+def write_mesh(path: Path, mesh: Mesh, about: Metadata) -> None:
     """Write a mesh (``MESH_SUFFIXES``). Raises ExportError, StorageError,
     ValueError, and MissingLibraryError where the format's library is absent."""
-    _writer(checked_suffix(path, MESH_SUFFIXES, "a mesh"), "mesh")(path, mesh, about)
+    _writer(check_suffix(path, MESH_SUFFIXES, "a mesh"), "mesh")(path, mesh, about)
 
 
-def _writer(suffix: str, content: str) -> Callable[[Path, Any, About], None]:
+def _writer(suffix: str, content: str) -> Callable[[Path, Any, Metadata], None]:
     """Return the function of the format's module."""
     module = next(one.module for one in FORMATS if one.suffix == suffix)
-    found: Callable[[Path, Any, About], None] = getattr(
+    found: Callable[[Path, Any, Metadata], None] = getattr(
         importlib.import_module(f"appliance.desk.export.{module}"), f"write_{content}"
     )
     return found

@@ -45,7 +45,7 @@ MESH_SUFFIXES = tuple(one.suffix for one in FORMATS if "mesh" in one.contents)
 
 _TRIANGLES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SCAN_SUFFIXES)
 """Suffixes that only meshes have."""
-WRITTEN = {
+SUFFIXES_BY_CONTENT = {
     "a scan": (*SCAN_SUFFIXES, *_TRIANGLES),
     "a mesh": MESH_SUFFIXES,
     "a cloud": SCAN_SUFFIXES,
@@ -64,11 +64,11 @@ def has_triangles(path: Path, wanted: bool = False) -> bool:
 def check_file(path: Path, what: str) -> None:
     """Raises ExportError for a suffix that ``what`` (``WRITTEN``) is not written with, and MissingLibraryError where
     what writes it is absent: before minutes of work."""
-    checked_suffix(path, WRITTEN[what], what)
+    check_suffix(path, SUFFIXES_BY_CONTENT[what], what)
     require_library(path)
 
 
-def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
+def check_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
     """Return the suffix of ``path`` in lower case.
 
     Raises ExportError for one that is none of those ``allowed`` for ``what``.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import needed
-from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm
+from appliance.desk.export.content import MM_PER_M, ExportedPoints, Metadata, finite, scaled_to_mm
 from appliance.store import LocalFileSystem
 
 SCALE_M = 1e-7
@@ -29,17 +29,17 @@ _TO_16_BIT = 257
 _TEXT_AREA = ("LASF_Spec", 3)
 """User and number of the record with the description in words: ASCII that ends with a zero, at most 65535 bytes
 (section 3.3)."""
-_MOST_TEXT = 65_534
+_MAX_TEXT_BYTES = 65_534
 _DATE = slice(90, 94)
 """Bytes of the head with the day and year of creation (table 3)."""
 
 
-def write_points(path: Path, points: ExportedPoints, about: About) -> None:
+def write_points(path: Path, points: ExportedPoints, about: Metadata) -> None:
     """Write the file. Raises StorageError, MissingLibraryError where laspy is absent."""
-    LocalFileSystem().replace_file(path, encode_las(in_mm(points, about), about))
+    LocalFileSystem().replace_file(path, encode_las(scaled_to_mm(points, about), about))
 
 
-def encode_las(points: ExportedPoints, about: About) -> bytes:
+def encode_las(points: ExportedPoints, about: Metadata) -> bytes:
     """Return the file. Raises MissingLibraryError where laspy is absent."""
     laspy = needed("laspy", "laspy", "a LAS file")
     header = laspy.LasHeader(version="1.4", point_format=6)
@@ -54,7 +54,7 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
     title, frame = (text.replace('"', "'") for text in (about.lines("m")[0], about.frame))
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_LOCAL.format(title=title, frame=frame, unit=unit)))
     header.global_encoding.wkt = True
-    text = "\n".join(about.lines("m")).encode("ascii")[:_MOST_TEXT] + b"\0"
+    text = "\n".join(about.lines("m")).encode("ascii")[:_MAX_TEXT_BYTES] + b"\0"
     header.vlrs.append(laspy.vlrs.VLR(*_TEXT_AREA, "what is said of all points", text))
     known = finite(points.normals)
     extra = {
@@ -62,7 +62,7 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
         "normal_x": (known[:, 0], "unit vector"),
         "normal_y": (known[:, 1], "unit vector"),
         "normal_z": (known[:, 2], "unit vector"),
-        **dict(_further(name, values) for name, values in points.more.items()),
+        **dict(_column(name, values) for name, values in points.more.items()),
     }
     header.add_extra_dims([laspy.ExtraBytesParams(name, "float32", text) for name, (_, text) in extra.items()])
     file = laspy.LasData(header)
@@ -81,7 +81,7 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
     return made.getvalue()
 
 
-def _further(name: str, values: NDArray[np.float32]) -> tuple[str, tuple[NDArray[np.float64], str]]:
+def _column(name: str, values: NDArray[np.float32]) -> tuple[str, tuple[NDArray[np.float64], str]]:
     """Return a further column in metres where it is in mm: one unit in the whole file."""
     if name.endswith(_MM):
         return f"{name.removesuffix(_MM)}_m", (values.astype(np.float64) / MM_PER_M, "metre")

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.export.content import About
+from appliance.desk.export.content import Metadata
 from appliance.desk.surface.fusion import PlacedScan
 from appliance.measure import OrganisedCloud
 from appliance.store import LocalFileSystem
@@ -38,12 +38,12 @@ LEVEL = 1
 Named = tuple[str, NDArray[Any]]
 
 
-def write_grid(path: Path, cloud: OrganisedCloud, about: About) -> None:
+def write_grid(path: Path, cloud: OrganisedCloud, about: Metadata) -> None:
     """Write the archive of one scan. Raises StorageError."""
     _replace(path, _arrays(cloud, about.unit or "mm"), about)
 
 
-def write_scans(path: Path, scans: Iterable[PlacedScan], about: About) -> None:
+def write_scans(path: Path, scans: Iterable[PlacedScan], about: Metadata) -> None:
     """Write the archive of an object's scans; one is held at a time. Raises StorageError, and what ``scans`` raises."""
     _replace(path, _arrays_of_all(scans), about)
 
@@ -73,11 +73,11 @@ def _arrays(cloud: OrganisedCloud, unit: str = "mm") -> Iterator[Named]:
     yield "mask", cloud.mask
 
 
-def _replace(path: Path, arrays: Iterable[Named], about: About) -> None:
+def _replace(path: Path, arrays: Iterable[Named], about: Metadata) -> None:
     LocalFileSystem().replace_by(path, partial(_write, arrays=arrays, about=about))
 
 
-def _write(path: Path, arrays: Iterable[Named], about: About) -> None:
+def _write(path: Path, arrays: Iterable[Named], about: Metadata) -> None:
     said = {
         "title": about.title,
         "frame": about.frame,

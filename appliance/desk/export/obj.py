@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.export.content import About, finite
+from appliance.desk.export.content import Metadata, finite
 from appliance.desk.surface.mesh import Mesh
 from appliance.store import LocalFileSystem
 
@@ -20,12 +20,12 @@ _ROWS = 20_000
 """Lines that are written at once: a list of all numbers of a large mesh would take gigabytes."""
 
 
-def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
+def write_mesh(path: Path, mesh: Mesh, about: Metadata) -> None:
     """Write the file. Raises StorageError."""
     LocalFileSystem().replace_file(path, *encode_obj(mesh, about))
 
 
-def encode_obj(mesh: Mesh, about: About) -> list[bytes]:
+def encode_obj(mesh: Mesh, about: Metadata) -> list[bytes]:
     """Return an OBJ file in pieces. Places have six decimals, of which the float32 behind them knows four or five."""
     marks = about.mark_lines()
     head = "".join(f"# {'' if line in marks else 'Kingfisher '}{line}\n" for line in about.lines("mm")) + "o mesh\n"

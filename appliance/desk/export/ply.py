@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.export.content import About, ExportedPoints, finite, points_of_mesh, single_precision
+from appliance.desk.export.content import ExportedPoints, Metadata, finite, points_of_mesh, single_precision
 from appliance.desk.surface.mesh import Mesh
 from appliance.store import LocalFileSystem
 
@@ -35,17 +35,17 @@ _AT_ONCE = 1 << 16
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
-def write_points(path: Path, points: ExportedPoints, about: About) -> None:
+def write_points(path: Path, points: ExportedPoints, about: Metadata) -> None:
     """Write points alone. Raises StorageError, ExportError."""
     LocalFileSystem().replace_parts(path, encode_surface(points, about))
 
 
-def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
+def write_mesh(path: Path, mesh: Mesh, about: Metadata) -> None:
     """Write a mesh. Raises StorageError, ExportError."""
     LocalFileSystem().replace_file(path, *encode_surface(points_of_mesh(mesh), about, mesh.faces))
 
 
-def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32] | None = None) -> Iterator[bytes]:
+def encode_surface(points: ExportedPoints, about: Metadata, faces: NDArray[np.int32] | None = None) -> Iterator[bytes]:
     """Return header, vertices and faces ((m, 3) int32; ``None``: points alone). Unknown normals are (0, 0, 0).
 
     Vertices are encoded as they are asked for: all of a large cloud need much room.

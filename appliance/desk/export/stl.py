@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.desk.export.content import About
+from appliance.desk.export.content import Metadata
 from appliance.desk.surface.mesh import Mesh
 from appliance.store import LocalFileSystem
 
@@ -18,12 +18,12 @@ _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute
 _STL_TEXT = 80
 
 
-def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
+def write_mesh(path: Path, mesh: Mesh, about: Metadata) -> None:
     """Write the file. Raises StorageError, ValueError for more than 2³² - 1 triangles."""
     LocalFileSystem().replace_file(path, *encode_stl(mesh, about))
 
 
-def encode_stl(mesh: Mesh, about: About) -> tuple[bytes, bytes]:
+def encode_stl(mesh: Mesh, about: Metadata) -> tuple[bytes, bytes]:
     """Return the head and the triangles of a binary STL file; normals are those of the triangles. Raises ValueError for
     more than 2³² - 1 of them."""
     facets = np.zeros(len(mesh.faces), _FACET)

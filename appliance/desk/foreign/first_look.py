@@ -35,9 +35,9 @@ def check_import(path: Path, out: Path) -> None:
         path, described, {side: first_of_side(described, side) for side in described.files}
     )
     if out.suffix:
-        from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
+        from appliance.desk.export.formats import SCAN_SUFFIXES, check_suffix, require_library
 
-        checked_suffix(out, SCAN_SUFFIXES, "a cloud")
+        check_suffix(out, SCAN_SUFFIXES, "a cloud")
         require_library(out)
     longest_px = max(max(image_set.shape) for image_set in images.values())
     if "right" not in images:

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from appliance import __version__
 from appliance.base import Progress
-from appliance.desk.export.content import CAMERA_FRAME, About
+from appliance.desk.export.content import CAMERA_FRAME, Metadata
 from appliance.desk.export.files import write_scan
-from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
+from appliance.desk.export.formats import SCAN_SUFFIXES, check_suffix, require_library
 from appliance.desk.foreign.assumptions import ExaminedAssumption, Outcome
 from appliance.desk.foreign.camera import clean_camera, decode_camera
 from appliance.desk.foreign.cross_checks import examine_images, examine_rays
@@ -59,7 +59,7 @@ def import_described(
     Raises ForeignError, also where the images contradict the description (unless ``as_described``), where hardly any
     points are left, and for a scan folder of another form; ExportError, MissingLibraryError, StorageError.
     """
-    suffix = checked_suffix(out, SCAN_SUFFIXES, "a cloud") if out.suffix else ""
+    suffix = check_suffix(out, SCAN_SUFFIXES, "a cloud") if out.suffix else ""
     if suffix:
         require_library(out)
     scan = read_foreign(path, progress)
@@ -77,7 +77,7 @@ def import_described(
     note = f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"
     marks = [cloud.unchecked] if cloud.unchecked else []
     marks += [f"wrong: {assumption}" for assumption in scan.wrong]
-    head = About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan))
+    head = Metadata(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan))
     del scan  # Free memory for writing the file.
     write_scan(out, cloud.cloud, head)
     if picture is not None:

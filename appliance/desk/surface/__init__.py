@@ -1,2 +1,1 @@
-"""Surfaces from clouds on the pixel grid: normals, meshes, one surface of many placed scans, and how far points lie
-from a nominal one."""
+"""Surfaces from organised clouds: normals, meshes, fusion of many placed scans, and deviations from a nominal surface."""

@@ -1,13 +1,13 @@
-"""Owns how far points lie from a nominal surface, along its normals: outside is positive, and each with its sigma.
+"""Deviations of points from a nominal surface, along its normals, positive outside, each with its sigma.
 
 The nearest triangle is libigl's (MPL-2.0, a tree of boxes around the triangles). Where the points' own normals are
 given, triangles that face away by more than a right angle do not count: the far side of a thin plate is not what was
-measured. An edge faces as its pseudonormal does, whichever of its triangles is found. libigl cannot leave triangles out
-for a single point, so the few whose nearest place faces away are asked again from farther out along their normals, the
-least way first, until one faces them; from just above that place they are then projected onto the surface until they
-stay.
+measured. An edge faces as its pseudonormal does, for each of its triangles. libigl cannot leave triangles out
+for a single point, so the few whose nearest place faces away are searched again from farther out along their normals,
+the shortest distance first, until a triangle faces them; from just above that place they are then projected onto the
+surface until they stay.
 
-What lies beside an open border of the surface has no counterpart on it and no deviation. Symbols in the kernels: p the
+Points beside an open border of the surface have no counterpart on it and no deviation. Symbols in the kernels: p the
 point, a, b and c the corners, q the nearest place on the triangle (C. Ericson, "Real-Time Collision Detection", 5.1.5).
 """
 
@@ -26,26 +26,26 @@ from appliance.desk.surface.nominal import Nominal
 LIMIT_MM = 5.0
 PERCENTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 BESIDE_MM = 0.05
-"""Distance sideways from an open border from which on a point has no counterpart on the surface."""
+"""Distance sideways from an open border above which a point has no counterpart on the surface."""
 _BLOCK = 100_000
 _FARTHER_OUT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
-"""Ways out along a point's normal, as shares of the limit, from which a triangle that faces it is looked for."""
-_PROJECTED = 4
-"""Times that a point is projected onto its side of the surface: each step leaves a share of the way along it that is
-the distance over the radius."""
+"""Distances along a point's normal, as shares of the limit, from which a triangle that faces it is searched."""
+_PROJECTIONS = 4
+"""Number of projections of a point onto its side of the surface: each leaves a share of the remaining distance that is
+the height over the radius."""
 _ABOVE_MM = 1e-3
 """Height above the surface from which its own side is the nearest."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeviationSummary:
-    """Deviations in numbers, mm; of those points that lie within the limit. ``None`` where there are none."""
+    """Deviations of the points within the limit in numbers, mm; ``None`` if there are no such points."""
 
     points: int
     beyond: int
-    """Points that lie farther from the surface than the limit, or that see nothing of it that faces them."""
+    """Number of points farther from the surface than the limit, or without a triangle that faces them."""
     beside: int
-    """Points within the limit that lie beside an open border of the surface: it has no counterpart for them."""
+    """Number of points within the limit that lie beside an open border of the surface."""
     limit_mm: float
     mean_mm: float | None
     sd_mm: float | None
@@ -55,8 +55,7 @@ class DeviationSummary:
     percentiles_mm: tuple[tuple[float, float], ...]
     """Pairs of percent and mm."""
     within_2_sigma_percent: float | None
-    """Share of the points that lie no farther from the surface than twice their own sigma: some 95 if it is as nominal.
-    """
+    """Share of the points that lie no farther from the surface than twice their sigma: some 95 on a perfect object."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +68,7 @@ class Deviation:
     """(n,) float32: that of the points."""
     summary: DeviationSummary
     face: NDArray[np.int64]
-    """(n,): triangle that each point is nearest to; -1 for none within the limit."""
+    """(n,): nearest triangle of each point; -1 for none within the limit."""
 
     def with_sigma(self, sigma_mm: NDArray[np.float32]) -> Deviation:
         """Return the same deviations with another sigma (n,) of the points."""
@@ -81,7 +80,7 @@ class Deviation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearestPlaces:
-    """Places on a surface that are nearest to points, n of each."""
+    """Nearest places on a surface, one for each of n points."""
 
     face: NDArray[np.int64]
     """(n,): triangle that the place lies on."""
@@ -95,14 +94,14 @@ class NearestPlaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NominalTree:
-    """A nominal surface that can be asked for nearest places."""
+    """A nominal surface with a tree for nearest places."""
 
     nominal: Nominal
     _tree: Any
 
     @classmethod
     def of(cls, nominal: Nominal) -> NominalTree:
-        """Raises MissingLibraryError where libigl is absent."""
+        """Return the tree of a nominal surface. Raises MissingLibraryError where libigl is absent."""
         igl = needed("igl", "libigl", "a comparison")
         tree = igl.AABB()
         tree.init(nominal.vertices_mm, nominal.faces)
@@ -113,8 +112,8 @@ class NominalTree:
     ) -> NearestPlaces:
         """Return the nearest places of points (n, 3).
 
-        ``normals`` (n, 3), NaN where unknown: triangles that face away from a point's do not count; ``None``: all do.
-        ``limit_mm``: how far those are looked for.
+        ``normals`` (n, 3), NaN where unknown: triangles that face away from a point's normal do not count; ``None``: all
+        do. ``limit_mm``: limit of the search.
         """
         points = np.ascontiguousarray(points_mm, np.float64)
         face = self._nearest_face(points)
@@ -129,50 +128,56 @@ class NominalTree:
         return NearestPlaces(face, place, signed, beside)
 
     def _facing(self, points: NDArray[np.float64], normals: NDArray[np.float64], limit_mm: float) -> NDArray[np.int64]:
-        """Return the triangle (n,) below each point's own side of the surface; -1 where none within the limit faces it."""
-        found, rows = np.full(len(points), -1), np.arange(len(points))
+        """Return the triangle (n,) below each point's own side of the surface; -1 for none within the limit."""
+        face_of_point, rows = np.full(len(points), -1), np.arange(len(points))
         places, outs = np.empty_like(points), np.empty_like(points)
-        # No surface is asked for without end: where there is no limit, the usual one.
+        # Without a limit take the usual one, so that the search ends.
         farthest_mm = limit_mm if np.isfinite(limit_mm) else LIMIT_MM
         for share in _FARTHER_OUT:
-            from_ = points[rows] + share * farthest_mm * normals[rows]
-            face = self._nearest_face(from_)
-            place, _, _, out = self._at(from_, face)
+            origins = points[rows] + share * farthest_mm * normals[rows]
+            face = self._nearest_face(origins)
+            place, _, _, out = self._at(origins, face)
             faces_it = (normals[rows] * out).sum(1) >= 0.0
-            now = rows[faces_it]
-            found[now], places[now], outs[now] = face[faces_it], place[faces_it], out[faces_it]
+            facing_rows = rows[faces_it]
+            face_of_point[facing_rows], places[facing_rows], outs[facing_rows] = (
+                face[faces_it],
+                place[faces_it],
+                out[faces_it],
+            )
             rows = rows[~faces_it]
-        rows = np.flatnonzero(found >= 0)
-        for _ in range(_PROJECTED):
+        rows = np.flatnonzero(face_of_point >= 0)
+        for _ in range(_PROJECTIONS):
             out = outs[rows] / np.maximum(np.linalg.norm(outs[rows], axis=1), 1e-12)[:, None]
             up_mm = ((places[rows] - points[rows]) * out).sum(1) + _ABOVE_MM
-            from_ = points[rows] + up_mm[:, None] * out
-            face = self._nearest_face(from_)
-            place, _, _, out = self._at(from_, face)
-            again = (face != found[rows]) & ((normals[rows] * out).sum(1) >= 0.0)
-            rows = rows[again]
-            found[rows], places[rows], outs[rows] = face[again], place[again], out[again]
-        return found
+            origins = points[rows] + up_mm[:, None] * out
+            face = self._nearest_face(origins)
+            place, _, _, out = self._at(origins, face)
+            has_moved = (face != face_of_point[rows]) & ((normals[rows] * out).sum(1) >= 0.0)
+            rows = rows[has_moved]
+            face_of_point[rows], places[rows], outs[rows] = face[has_moved], place[has_moved], out[has_moved]
+        return face_of_point
 
     def _at(
         self, points: NDArray[np.float64], face: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-        """Return of points (n, 3) the nearest places on their triangles (n,), signed distances, what lies beside a
-        border, and the pseudonormals there; of no triangle, -1, those of the last."""
+        """Return nearest places (n, 3) on given triangles (n,), signed distances, border flags, and pseudonormals there.
+
+        The triangle -1 stands for the last one.
+        """
         nominal, n = self.nominal, len(points)
-        found = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_), np.empty((n, 3))
+        results = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_), np.empty((n, 3))
         _on_faces(
             points, face, nominal.faces, nominal.vertices_mm, nominal.face_normals, nominal.edge_normals,
-            nominal.corner_normals, nominal.open_edges, nominal.open_corners, *found,
+            nominal.corner_normals, nominal.open_edges, nominal.open_corners, *results,
         )  # fmt: skip
-        return found
+        return results
 
     def _nearest_face(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the triangle (n,) nearest to each of the points (n, 3), whatever it faces."""
+        """Return the triangle (n,) nearest to each of the points (n, 3), of any orientation."""
         if not len(points):
             return np.zeros(0, np.int64)
         _, face, _ = self._tree.squared_distance(self.nominal.vertices_mm, self.nominal.faces, points)
-        # One point alone comes back without its axis.
+        # A single point comes back without its axis.
         return np.atleast_1d(face).astype(np.int64)
 
 
@@ -183,7 +188,7 @@ def deviations(
     normals: NDArray[Any] | None = None,
     limit_mm: float = LIMIT_MM,
 ) -> Deviation:
-    """Return how far points (n, 3), in the frame of ``nominal``, lie from it; ``sigma_mm`` (n,) along the normal.
+    """Return the deviations of points (n, 3) in the frame of ``nominal``; ``sigma_mm`` (n,) is along the normal.
 
     ``normals``: (n, 3), those of the points; NaN where unknown. Points beyond ``limit_mm`` or beside an open border are
     counted and have no deviation. Raises ValueError for a limit that is not above 0, MissingLibraryError where libigl
@@ -205,21 +210,20 @@ def deviations(
 
 
 def spread_over(nominal: Nominal, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return ``count`` places (n, 3) spread evenly over the surface, whatever its triangles are, and the triangle of
-    each.
+    """Return ``count`` places (n, 3) spread evenly over the surface, for triangles of any size, and the triangle of each.
 
     Each stands for the same area; within a triangle they follow the sequence R2 (M. Roberts, 2018), which leaves no
     large gaps.
     """
     a, b, c = (nominal.vertices_mm[nominal.faces[:, k]] for k in range(3))
-    reached = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    area_sum = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     number = np.arange(count)
-    face = np.searchsorted(reached, (number + 0.5) / count * reached[-1])
+    face = np.searchsorted(area_sum, (number + 0.5) / count * area_sum[-1])
     v, w = (number[:, None] * np.array([0.7548776662466927, 0.5698402909980532]) % 1.0).T
     # The half of the square that lies beyond the triangle is folded back.
     v, w = np.where(v + w > 1.0, (1.0 - v, 1.0 - w), (v, w))
-    at = a[face] + v[:, None] * (b - a)[face] + w[:, None] * (c - a)[face]
-    return at, face
+    places = a[face] + v[:, None] * (b - a)[face] + w[:, None] * (c - a)[face]
+    return places, face
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -238,34 +242,35 @@ def _on_faces(
     beside: NDArray[np.bool_],
     out: NDArray[np.float64],
 ) -> None:
-    """Write the nearest place of each point on its triangle, its distance with its sign, whether it lies beside an open
-    border, and the pseudonormal of the place, which neighbours of an edge have in common."""
+    """Write the nearest place of each point on its triangle, its signed distance, a border flag, and a pseudonormal.
+
+    The flag is true beside an open border; the pseudonormal is that of the place, common to the neighbours of an edge.
+    """
     corners, pa, pb, pc, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for n in range(len(points)):
-        one = face[n]
-        normal = face_normals[one]
+        triangle = face[n]
+        normal = face_normals[triangle]
         # p from each corner.
         for axis in range(3):
             for k in range(3):
-                corners[k, axis] = vertices[faces[one, k], axis]
+                corners[k, axis] = vertices[faces[triangle, k], axis]
             pa[axis] = points[n, axis] - corners[0, axis]
             pb[axis] = points[n, axis] - corners[1, axis]
             pc[axis] = points[n, axis] - corners[2, axis]
         place = _on_triangle(pa, pb, pc, corners, q)
         # Its square, and the part along the triangle's normal.
-        to = points[n] - q
-        square = to[0] * to[0] + to[1] * to[1] + to[2] * to[2]
-        along = to[0] * normal[0] + to[1] * normal[1] + to[2] * normal[2]
+        offset = points[n] - q
+        square = offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]
+        along = offset[0] * normal[0] + offset[1] * normal[1] + offset[2] * normal[2]
         # Inside, on one of three edges (1, 2, 3), or at one of three corners (4, 5, 6).
         if place == 0:
             up, border = normal, False
         elif place < 4:
-            up, border = edge_normals[one, place - 1], open_edges[one, place - 1]
+            up, border = edge_normals[triangle, place - 1], open_edges[triangle, place - 1]
         else:
-            up, border = corner_normals[faces[one, place - 4]], open_corners[faces[one, place - 4]]
-        side = to[0] * up[0] + to[1] * up[1] + to[2] * up[2]
-        # Sideways: what is left of the way to the border once the part along the normal is taken away.
-        # side² = |to|² - (to · normal)².
+            up, border = corner_normals[faces[triangle, place - 4]], open_corners[faces[triangle, place - 4]]
+        side = offset[0] * up[0] + offset[1] * up[1] + offset[2] * up[2]
+        # Distance to the border within the triangle's plane: side² = |offset|² - (offset · normal)².
         beside[n] = border and square - along * along > BESIDE_MM * BESIDE_MM
         nearest[n], out[n] = q, up
         # On the plane itself counts as outside.
@@ -280,8 +285,10 @@ def _on_triangle(
     corners: NDArray[np.float64],
     q: NDArray[np.float64],
 ) -> int:
-    """Write the place on the triangle that is nearest to p to ``q``, where pa, pb and pc are p less the corners; return
-    what it lies on: 0 the face, 1 to 3 the edges ab, bc, ca, 4 to 6 the corners."""
+    """Write the nearest place on the triangle to ``q``, where pa, pb and pc are p less the corners; return its kind.
+
+    It is 0 on the face, 1 to 3 on the edges ab, bc, ca, 4 to 6 at the corners.
+    """
     a, b, c = corners[0], corners[1], corners[2]
     ab, ac = b - a, c - a
     # Projections of p on both edges from a, seen from each corner.
@@ -313,20 +320,20 @@ def _on_triangle(
         q[:] = b + (d4 - d3) / ((d4 - d3) + (d5 - d6)) * (c - b)
         return 2
     # Within: a + v ab + w ac.
-    whole = va + vb + vc
-    q[:] = a + vb / whole * ab + vc / whole * ac
+    total = va + vb + vc
+    q[:] = a + vb / total * ab + vc / total * ac
     return 0
 
 
 def _summary(
     deviation: NDArray[np.float32], sigma: NDArray[np.float32], limit_mm: float, beside: int
 ) -> DeviationSummary:
-    there = np.isfinite(deviation)
-    near = deviation[there].astype(np.float64)
+    has_deviation = np.isfinite(deviation)
+    near = deviation[has_deviation].astype(np.float64)
     beyond = len(deviation) - len(near) - beside
     if not len(near):
         return DeviationSummary(len(deviation), beyond, beside, limit_mm, None, None, None, None, None, (), None)
-    within = np.abs(near) <= 2.0 * sigma[there]
+    within = np.abs(near) <= 2.0 * sigma[has_deviation]
     return DeviationSummary(
         points=len(deviation),
         beyond=beyond,

@@ -1,9 +1,8 @@
-"""Owns the files that CAD models come in: triangles of STL, OBJ and PLY, believed only as far as sizes, counts and
-numbers agree.
+"""Reading of CAD models: triangles of STL, OBJ and PLY files, accepted only if sizes, counts and numbers agree.
 
-STL is read here, since what other programs write differs in ways that no library sorts out: names in any encoding, `end
-solid` in two words, CR alone as the end of a line, bytes behind the last triangle, a binary file that begins with
-``solid``. What is unambiguous is read; what is cut off or miscounted is refused with both counts. OBJ and PLY are read
+STL is read here, since programs write it in ways that no library sorts out: names in any encoding, `end solid` in two
+words, CR alone as the end of a line, bytes behind the last triangle, a binary file that begins with ``solid``.
+Unambiguous files are read; files that are cut off or miscounted are rejected with both counts. OBJ and PLY are read
 by trimesh (MIT) once their heads are checked. Sources: 3D Systems, "StereoLithography Interface Specification" (1989);
 G. Turk, "The PLY Polygon File Format" (1994); Wavefront, "Object Files (.obj)".
 """
@@ -19,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import needed, read_bounded
-from appliance.desk.surface.drawing_file import MOST_BYTES, NominalError, checked_drawing
+from appliance.desk.surface.drawing_file import MAX_BYTES, NominalError, check_drawing
 
 FARTHEST_MM = 1e11
 """Largest coordinate: 100,000 km holds every place on Earth in any system."""
 COARSEST_MM = 0.05
-"""Coarsest step of a corner's coordinates: half of the least tolerance that is asked for in practice."""
+"""Coarsest step of a corner's coordinates: half of the least tolerance in practice."""
 
 _STL_HEAD, _FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _WORDS = re.compile(rb"(?i)\bvertex((?:[ \t\r\n]+[^ \t\r\n]+){3})")
@@ -41,19 +40,19 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
     Raises NominalError, and MissingLibraryError where trimesh is absent.
     """
-    suffix = checked_drawing(path)
+    suffix = check_drawing(path)
     if suffix != ".stl":
         trimesh = needed("trimesh", "trimesh", f"a CAD model in {suffix}")
     try:
-        data = read_bounded(path, MOST_BYTES)
+        data = read_bounded(path, MAX_BYTES)
         if suffix == ".stl":
             vertices, faces, single = _stl(data)
         else:
-            single = _checked_ply(data) if suffix == ".ply" else _checked_obj(data)
+            single = _check_ply(data) if suffix == ".ply" else _check_obj(data)
             if suffix == ".ply":
                 data = _with_line_feeds(data)
             vertices, faces = _by_library(trimesh, data, suffix)
-        return _believed(vertices, faces, single)
+        return _check_triangles(vertices, faces, single)
     except OSError as error:
         raise NominalError(f"{path}: cannot be read ({error.strerror or error})") from error
     except ValueError as error:
@@ -71,34 +70,38 @@ def _stl(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
 
 
 def _binary_stl(data: bytes) -> tuple[NDArray[np.float64] | None, bool]:
-    """Return the corners (m, 3, 3) of a binary file; ``None`` for one in words.
+    """Return the corners (m, 3, 3) of a binary file; ``None`` for a text file.
 
     Raises ValueError for fewer triangles than it states.
     """
-    words = data[:_STL_HEAD].lstrip().lower().startswith(b"solid")
+    is_solid = data[:_STL_HEAD].lstrip().lower().startswith(b"solid")
     stated = int.from_bytes(data[80:_STL_HEAD], "little") if len(data) >= _STL_HEAD else -1
-    there = max(0, len(data) - _STL_HEAD) // _FACET.itemsize
-    # Many binary files begin with "solid", too: those have a length that fits, or bytes that no text has.
-    if words and stated != there and (b"facet" in data[:4096].lower() or b"\0" not in data[:_STL_HEAD]):
+    present = max(0, len(data) - _STL_HEAD) // _FACET.itemsize
+    # Many binary files begin with "solid", too: their length fits, or they have bytes that no text has.
+    if is_solid and stated != present and (b"facet" in data[:4096].lower() or b"\0" not in data[:_STL_HEAD]):
         return None, False
     if stated < 0:
         raise ValueError(f"holds no triangles: it ends within the head of an STL file ({len(data)} bytes)")
-    if stated > there:
-        raise ValueError(f"is cut off: {there:,} of {stated:,} triangles are there")
+    if stated > present:
+        raise ValueError(f"is cut off: {present:,} of {stated:,} triangles are there")
     if stated == 0:
         raise ValueError("holds no triangles: its head says 0")
     facets = np.frombuffer(data, _FACET, stated, _STL_HEAD)
-    left = len(data) - _STL_HEAD - stated * _FACET.itemsize
-    # A whole triangle more is a wrong count; other bytes behind the last one are another program's own.
-    if left >= _FACET.itemsize and left % _FACET.itemsize == 0 and np.any(np.frombuffer(data, np.uint8)[-left:]):
-        raise ValueError(f"states {stated:,} triangles, and {there:,} are there: one of the two is wrong")
+    remaining_bytes = len(data) - _STL_HEAD - stated * _FACET.itemsize
+    # One triangle more means a wrong count; other bytes behind the last are an addition of another program.
+    if (
+        remaining_bytes >= _FACET.itemsize
+        and remaining_bytes % _FACET.itemsize == 0
+        and np.any(np.frombuffer(data, np.uint8)[-remaining_bytes:])
+    ):
+        raise ValueError(f"states {stated:,} triangles, and {present:,} are there: one of the two is wrong")
     return facets["corners"].astype(np.float64), True
 
 
 def _ascii_stl(data: bytes) -> NDArray[np.float64]:
-    """Return the corners (m, 3, 3) of a file in words."""
+    """Return the corners (m, 3, 3) of a text file."""
     try:
-        numbers = np.array([one.split() for one in _WORDS.findall(data)], dtype="S40").astype(np.float64)
+        numbers = np.array([corner.split() for corner in _WORDS.findall(data)], dtype="S40").astype(np.float64)
     except ValueError as error:
         raise ValueError(f"a corner is no three numbers ({error})") from error
     stated = len(re.findall(rb"(?i)\bendfacet\b|\bend[ \t]+facet\b", data))
@@ -115,29 +118,26 @@ def _ascii_stl(data: bytes) -> NDArray[np.float64]:
 
 
 def _with_line_feeds(data: bytes) -> bytes:
-    """Return a PLY file whose head ends its lines with LF, as the library wants: some programs write CR alone."""
+    """Return a PLY file with LF as line end of its head, as the library needs; some programs write CR alone."""
     end = data.find(b"end_header")
     head = data[:end]
     if b"\n" in head or b"\r" not in head:
         return data
-    rest = data[end + len(b"end_header") :]
-    body = rest[1:] if rest[:1] == b"\r" else rest
+    tail = data[end + len(b"end_header") :]
+    body = tail[1:] if tail[:1] == b"\r" else tail
     body = body.replace(b"\r", b"\n") if b"format ascii" in head else body
     return head.replace(b"\r", b"\n") + b"end_header\n" + body
 
 
-def _checked_ply(data: bytes) -> bool:
-    """Tell whether a PLY file has its corners in single precision.
-
-    Raises ValueError where its head does not fit the bytes.
-    """
+def _check_ply(data: bytes) -> bool:
+    """Return whether a PLY file has its corners in single precision. Raises ValueError if head and bytes disagree."""
     end = data.find(b"end_header")
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("holds no triangles: it has no PLY head")
-    least, single, element, text = 0, True, "", b"format ascii" in data[:end]
+    min_bytes, single, element, text = 0, True, "", b"format ascii" in data[:end]
     for line in re.split(rb"[\r\n]+", data[:end]):
-        words = line.decode("ascii", "replace").split()
-        match words:
+        fields = line.decode("ascii", "replace").split()
+        match fields:
             case ["element", name, count] if count.isascii() and count.isdigit():
                 element, number = name, int(count)
             case ["element", *_]:
@@ -148,21 +148,21 @@ def _checked_ply(data: bytes) -> bool:
                         f"its vertices have a list ({name}), which may be longer for one than for another and is not "
                         "read: write it without"
                     )
-                least += number * (2 if text else _PLY_BYTES.get(count_type, 1))
+                min_bytes += number * (2 if text else _PLY_BYTES.get(count_type, 1))
             case ["property", kind, name]:
-                least += number * (2 if text else _PLY_BYTES.get(kind, 1))
+                min_bytes += number * (2 if text else _PLY_BYTES.get(kind, 1))
                 single &= not (element == "vertex" and name == "x" and _PLY_BYTES.get(kind) == 8)
             case _:
-                # Comments, the format, and what a library may know better.
+                # Comments, the format, and lines for the library.
                 continue
     # Digits and a blank are two bytes at least; the last blank may be missing.
-    if least > len(data) - end:
-        raise ValueError(f"is cut off: its head asks for {least:,} bytes at least, {len(data) - end:,} are there")
+    if min_bytes > len(data) - end:
+        raise ValueError(f"is cut off: its head asks for {min_bytes:,} bytes at least, {len(data) - end:,} are there")
     return single and not text
 
 
-def _checked_obj(data: bytes) -> bool:
-    """Returns False: text has no single precision. Raises ValueError for indices that name no corner."""
+def _check_obj(data: bytes) -> bool:
+    """Return False, as text has no single precision. Raises ValueError for indices of missing corners."""
     corners = len(re.findall(rb"(?m)^[ \t]*v[ \t]", data))
     for line in re.finditer(rb"(?m)^[ \t]*f[ \t]+([^\r\n]*)", data):
         for word in line[1].split():
@@ -183,15 +183,15 @@ def _by_library(trimesh: Any, data: bytes, suffix: str) -> tuple[NDArray[Any], N
     try:
         read = trimesh.load(io.BytesIO(data), file_type=suffix[1:], force="mesh", process=False)
         return read.vertices, read.faces
-    # Whatever a parser makes of bytes that are no mesh; it names no kinds of errors of its own.
+    # The parser raises any kind of error for bytes that are no mesh.
     except Exception as error:
         raise ValueError(f"holds no triangles that can be used ({type(error).__name__})") from error
 
 
-def _believed(
+def _check_triangles(
     vertices: NDArray[Any], faces: NDArray[Any], single: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return both, checked. Raises ValueError for numbers that are no place."""
+    """Return corners and triangles, checked. Raises ValueError for numbers that are no place."""
     corners, triangles = np.asarray(vertices, np.float64).reshape(-1, 3), np.asarray(faces, np.int64).reshape(-1, 3)
     if not len(triangles):
         raise ValueError("holds no triangles")

@@ -1,4 +1,7 @@
-"""Owns one surface of many scans: placed, their points fused by their variances, and what the fused sigma means.
+"""Fusion: one surface of many placed scans, whose points are averaged by their variances.
+
+* ``fuse``, ``PlacedScan``, ``FusedCloud``: the fusion, its input and its result.
+* ``assign``, ``absorb``, ``Discs``, ``CellTable``: how points find the disc of the surface to which they belong.
 
 **Sigma** of a fused point is the standard deviation of its depth along the normal, as ``fuse`` knows it: relative to the points around it, and
 what all scans have in common:
@@ -9,22 +12,18 @@ what all scans have in common:
     of all scans           1 / Σ 1 / (σ_n² + pose²)           one term a scan, however many of its pixels are there
     the fused point        √(that + common_mm²)               what all scans have in common: the calibration, the water
 
-Where the errors of all places are known (``appliance.desk.registration.joint``), ``with_places`` makes it that of the
-object's frame: by how much a point may lie elsewhere with its whole scan, and by how much the object may be bent there.
-Its shares are kept, since neighbours have these two in common: a hole's diameter does not depend on them, the distance
-of two flanges does.
+Where the joint errors of all poses are known (``appliance.desk.registration.joint``), ``with_places`` makes it the sigma
+in the object's frame: it then includes the error of the scan's pose, and the bending of the object there. The shares
+are kept, since neighbours have these two in common: a hole's diameter does not depend on them, the distance of two
+flanges does.
 
 Pixels of one scan are averaged, since that makes the surface smoother, and sigma does not claim anything for it: they
 share the pose, ripple and part of their noise. So sigma is right where a disc holds about one pixel of a scan, and too
 large beyond.
 
-Points whose normal is not known (alone, or at the border of nothing) are left out: nobody knows which side they lie on.
-``surfels.py`` says which points belong together.
+Points without a normal (alone, or at a border) are left out: their side of the surface is unknown.
 
-It also owns how points of many scans find those of the surface that they belong to: small discs in a hash table of
-cells.
-
-A disc has a place, a normal and a radius, the spacing. A point belongs to the nearest disc, across the surface, that
+The surface is made of small discs in a hash table of cells. A disc has a place, a normal and a radius, the spacing. A point belongs to the nearest disc, across the surface, that
 
     faces the same way       n_p · n_d ≥ ½, so that both sides of a thin plate stay two surfaces,
     is near on it            its ray meets the plane of the disc at most the spacing from the disc,
@@ -33,11 +32,11 @@ A disc has a place, a normal and a radius, the spacing. A point belongs to the n
 where h = d · (n_p + n_d) / |n_p + n_d| is the depth of the point over the disc, d the way from the disc to it. The mean
 of both normals makes h zero for two points of one sphere, however far apart: a bent surface is not moved inwards (S.
 Rusinkiewicz, "A symmetric objective function for ICP", 2019). A point that belongs to none founds a disc of its own.
-Where its ray meets the disc is free of the point's own noise, and of two discs equally far the older is taken. By the
-distance across the normal, discs that noise moved one way would collect more points than those that it moved the other
-way, and the mean of their places would lie 1.5 µm off for noise of 20 µm.
+The place where its ray meets the disc is free of the point's own noise, and of two discs equally far the older is
+taken. By the distance across the normal, discs that noise moved in one direction would collect more points than the
+others, and the mean of their places would be off by 1.5 µm for noise of 20 µm.
 
-Cells are cubes of twice the reach, so that whatever is in reach of a point lies in the eight cells about its nearest
+Cells are cubes of twice the reach, so that all discs in reach of a point lie in the eight cells about its nearest
 corner. Symbols: u is the ray, m is the number of discs, key a cell's three numbers in one, head the first disc of a
 cell, after the next one of the same.
 """
@@ -57,13 +56,13 @@ from appliance.desk.surface.normals import normals
 from appliance.measure import OrganisedCloud
 
 SURE2 = 16.0
-"""Square of the standard deviations by which points of one surface may differ in depth."""
+"""Square of the number of standard deviations by which points of one surface may differ in depth."""
 SAME_SIDE = 0.5
 """Least cosine between the normals of one surface: 60°."""
 LEAST_COSINE = 0.2
-"""Least cosine between ray and normal with which a ray's way is followed to a plane: 78°."""
+"""Least cosine between ray and normal with which a ray is followed to a plane: 78°."""
 TIE = 0.96
-"""Square of the share by which a disc must be nearer than another one."""
+"""Largest ratio of squared distances at which a disc counts as nearer than another."""
 EMPTY = np.int64(-1)
 _HALF_RANGE = np.int64(1 << 20)
 _MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
@@ -74,7 +73,7 @@ Knuth, The Art of Computer Programming 3, 6.4).
 
 
 class Discs(NamedTuple):
-    """The surface so far; each array has room for more than the discs that there are."""
+    """Discs of the surface so far; each array has room for more discs than exist."""
 
     place_mm: NDArray[np.float32]
     """(room, 3)."""
@@ -84,7 +83,7 @@ class Discs(NamedTuple):
     """(room,): 1 over the variance along the normal, in 1/mm²."""
     grey: NDArray[np.float32]
     views: NDArray[np.uint16]
-    """(room,): scans that a disc was seen in; 0: founded in the one that is being added."""
+    """(room,): number of scans that saw the disc; 0: founded in the scan that is being added."""
     after: NDArray[np.int32]
     slot: NDArray[np.int32]
     """(room,): row in ``Sums`` during one scan, else -1."""
@@ -106,12 +105,12 @@ class PointsOfScan(NamedTuple):
     """(n,): along the normal."""
     grey: NDArray[np.uint8]
     eye_mm: NDArray[np.float64]
-    """(3,): the camera, from where all rays come."""
+    """(3,): the camera's projection centre, from where all rays come."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _key(i: int, j: int, k: int) -> np.int64:
-    """Return the cell's numbers, each of 21 bits, as one."""
+    """Return the three cell indices, each of 21 bits, as one number."""
     return np.int64(
         ((np.int64(i) + _HALF_RANGE) << np.int64(42))
         | ((np.int64(j) + _HALF_RANGE) << np.int64(21))
@@ -120,13 +119,13 @@ def _key(i: int, j: int, k: int) -> np.int64:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _find(key: NDArray[np.int64], wanted: np.int64) -> np.int64:
-    """Return the place of ``wanted`` in the table, or the empty one where it would go."""
+def _find(key: NDArray[np.int64], searched: np.int64) -> np.int64:
+    """Return the slot of the key ``searched`` in the table, or the empty slot for it."""
     mask = np.uint64(len(key) - 1)
-    at = (np.uint64(wanted) * _MULTIPLIER) >> np.uint64(20) & mask
-    while key[at] != wanted and key[at] != EMPTY:
-        at = (at + np.uint64(1)) & mask
-    return np.int64(at)
+    slot = (np.uint64(searched) * _MULTIPLIER) >> np.uint64(20) & mask
+    while key[slot] != searched and key[slot] != EMPTY:
+        slot = (slot + np.uint64(1)) & mask
+    return np.int64(slot)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -134,8 +133,8 @@ def rehash(old: CellTable, new: CellTable) -> None:
     """Enter all cells of ``old`` into ``new``, which is empty."""
     for k in range(len(old.key)):
         if old.key[k] != EMPTY:
-            at = _find(new.key, old.key[k])
-            new.key[at], new.head[at] = old.key[k], old.head[k]
+            slot = _find(new.key, old.key[k])
+            new.key[slot], new.head[slot] = old.key[k], old.head[k]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -150,16 +149,16 @@ def assign(
     depth_mm: float,
     owner: NDArray[np.int32],
 ) -> tuple[int, int, int]:
-    """Write the disc of each point from ``first`` on to ``owner``, founding discs where there are none.
+    """Write the disc of each point from ``first`` on to ``owner``, and found discs where there are none.
 
-    Return the number of discs, that of cells, and the first point that is still to do: where the table is half full, it
-    ends early. There must be room for a disc a point.
+    Returns the number of discs, that of cells, and the first point that is still to do: it ends early when the table is half
+    full. There must be room for a disc a point.
     """
     cell_mm = 2.0 * np.sqrt(spacing_mm**2 + depth_mm**2)
-    most = len(cells.key) // 2 - 8
+    max_cells = len(cells.key) // 2 - 8
     for n in range(first, len(owner)):
-        # A table more than half full is slow to search; the caller makes a larger one and comes back.
-        if cell_count > most:
+        # A table more than half full is slow to search; the caller makes a larger one and calls again.
+        if cell_count > max_cells:
             return count, cell_count, n
         px, py, pz = float(points.place_mm[n, 0]), float(points.place_mm[n, 1]), float(points.place_mm[n, 2])
         nx, ny, nz = float(points.normal[n, 0]), float(points.normal[n, 1]), float(points.normal[n, 2])
@@ -176,13 +175,13 @@ def assign(
         )
         best, best2 = -1, 0.0
         for corner in range(8):
-            at = _find(cells.key, _key(i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)))
-            if cells.key[at] == EMPTY:
+            slot = _find(cells.key, _key(i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)))
+            if cells.key[slot] == EMPTY:
                 continue
-            one = cells.head[at]
-            while one >= 0:
-                dx, dy, dz = px - discs.place_mm[one, 0], py - discs.place_mm[one, 1], pz - discs.place_mm[one, 2]
-                ox, oy, oz = discs.normal[one, 0], discs.normal[one, 1], discs.normal[one, 2]
+            disc = cells.head[slot]
+            while disc >= 0:
+                dx, dy, dz = px - discs.place_mm[disc, 0], py - discs.place_mm[disc, 1], pz - discs.place_mm[disc, 2]
+                ox, oy, oz = discs.normal[disc, 0], discs.normal[disc, 1], discs.normal[disc, 2]
                 # Back along the ray to the disc's plane: d − u (d · n) / (u · n); u · n < 0, since both sides face each
                 # other.
                 along = dx * ox + dy * oy + dz * oz
@@ -190,16 +189,15 @@ def assign(
                 ax, ay, az = dx - back * ux, dy - back * uy, dz - back * uz
                 across2 = ax * ax + ay * ay + az * az
                 cosine = nx * ox + ny * oy + nz * oz
-                # Of equally far ones the oldest: neither a hair's breadth of noise decides, nor the cell that noise put
-                # a disc in.
-                nearer = best < 0 or across2 < TIE * best2 or (one < best and TIE * across2 <= best2)
+                # Of equally far discs take the oldest, so that neither noise nor a disc's cell decides.
+                nearer = best < 0 or across2 < TIE * best2 or (disc < best and TIE * across2 <= best2)
                 if nearer and across2 <= spacing_mm**2 and cosine >= SAME_SIDE:
                     # |n_p + n_d|² = 2 + 2 cos.
                     h = (along + dx * nx + dy * ny + dz * nz) / np.sqrt(2.0 + 2.0 * cosine)
-                    if abs(h) <= depth_mm and h * h <= SURE2 * (variance + 1.0 / discs.information[one]):
-                        best, best2 = one, across2
-                one = discs.after[one]
-        # It is founded here, as good as the one point.
+                    if abs(h) <= depth_mm and h * h <= SURE2 * (variance + 1.0 / discs.information[disc]):
+                        best, best2 = disc, across2
+                disc = discs.after[disc]
+        # Found a disc here, as certain as the point.
         if best < 0:
             best = count
             count += 1
@@ -207,18 +205,18 @@ def assign(
             discs.normal[best, 0], discs.normal[best, 1], discs.normal[best, 2] = nx, ny, nz
             discs.information[best] = 1.0 / variance
             discs.views[best], discs.slot[best] = 0, -1
-            # First in its own cell, so that the chain needs no end to be looked for.
-            at = _find(
+            # Enter it first in its cell, so that the end of the chain need not be searched.
+            slot = _find(
                 cells.key, _key(int(np.floor(px / cell_mm)), int(np.floor(py / cell_mm)), int(np.floor(pz / cell_mm)))
             )
-            if cells.key[at] == EMPTY:
-                cells.key[at] = _key(
+            if cells.key[slot] == EMPTY:
+                cells.key[slot] = _key(
                     int(np.floor(px / cell_mm)), int(np.floor(py / cell_mm)), int(np.floor(pz / cell_mm))
                 )
-                cells.head[at] = -1
+                cells.head[slot] = -1
                 cell_count += 1
-            discs.after[best] = cells.head[at]
-            cells.head[at] = best
+            discs.after[best] = cells.head[slot]
+            cells.head[slot] = best
         owner[n] = best
     return count, cell_count, len(owner)
 
@@ -227,31 +225,28 @@ def assign(
 def absorb(
     points: PointsOfScan, owner: NDArray[np.int32], discs: Discs, sums: NDArray[np.float64], touched: NDArray[np.int32]
 ) -> None:
-    """Move each disc that points of one scan belong to, along its normal, to the mean of what was seen of it before and
-    now.
+    """Move each disc with points of one scan along its normal to the weighted mean of its past and these points.
 
     ``sums`` is (n, 7) zeros, ``touched`` (n,): room for a row a point. A scan counts as one observation of the disc,
-    however many of its pixels belong to it: what they have in common (the pose, ripple, half of their noise) no mean
-    takes away.
+    for any number of pixels: averaging does not remove their common errors (the pose, ripple, half of their noise).
     """
     rows = 0
-    # Sums over the points of each disc, in rows by the order of appearance: a table as long as all discs would be
-    # mostly zeros.
+    # Sums over the points of each disc, in rows by order of appearance: one row for every disc would be mostly zeros.
     for n in range(len(owner)):
-        one = owner[n]
-        row = discs.slot[one]
+        disc = owner[n]
+        row = discs.slot[disc]
         if row < 0:
             row = rows
             rows += 1
-            discs.slot[one] = row
-            touched[row] = one
+            discs.slot[disc] = row
+            touched[row] = disc
         # d from disc to point, m = n_p + n_d.
-        dx = float(points.place_mm[n, 0] - discs.place_mm[one, 0])
-        dy = float(points.place_mm[n, 1] - discs.place_mm[one, 1])
-        dz = float(points.place_mm[n, 2] - discs.place_mm[one, 2])
-        mx = float(points.normal[n, 0] + discs.normal[one, 0])
-        my = float(points.normal[n, 1] + discs.normal[one, 1])
-        mz = float(points.normal[n, 2] + discs.normal[one, 2])
+        dx = float(points.place_mm[n, 0] - discs.place_mm[disc, 0])
+        dy = float(points.place_mm[n, 1] - discs.place_mm[disc, 1])
+        dz = float(points.place_mm[n, 2] - discs.place_mm[disc, 2])
+        mx = float(points.normal[n, 0] + discs.normal[disc, 0])
+        my = float(points.normal[n, 1] + discs.normal[disc, 1])
+        mz = float(points.normal[n, 2] + discs.normal[disc, 2])
         # Weight 1/σ²; the depth by the mean of both normals, as at the module's head.
         weight = 1.0 / float(points.variance_mm2[n])
         sums[row, 0] += 1.0
@@ -262,40 +257,40 @@ def absorb(
         sums[row, 5] += weight * points.normal[n, 2]
         sums[row, 6] += weight * points.grey[n]
     for row in range(rows):
-        one = touched[row]
-        # The information of one mean pixel, not of all of them; a new disc has none from before.
+        disc = touched[row]
+        # Take the information of one mean pixel, not of all pixels; a new disc has none from before.
         weight = sums[row, 1]
         now = weight / sums[row, 0]
-        before = float(discs.information[one]) if discs.views[one] > 0 else 0.0
+        before = float(discs.information[disc]) if discs.views[disc] > 0 else 0.0
         share = now / (now + before)
         depth = share * sums[row, 2] / weight
-        # Kalman's update of a scalar: the new mean by the share of the information that is new.
-        ox, oy, oz = float(discs.normal[one, 0]), float(discs.normal[one, 1]), float(discs.normal[one, 2])
-        discs.place_mm[one, 0] += depth * ox
-        discs.place_mm[one, 1] += depth * oy
-        discs.place_mm[one, 2] += depth * oz
+        # Kalman's update of a scalar, by the share of the new information.
+        ox, oy, oz = float(discs.normal[disc, 0]), float(discs.normal[disc, 1]), float(discs.normal[disc, 2])
+        discs.place_mm[disc, 0] += depth * ox
+        discs.place_mm[disc, 1] += depth * oy
+        discs.place_mm[disc, 2] += depth * oz
         # Normal and grey by the same shares.
         ox = (1.0 - share) * ox + share * sums[row, 3] / weight
         oy = (1.0 - share) * oy + share * sums[row, 4] / weight
         oz = (1.0 - share) * oz + share * sums[row, 5] / weight
         norm = 1.0 / np.sqrt(ox * ox + oy * oy + oz * oz)
-        discs.normal[one, 0], discs.normal[one, 1], discs.normal[one, 2] = ox * norm, oy * norm, oz * norm
-        grey = float(discs.grey[one]) if discs.views[one] > 0 else 0.0
-        discs.grey[one] = (1.0 - share) * grey + share * sums[row, 6] / weight
-        discs.information[one] = now + before
-        discs.views[one] += 1
-        discs.slot[one] = -1
+        discs.normal[disc, 0], discs.normal[disc, 1], discs.normal[disc, 2] = ox * norm, oy * norm, oz * norm
+        grey = float(discs.grey[disc]) if discs.views[disc] > 0 else 0.0
+        discs.grey[disc] = (1.0 - share) * grey + share * sums[row, 6] / weight
+        discs.information[disc] = now + before
+        discs.views[disc] += 1
+        discs.slot[disc] = -1
 
 
 SPACING_MM = 0.25
 POSE_SIGMA_MM = 0.03
-"""Standard deviation of a placement where nobody says better: what registrations of scans with texture leave."""
+"""Default standard deviation of a scan pose: that of a registration of scans with texture."""
 ACROSS2 = np.float32(1.0 / 9.0)
 """Variance of a point across its ray by that along it, at most (docs/uncertainty.md)."""
 LEAST_SIGMA_MM = np.float32(1e-4)
-"""Variances are divided by; no point is known to a tenth of a micrometre."""
+"""Least sigma of a point, since variances are divisors."""
 _DEPTH_SPACINGS, _DEPTH_MM = 1.0, 0.4
-"""Points of one surface differ by a spacing in depth at most, and by 0.4 mm where the spacing is less."""
+"""Largest difference in depth of points of one surface: a spacing, but at least 0.4 mm."""
 _FIRST_CELLS = 1 << 16
 _ROOM_STEP = 1.3
 
@@ -303,7 +298,7 @@ _ROOM_STEP = 1.3
 @refuse_wrong_fields
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedScan:
-    """One scan and where it is: its points p are at rotation · p + translation in the object's frame."""
+    """A scan with its pose: its points p are at rotation · p + translation in the object's frame."""
 
     cloud: OrganisedCloud
     rotation: NDArray[np.float64]
@@ -311,28 +306,30 @@ class PlacedScan:
     translation_mm: NDArray[np.float64]
     """(3,) float64."""
     pose_sigma_mm: float = POSE_SIGMA_MM
-    """Standard deviation of where the placement puts the scan's points, along their normals."""
+    """Standard deviation that the pose adds to the scan's points, along their normals."""
     name: str = ""
     """The scan's name in its object."""
     covariance: NDArray[np.float64] | None = None
-    """(6, 6) float64: of the turn (rad) and the shift (mm) about its own middle, what may bend the object included."""
+    """(6, 6) float64: of rotation (rad) and shift (mm) about the scan's middle, bending of the object included."""
     middle_mm: NDArray[np.float64] | None = None
-    """(3,) float64: that middle, in the object's frame."""
+    """(3,) float64: the scan's middle, in the object's frame."""
 
     __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SigmaShares:
-    """Shares of the points' sigma, each (n,) float32 in mm along the normal; sigma is the root of the sum of their
-    squares."""
+    """Shares of the points' sigma, each (n,) float32 in mm along the normal.
+
+    Sigma is the root of the sum of their squares.
+    """
 
     beside_mm: NDArray[np.float32]
-    """Relative to the points around: noise, and places of scans beside each other."""
+    """Noise relative to the points around, and poses of overlapping scans."""
     place_mm: NDArray[np.float32]
-    """Share of the scan's place in the object."""
+    """Share of the scan's pose in the object."""
     bending_mm: NDArray[np.float32]
-    """Share of the depth error that all scans have in common: what may bend the object without any residual."""
+    """Share of the depth error that all scans have in common: it may bend the object without any residual."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -342,21 +339,20 @@ class FusedCloud:
     points_mm: NDArray[np.float32]
     """(n, 3) float32, at least about a spacing apart."""
     normals: NDArray[np.float32]
-    """(n, 3) float32, unit vectors towards where the surface was seen from."""
+    """(n, 3) float32, unit vectors towards the side from which the surface was seen."""
     sigma_mm: NDArray[np.float32]
-    """(n,) float32: standard deviation along the normal, as the module's head says: in the object's frame where
+    """(n,) float32: standard deviation along the normal, as the module's head defines it: in the object's frame where
     ``shares`` are known."""
     grey: NDArray[np.uint8]
     """(n,) uint8: mean of the scans' grey values, by their variances."""
     views: NDArray[np.uint16]
     """(n,) uint16: the number of scans that saw the point."""
     left_out: int = 0
-    """Points of the scans that have no normal and so take no part."""
+    """Number of points of the scans without a normal, which take no part."""
     first_scan: NDArray[np.uint16] | None = None
-    """(n,) uint16: number of the first scan that saw the point, from 0 in the order in which they were fused; ``None``:
-    not kept."""
+    """(n,) uint16: index of the first scan that saw the point, in the order of fusion; ``None``: not kept."""
     shares: SigmaShares | None = None
-    """``None``: sigma is that relative to the points around, and what is common."""
+    """``None``: sigma is relative to the points around, with the common errors."""
 
     __repr__ = one_line
 
@@ -367,12 +363,12 @@ class FusedCloud:
 
 
 def with_places(cloud: FusedCloud, place_mm: NDArray[np.floating], bending_mm: NDArray[np.floating]) -> FusedCloud:
-    """Return a fused surface whose sigma is that in the object's frame.
+    """Return a fused surface with sigma in the object's frame.
 
     ``place_mm`` and ``bending_mm`` (n,): its further shares, along the normals.
     """
     place, bending = place_mm.astype(np.float32), bending_mm.astype(np.float32)
-    # Its own sigma stays the share that neighbours do not have in common, also where it is called twice.
+    # The relative sigma stays as it is, also on a second call.
     beside = cloud.beside_mm
     return replace(
         cloud, sigma_mm=np.sqrt(beside**2 + place**2 + bending**2), shares=SigmaShares(beside, place, bending)
@@ -395,15 +391,15 @@ def fuse(
     surface = _Surface(spacing_mm)
     left_out = 0
     for number, scan in enumerate(scans, 1):
-        points, without = _placed(scan)
+        points, without = _place(scan)
         left_out += without
         surface.add(points)
         progress(number)
     return surface.cloud(left_out)
 
 
-def _placed(scan: PlacedScan) -> tuple[PointsOfScan, int]:
-    """Return the scan's points with a normal in the object's frame, and how many have none."""
+def _place(scan: PlacedScan) -> tuple[PointsOfScan, int]:
+    """Return the scan's points with a normal, in the object's frame, and the number of points without one."""
     rotation = np.asarray(scan.rotation, np.float64)
     if (
         rotation.shape != (3, 3)
@@ -431,14 +427,14 @@ def _placed(scan: PlacedScan) -> tuple[PointsOfScan, int]:
 
 
 class _Surface:
-    """Discs and the table that finds them, which both grow. Not for several threads."""
+    """Growing discs with the table that finds them. Not for several threads."""
 
     def __init__(self, spacing_mm: float) -> None:
         self._spacing_mm = spacing_mm
         self._depth_mm = max(_DEPTH_MM, _DEPTH_SPACINGS * spacing_mm)
         self._count = self._cell_count = 0
         self._counts: list[int] = []
-        """Number of discs after each scan: discs are founded in order, and never go."""
+        """Number of discs after each scan: discs are founded in order, and never removed."""
         self._cells = _empty_cells(_FIRST_CELLS)
         self._discs = _empty_discs()
 
@@ -468,10 +464,10 @@ class _Surface:
         room = int(_ROOM_STEP * self._count) + more
         arrays: list[NDArray[Any]] = list(self._discs)
         self._discs = _empty_discs()
-        # One array after the other, the old one let go: all of them twice at once would be the peak of the memory.
-        for k, one in enumerate(arrays):
-            grown = np.empty((room, *one.shape[1:]), one.dtype)
-            grown[: self._count] = one[: self._count]
+        # Grow one array after the other and free the old ones: both copies of all at once would be the peak of memory.
+        for k, array in enumerate(arrays):
+            grown = np.empty((room, *array.shape[1:]), array.dtype)
+            grown[: self._count] = array[: self._count]
             arrays[k] = grown
         self._discs = Discs(*arrays)
 
@@ -490,8 +486,8 @@ class _Surface:
 
 
 def _empty_discs() -> Discs:
-    floats, whole = np.empty(0, np.float32), np.empty(0, np.int32)
-    return Discs(floats.reshape(0, 3), floats.reshape(0, 3), floats, floats, np.empty(0, np.uint16), whole, whole)
+    floats, integers = np.empty(0, np.float32), np.empty(0, np.int32)
+    return Discs(floats.reshape(0, 3), floats.reshape(0, 3), floats, floats, np.empty(0, np.uint16), integers, integers)
 
 
 def _empty_cells(length: int) -> CellTable:

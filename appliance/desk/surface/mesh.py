@@ -1,4 +1,4 @@
-"""Owns what a mesh is, and the mesh of one scan from its own pixel grid: two triangles a cell, none across a step."""
+"""Mesh of triangles, and the mesh of one scan from its own pixel grid: two triangles a cell, none across a step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from appliance.measure import OrganisedCloud
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles, each vertex with what is known about it.
+    """Triangles, with normal, sigma and grey value of each vertex.
 
     The corners of a face go round counter-clockwise seen from outside.
     """
@@ -25,7 +25,7 @@ class Mesh:
     faces: NDArray[np.int32]
     """(m, 3) int32: rows of ``vertices_mm``."""
     normals: NDArray[np.float32]
-    """(n, 3) float32 unit vectors out of the surface, to where it was seen from; NaN where unknown."""
+    """(n, 3) float32 unit vectors out of the surface, to the side from which it was seen; NaN where unknown."""
     sigma_mm: NDArray[np.float32]
     """(n,) float32: of a scan's mesh along the ray, of an object's along the normal."""
     grey: NDArray[np.uint8]
@@ -35,18 +35,18 @@ class Mesh:
 
 
 def mesh_of_scan(cloud: OrganisedCloud) -> Mesh:
-    """Return the mesh of one scan, in its frame; points that are in no triangle are left out, holes stay open.
+    """Return the mesh of one scan, in its frame; points without a triangle are left out, holes stay open.
 
     A cell of four pixels has two triangles, or one where a corner is missing or stands off by a step: both sides of a
-    triangle along the grid join pixels that see one surface (``steps.py``). Of both diagonals the one that gives more
-    triangles is taken, else the shorter one. The points are those of the scan, unmoved.
+    triangle along the grid join pixels that see one surface (``steps.py``). The diagonal is taken that gives more triangles,
+    else the shorter one. The points are those of the scan, unmoved.
     """
     same = connected(cloud)
     top, bottom, left, right = same.right[:-1], same.right[1:], same.down[:, :-1], same.down[:, 1:]
     falling = (top & right).astype(np.uint8) + (left & bottom)
     rising = (top & left).astype(np.uint8) + (right & bottom)
     p = cloud.points_mm
-    # NaN, where a corner is missing, is no shorter diagonal; the number of triangles has decided by then.
+    # With a missing corner (NaN) the number of triangles has decided already.
     shorter = _length2(p[:-1, :-1], p[1:, 1:]) <= _length2(p[:-1, 1:], p[1:, :-1])
     fall = (falling > rising) | ((falling == rising) & shorter)
     h, w = cloud.shape
@@ -59,7 +59,7 @@ def mesh_of_scan(cloud: OrganisedCloud) -> Mesh:
         (~fall & top & left, (a, c, b)),
         (~fall & right & bottom, (b, c, d)),
     )
-    faces = np.concatenate([np.stack([one[where] for one in three], axis=1) for where, three in corners])
+    faces = np.concatenate([np.stack([index[where] for index in three], axis=1) for where, three in corners])
     used = np.zeros(h * w, np.bool_)
     used[faces.reshape(-1)] = True
     row = np.cumsum(used, dtype=np.int32) - 1
@@ -74,6 +74,6 @@ def mesh_of_scan(cloud: OrganisedCloud) -> Mesh:
 
 
 def _length2(p: NDArray[np.float32], q: NDArray[np.float32]) -> NDArray[np.float32]:
-    way = p - q
-    found: NDArray[np.float32] = np.einsum("yxk,yxk->yx", way, way)
-    return found
+    offset = p - q
+    squared: NDArray[np.float32] = np.einsum("yxk,yxk->yx", offset, offset)
+    return squared

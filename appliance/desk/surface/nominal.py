@@ -1,10 +1,8 @@
-"""Owns a nominal surface: the triangles that something was to have, with the normals that tell its inside from its
-outside.
+"""Nominal surface: triangles with the normals that separate inside from outside.
 
-Whether a point lies inside or outside of the nearest triangle is undecided where an edge or a corner is nearest: each
-of the triangles there may say otherwise. The pseudonormals decide it: of an edge the sum of both triangles' normals, of
-a corner the sum of all, each by its angle (J. A. Bærentzen and H. Aanæs, "Signed distance computation using the angle
-weighted pseudonormal", 2005).
+Where an edge or a corner is nearest to a point, its triangles may disagree whether the point is inside. The
+pseudonormals decide it: of an edge the sum of both triangles' normals, of a corner the sum of all, each by its angle
+(J. A. Bærentzen and H. Aanæs, "Signed distance computation using the angle weighted pseudonormal", 2005).
 """
 
 from __future__ import annotations
@@ -45,53 +43,55 @@ class Nominal:
     origin_mm: NDArray[np.float64]
     """(3,) float64, whole metres: place of the vertices' (0, 0, 0) in the frame of the file.
 
-    Far from a frame's origin single precision is too coarse for points; about this one it is not.
+    Far from a frame's origin single precision is too coarse for points; relative to this place it is fine enough.
     """
 
     __repr__ = one_line
 
 
 def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any], origin_mm: NDArray[np.float64] | None = None) -> Nominal:
-    """Return the nominal surface of triangles: (v, 3) mm and (m, 3) rows of them. Triangles without area are left out.
+    """Return the nominal surface of triangles: (v, 3) mm and (m, 3) rows of them, without triangles of no area.
 
-    Vertices at exactly the same place become one: STL files know no neighbours. Raises ValueError where nothing is
-    left.
+    Vertices at exactly the same place become one, since STL files have no neighbours. Raises ValueError if no triangle
+    remains.
     """
     places, place_of = np.unique(np.asarray(vertices_mm, np.float64), axis=0, return_inverse=True)
-    whole = place_of.reshape(-1)[np.asarray(faces, np.int64)]
-    a, b, c = (places[whole[:, k]] for k in range(3))
+    corners_of = place_of.reshape(-1)[np.asarray(faces, np.int64)]
+    a, b, c = (places[corners_of[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     length = np.linalg.norm(across, axis=1)
-    kept = length > _LEAST_AREA
-    if not kept.any():
+    has_area = length > _LEAST_AREA
+    if not has_area.any():
         raise ValueError("no triangle has an area")
-    whole, normals = whole[kept], across[kept] / length[kept, None]
+    corners_of, normals = corners_of[has_area], across[has_area] / length[has_area, None]
 
-    following = np.roll(whole, -1, axis=1)
-    edge = np.stack([np.minimum(whole, following), np.maximum(whole, following)], axis=-1).reshape(-1, 2)
-    # One number for both ends is sorted many times faster than pairs.
+    following = np.roll(corners_of, -1, axis=1)
+    edge = np.stack([np.minimum(corners_of, following), np.maximum(corners_of, following)], axis=-1).reshape(-1, 2)
+    # Sorting one number for both ends is many times faster than sorting pairs.
     _, edge_of, shared_by = np.unique(edge[:, 0] * len(places) + edge[:, 1], return_inverse=True, return_counts=True)
     edge_of = edge_of.reshape(-1)
     open_edges = (shared_by[edge_of] == 1).reshape(-1, 3)
     open_corners = np.zeros(len(places), np.bool_)
-    open_corners[whole[open_edges]] = open_corners[following[open_edges]] = True
+    open_corners[corners_of[open_edges]] = open_corners[following[open_edges]] = True
     of_edges = np.zeros((int(edge_of.max()) + 1, 3))
     np.add.at(of_edges, edge_of, np.repeat(normals, 3, axis=0))
 
     of_corners = np.zeros_like(places)
     for k in range(3):
-        here, one, other = (places[whole[:, (k + j) % 3]] for j in range(3))
-        to, fro = one - here, other - here
-        cosine = np.einsum("nk,nk->n", to, fro) / (np.linalg.norm(to, axis=1) * np.linalg.norm(fro, axis=1))
-        np.add.at(of_corners, whole[:, k], np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * normals)
+        corner, next_corner, last_corner = (places[corners_of[:, (k + j) % 3]] for j in range(3))
+        to_next, to_last = next_corner - corner, last_corner - corner
+        cosine = np.einsum("nk,nk->n", to_next, to_last) / (
+            np.linalg.norm(to_next, axis=1) * np.linalg.norm(to_last, axis=1)
+        )
+        np.add.at(of_corners, corners_of[:, k], np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * normals)
     origin = np.zeros(3) if origin_mm is None else origin_mm
     return Nominal(
-        places, whole, normals, of_edges[edge_of].reshape(-1, 3, 3), of_corners, open_edges, open_corners, origin
+        places, corners_of, normals, of_edges[edge_of].reshape(-1, 3, 3), of_corners, open_edges, open_corners, origin
     )
 
 
 def nominal_of_mesh(mesh: Mesh) -> Nominal:
-    """Return a mesh as the surface that others are compared with. Raises ValueError for one without triangles."""
+    """Return a mesh as a nominal surface. Raises ValueError for one without triangles."""
     return nominal_of(mesh.vertices_mm, mesh.faces)
 
 

@@ -1,4 +1,4 @@
-"""Owns the normals of an organised cloud. Each is the normal of a plane fitted to the points around a pixel.
+"""Normals of an organised cloud, each of a plane that is fitted to the points around a pixel.
 
 Only points on the same surface are used. A neighbour counts if a path leads to it from the middle pixel, outwards, from
 pixel to pixel, without crossing a step in depth (``steps.py``).
@@ -21,15 +21,15 @@ RADIUS_PX = 2
 """Half of a window's side less the middle: 5 x 5 pixels."""
 LEAST_POINTS = 6
 LEAST_SPREAD = 0.05
-"""Least determinant of the points' spread over its largest possible value: less is a line, about which a plane may
-turn."""
+"""Least determinant of the points' spread over its largest possible value: less is a line, about which a plane could
+rotate."""
 
 
 def normals(cloud: OrganisedCloud, same: Connected | None = None, radius_px: int = RADIUS_PX) -> NDArray[np.float32]:
     """Return the unit normals (h, w, 3) float32 of a cloud, in its frame, towards the camera; NaN where unknown.
 
-    ``same``: what ``connected`` found, where it is there already. Unknown are pixels without a point, and those with
-    less than ``LEAST_POINTS`` around them or with all of them in a line. Raises ValueError for a window of less than 3
+    ``same``: the result of ``connected``, if it is known. Unknown are pixels without a point, and those with less than
+    ``LEAST_POINTS`` around them or with all of them in a line. Raises ValueError for a window of less than 3
     x 3 or more than 15 x 15 pixels.
     """
     if not 1 <= radius_px <= 7:
@@ -41,14 +41,14 @@ def normals(cloud: OrganisedCloud, same: Connected | None = None, radius_px: int
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _reach(
+def _mark_connected(
     right: NDArray[np.bool_], down: NDArray[np.bool_], y: int, x: int, radius: int, reached: NDArray[np.bool_]
 ) -> None:
-    """Mark the pixels of the window (2 radius + 1 squared) about (y, x) that ways without steps lead to."""
+    """Mark the pixels of the window (2 radius + 1 squared) about (y, x) that paths without steps lead to."""
     h, w = down.shape[0] + 1, right.shape[1] + 1
     reached[:] = False
     reached[radius, radius] = True
-    # Outwards, ring by ring of the city-block distance, so that the way to the pixel before is known.
+    # Outwards, ring by ring of the city-block distance, so that the path to the previous pixel is known.
     for distance in range(1, 2 * radius + 1):
         for dy in range(-min(distance, radius), min(distance, radius) + 1):
             far = distance - abs(dy)
@@ -77,7 +77,7 @@ def _planes(
     radius: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Write the normal of every pixel whose plane is known to ``out``; symbols as at the module's head."""
+    """Write the normal of every pixel whose plane is determined to ``out``; symbols as at the module's head."""
     h, w = points.shape[0], points.shape[1]
     reached = np.zeros((2 * radius + 1, 2 * radius + 1), np.bool_)
     for y in range(h):
@@ -85,7 +85,7 @@ def _planes(
             px, py, pz = float(points[y, x, 0]), float(points[y, x, 1]), float(points[y, x, 2])
             if not np.isfinite(pz):
                 continue
-            _reach(right, down, y, x, radius, reached)
+            _mark_connected(right, down, y, x, radius, reached)
             # The frame of the ray: e lies in the plane of x and z, f = u × e.
             length = np.sqrt(px * px + py * py + pz * pz)
             ux, uy, uz = px / length, py / length, pz / length

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from appliance.base.libraries import MissingLibraryError
-from appliance.desk.export.content import CAMERA_FRAME, About
+from appliance.desk.export.content import CAMERA_FRAME, Metadata
 from appliance.desk.export.files import write_mesh, write_scan, write_scans, write_surface
 from appliance.desk.export.formats import ExportError, require_library
 from appliance.desk.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
@@ -30,7 +30,7 @@ from tests.support.e57 import read_e57
 from tests.support.solids import Ball, looking, seen
 
 UM = 0.001
-ABOUT = About("scan 000007", CAMERA_FRAME, ("calibration abc", "water – 10 °C"))
+ABOUT = Metadata("scan 000007", CAMERA_FRAME, ("calibration abc", "water – 10 °C"))
 ABOUT_AS_JSON = {"title": "scan 000007", "frame": CAMERA_FRAME, "unit": "mm", "notes": list(ABOUT.notes)}
 
 
@@ -188,7 +188,7 @@ def test_a_cloud_without_scale_has_its_unit_in_every_file(cloud: OrganisedCloud,
 
 def test_what_spoils_a_cloud_is_said_in_the_same_words_in_every_file(cloud: OrganisedCloud, tmp_path: Path) -> None:
     """Whoever looks for ``unchecked: `` finds it, whatever the suffix, and however long the line is."""
-    lines = About("t", "f", ("n" * 300,), ("m" * 2001, "m" * 1999)).lines("mm")
+    lines = Metadata("t", "f", ("n" * 300,), ("m" * 2001, "m" * 1999)).lines("mm")
     assert [len(line) for line in lines] == [len("t: unit mm, f"), 2000, 1999, 200]
     mark = f"unchecked: one direction only{', and more' * 30}"
     spoilt = replace(ABOUT, marks=(mark, "wrong: a start"))

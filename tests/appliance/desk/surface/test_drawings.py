@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from appliance.desk.surface.drawing_file import NominalError, checked_drawing
+from appliance.desk.surface.drawing_file import NominalError, check_drawing
 from appliance.desk.surface.drawings import read_triangles
 from appliance.desk.surface.nominal import nominal_of, read_nominal
 
@@ -113,10 +113,10 @@ def test_a_file_of_more_than_two_gigabytes_is_refused_before_it_is_opened(tmp_pa
     path = tmp_path / "large.stl"
     with path.open("wb") as file:
         file.truncate(2 * 1024**3)  # a hole: nothing is written
-        assert checked_drawing(path) == ".stl"
+        assert check_drawing(path) == ".stl"
         file.truncate(2 * 1024**3 + 1)
     with pytest.raises(NominalError, match="larger than 2147483648 bytes"):
-        checked_drawing(path)
+        check_drawing(path)
 
 
 def test_triangles_without_area_are_left_out() -> None:
