@@ -1,1 +1,1 @@
-"""Everything that happens in the process beside the service: scans in, clouds and verdicts out."""
+"""The worker: the process beside the service that makes clouds and verdicts of scans."""

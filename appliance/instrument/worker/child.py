@@ -1,8 +1,8 @@
-"""Owns child processes: their life, and whether they get on.
+"""Child processes: start, messages, end, and the check that they make progress.
 
-ChildProcess            one process: started with a pipe, spoken to, listened to, ended, killed where it does not end
+ChildProcess            one process: started with a pipe, sends and receives, killed if it does not end
 Liveness                one rule: while a process owes an answer, it shows progress within a limit
-own_memory_mb, cpu_s    what a process takes of the machine, as Linux tells it
+own_memory_mb, cpu_s    memory and processor time of a process, by Linux
 """
 
 from __future__ import annotations
@@ -27,30 +27,33 @@ KILL_TIMEOUT_S = 2.0
 
 
 class ChildGone(Exception):
-    """The process ended by itself; its text says with which code."""
+    """The process ended by itself; the text gives its exit code."""
 
 
 def _begin(module: str, function: str, pipe: Connection, packed: bytes) -> None:
-    """Run a function of a module that this process has not imported yet; ``packed`` are its arguments after the pipe."""
+    """Run a function of a module that this process has not imported yet.
+
+    ``packed``: its arguments after the pipe, pickled.
+    """
     use_one_blas_thread(os.environ)
     with importing():
         main = getattr(import_module(module), function)
-        # Opened here and not by the spawning: to open them imports the modules of their classes, and with them NumPy,
-        # which asks once and for all how many threads it may have.
+        # Unpickled here and not by the spawning: that imports the modules of their classes, and NumPy reads the number
+        # of threads only once, when it is imported.
         arguments = pickle.loads(packed)
     main(pipe, *arguments)
 
 
 class ChildProcess:
-    """One process at a time that runs ``main(pipe, *arguments)``, a function of a module, in a fresh interpreter until
-    its pipe closes.
+    """One process at a time that runs ``main(pipe, *arguments)`` until its pipe closes.
 
-    One thread starts, listens and stops; ``send`` may be called by any.
+    ``main``: a function of a module, run in a fresh interpreter. One thread starts, receives and stops; ``send`` may be
+    called by any.
     """
 
     def __init__(self, name: str, main: Callable[..., None]) -> None:
         self._name, self._main = name, main
-        # A fresh interpreter: a fork would take along GL, device handles and locks of threads that are not there.
+        # A fresh interpreter: a fork would inherit GL, device handles and locks of threads that it does not have.
         self._context = multiprocessing.get_context("spawn")
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
@@ -58,18 +61,18 @@ class ChildProcess:
 
     @property
     def runs(self) -> bool:
-        """There is a process, as far as was noticed."""
+        """True if there is a process, as far as is known."""
         return self._process is not None
 
     @property
     def pid(self) -> int | None:
-        """The process's number; ``None`` while there is none."""
+        """The process id; ``None`` while there is none."""
         return self._process.pid if self._process is not None else None
 
     def start(self, *arguments: Any) -> None:
         """Start the process, with these arguments after its end of the pipe.
 
-        Raises OSError where there is no room for one.
+        Raises OSError if the system has no resources for it.
         """
         packed = pickle.dumps(arguments)
         ours, theirs = self._context.Pipe()
@@ -81,24 +84,24 @@ class ChildProcess:
             ours.close()
             raise
         finally:
-            # The child has its own copy: with this one open, the pipe would not end when the child does.
+            # The child has its own copy; with this one open, the pipe would outlive the child.
             theirs.close()
         self._pipe, self._process = ours, process
 
     def send(self, message: object) -> None:
-        """Say ``message``; lost where nobody listens any more, which ``receive`` will notice."""
+        """Send ``message``; it is lost if the process has ended, which ``receive`` will notice."""
         pipe = self._pipe
         if pipe is None:
             return
         try:
-            # Two camera threads and the heartbeat speak: a message of one must not come into the middle of another's.
+            # Two camera threads and the service's main thread send; their messages must not mix.
             with self._sending:
                 pipe.send(message)
         except OSError:
             return
 
     def receive(self) -> object | None:
-        """Return the next thing it said, ``None`` where it said nothing; never waits for words. Raises ChildGone."""
+        """Return the next message, ``None`` if there is none; never waits. Raises ChildGone."""
         pipe, process = self._pipe, self._process
         if pipe is None or process is None:
             return None
@@ -111,9 +114,9 @@ class ChildProcess:
         return None
 
     def stop(self, patience_s: float = 0.0) -> None:
-        """Close the pipe, which ends a process that listens, and kill one that is still there after ``patience_s``."""
+        """Close the pipe, which ends a process that listens; kill it if it still runs after ``patience_s``."""
         pipe, process = self._pipe, self._process
-        # Forgotten first: a camera thread that sends meanwhile finds no process, not one that is being killed.
+        # Cleared first, so that a camera thread does not send to a process that is being killed.
         self._pipe = self._process = None
         if pipe is not None:
             pipe.close()
@@ -125,16 +128,15 @@ class ChildProcess:
 
 
 def own_memory_mb(pid: int) -> float | None:
-    """Return the resident memory of a process without what it shares with others, MB; ``None`` when it is not there any
-    more."""
+    """Return the resident private memory of a process, MB; ``None`` if it has ended."""
     status = _read(pid, "status")
     kb = {line.split(":")[0]: line.split()[1] for line in status.splitlines() if line.startswith("Rss")}
-    # proc(5): VmRSS = RssAnon + RssFile + RssShmem; the last one is the frame store and the points.
+    # proc(5): VmRSS = RssAnon + RssFile + RssShmem; the last one is shared: the frame store and the points.
     return (int(kb.get("RssAnon", "0")) + int(kb.get("RssFile", "0"))) / 1000.0 if kb else None
 
 
 def cpu_s(pid: int) -> float | None:
-    """Return the processor time of a process so far, all its threads; ``None`` when it is not there any more."""
+    """Return the processor time of a process and its threads so far; ``None`` if it has ended."""
     fields = _read(pid, "stat").rpartition(")")[2].split()  # the name before may hold spaces
     if len(fields) < 13:
         return None
@@ -149,23 +151,23 @@ def _read(pid: int, name: str) -> str:
 
 
 LOOK_S = 2.0
-"""Least time between two looks at the processor time."""
+"""Least time between two readings of the processor time."""
 SHARE = 0.05
-"""Share of the time between two looks that a process uses a processor if it gets on; one that hangs uses none."""
+"""Share of a processor from which a process counts as computing; one that hangs uses none."""
 
 
 class Liveness:
-    """Judge of one process.
+    """Check that one process makes progress. Called by one thread.
 
-    Progress is a message, or processor time; the latter alone counts for so long only, since a computation may go on
-    for ever. Called by one thread.
+    Progress is a message, or processor time. The latter alone counts for a limited time, since a computation may never
+    end.
     """
 
     def __init__(self, clock: Clock, used_s: Callable[[], float]) -> None:
-        """``used_s`` returns the processor time of the process so far."""
+        """Begin without a duty; ``used_s`` returns the processor time of the process so far."""
         self._clock, self._used_s = clock, used_s
         self._limits_s: tuple[float, float] | None = None
-        """Longest time without progress, and without a message; ``None``: nothing is owed."""
+        """Longest time without progress, and without a message; ``None``: no answer is due."""
         self._since_ns = self._progress_ns = self._looked_ns = clock.now_ns()
         self._cpu_s = 0.0
         self._computed = False
@@ -177,17 +179,19 @@ class Liveness:
         self._cpu_s, self._computed = self._used_s(), False
 
     def rest(self) -> None:
-        """Expect nothing from now on."""
+        """Expect no answer from now on."""
         self._limits_s, self._since_ns = None, self._clock.now_ns()
 
     @property
     def rested_s(self) -> float:
-        """Time since which nothing is owed; 0 while something is."""
+        """Time for which no answer has been due; 0 while one is."""
         return (self._clock.now_ns() - self._since_ns) / 1e9 if self._limits_s is None else 0.0
 
     def late(self, grace_s: float = 0.0) -> str | None:
-        """Return in words why the process does not get on, for longer than it may by ``grace_s``; ``None``: it does, or
-        owes nothing."""
+        """Return the reason why the process counts as stuck, in words; ``None``: it does not.
+
+        ``grace_s``: time added to the limits.
+        """
         if self._limits_s is None:
             return None
         self._look()
@@ -199,7 +203,7 @@ class Liveness:
         return None
 
     def computed(self) -> bool:
-        """Return whether the process was seen to use a processor since this was asked last."""
+        """Return True if the process has used a processor since the last call."""
         self._look()
         computed, self._computed = self._computed, False
         return computed

@@ -1,11 +1,11 @@
-"""Owns the messages between the worker process and its parent, pickled on one pipe.
+"""Messages between the worker process and its parent, pickled on one pipe.
 
-    WorkOrder, WorkLimits    what a worker is started for, and the bounds of what it may take
+    WorkOrder, WorkLimits    setup of a worker, and its limits
     Begin … Ping             orders to the worker
     Ready, Pong, …           its signs of life; its results are ``appliance.measure.News``
 
-A ticket numbers the sequences that were begun; news of an earlier one are of no interest any more. Pixels and points
-are never in a message: frames lie in the shared store, clouds in shared memory, where ``Found`` says which part.
+A ticket numbers the sequences; news of an earlier one are ignored. Messages contain no pixels or points: frames are in
+the shared store, clouds in shared memory, where ``Found`` names the part.
 """
 
 from __future__ import annotations
@@ -27,52 +27,56 @@ from appliance.measure import (
 
 @dataclass(frozen=True, slots=True)
 class WorkOrder:
-    """Everything a worker must know to reconstruct scans; another order needs another worker."""
+    """Setup of a worker to reconstruct scans; a changed one needs another worker."""
 
     calibration: Calibration
     water: Water
     sequence: PatternSequence
     noise: StereoNoise = TYPICAL_PAIR
-    """Noise of the cameras as they are set."""
+    """Noise of the cameras with their settings."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkLimits:
-    """The bounds of what a worker may take; beyond, it is started again."""
+    """Limits of a worker; beyond one of them it is started again."""
 
     start_s: float = 240.0
-    """A cold start without compiled kernels takes most of a minute, and more on a busy machine."""
+    """Longest start; without compiled kernels it takes most of a minute, and more on a busy computer."""
     cloud_s: float = 10.0
-    """Longest time from one step to the next of those that lead from the last frame to the full cloud; a hundred times
-    what they take."""
+    """Longest step between the last frame and the full cloud; a hundred times of what it takes."""
     computing_s: float = 60.0
-    """The same where it is seen to compute: on a processor that is throttled, or shared."""
+    """The same while the worker uses a processor: it may be throttled, or shared."""
     alive_s: float = 5.0
-    """Longest time from a question to its answer while it has nothing to do."""
+    """Longest time to answer a ping while idle."""
     memory_mb: float = 1000.0
-    """Largest memory of its own, MB; the shared frames do not count. Compensating a scan of 1600 × 1200 takes 740."""
+    """Largest private memory, MB; the shared frames do not count.
+
+    Motion compensation of a scan of 1600 × 1200 takes 740.
+    """
     start_memory_mb: float = 1500.0
-    """The same until it is ready: without compiled kernels, the compiler is in it, too."""
+    """The same until it is ready: without compiled kernels, it includes the compiler."""
 
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """The order to the worker: the frames of a new sequence will follow."""
+    """Order to the worker: the frames of a new sequence will follow."""
 
     ticket: int
     settings: AcquisitionSettings
     second: bool = False
-    """True if the frames are the second exposure of the scan begun last, and lie in the second place of the store."""
+    """True if the frames are the second exposure of the latest scan, in the second part of the store."""
     belongs_to: int | None = None
-    """Number of the scan's object: it is compared with the scan before where that is of the same one, or both are of
-    none."""
+    """Number of the scan's object.
+
+    The scan is compared with the one before if both belong to the same object, or to none.
+    """
 
 
 @dataclass(frozen=True, slots=True)
-# No ticket: the pipe keeps the order, so that what follows a ``Begin`` belongs to it. Answers need one, since they
-# cross with orders that are on their way.
+# No ticket: the pipe keeps the order, so that messages after a ``Begin`` belong to it. Answers need one, since they
+# cross with orders.
 class FrameStored:
-    """The order to the worker: frame ``index`` of the camera ``side`` is in the store."""
+    """Order to the worker: frame ``index`` of the camera ``side`` is in the store."""
 
     side: str
     index: int
@@ -80,52 +84,51 @@ class FrameStored:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """The order to the worker: all frames are there; say everything that is to be said of them."""
+    """Order to the worker: all frames are there; send all facts about them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """The order to the worker: nobody wants the sequence any more."""
+    """Order to the worker: the sequence is no longer needed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Keep:
-    """The order to the worker: the diver keeps the scan begun last, and the next one is to be compared with it."""
+    """Order to the worker: the diver keeps the latest scan, with which the next one is to be compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class LookAt:
-    """The order to the worker: the diver aims at what the live picture in the shared memory shows, and wants to be
-    guided."""
+    """Order to the worker: give guidance from the live image in the shared memory."""
 
     taken_ns: int
-    """Time at which the picture was put there; ``LiveGuidance``, the answer, carries it."""
+    """Time of the image; the answer ``LiveGuidance`` carries it."""
     shape: tuple[int, int]
-    """Height and width of the picture, px."""
+    """Height and width of the image, px."""
     belongs_to: int
-    """Number of the object that the next scan will be of."""
+    """Number of the object of the next scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class CloudCopied:
-    """The order to the worker: the full cloud was copied, and its memory may be used again."""
+    """Order to the worker: the full cloud was copied, and its memory may be used again."""
 
     ticket: int
 
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """The order to the worker: answer ``Pong``."""
+    """Order to the worker: answer ``Pong``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The worker's report: what every scan needs is loaded, and buffers are allocated. Its parent hands it on."""
+    """Report of the worker: it is loaded, and buffers are allocated. Its parent passes it on."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pong:
-    """The worker's report: it is there."""
+    """Report of the worker: it is alive."""
 
 
 ToWorker = Begin | FrameStored | Finish | Drop | Keep | LookAt | CloudCopied | Ping

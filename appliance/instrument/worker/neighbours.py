@@ -1,10 +1,10 @@
-"""Owns what the worker does in its pauses: it compares scans, and looks at live images of a diver who aims.
+"""Work of the worker in its pauses: comparing scans, and guidance from live images.
 
-    Neighbours    the scan that was kept last and the one in hand, as small copies: how much of the new one lies on it
-    Onlooker      the live images: where the diver aims, with what the neighbours have kept
+    Neighbours    the scan that was kept last and the one in hand, as small copies, and their overlap
+    LiveGuide     guidance from live images, by the overlap with the scan that was kept last
 
-A new scan is noted in passing (25 ms at 1600 × 1200, behind the full cloud). Everything else is done piece by piece
-while there is nothing else to do: a message waits for one piece at most, and a scan that begins ends it.
+A new scan is copied after its full cloud (25 ms at 1600 × 1200). The rest is done in small pieces while the worker is
+idle: a message waits for one piece at most, and a new scan ends the work.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Neighbours:
     """The scan that was kept last and the one in hand, of one object or of none. Used by one thread."""
 
     def __init__(self, calibration: Calibration, water: Water, sequence: PatternSequence, stride_px: int) -> None:
-        """``stride_px``: distance of a coarse cloud's points."""
+        """Prepare for one calibration; ``stride_px``: distance of a coarse cloud's points."""
         self._projection = projection_of(calibration.rig.left, water.index, calibration.rig.volume)
         self._sequence, self._stride_px = sequence, stride_px
         self._coarse: Cloud | None = None
@@ -57,19 +57,23 @@ class Neighbours:
         self._object = belongs_to
 
     def coarse(self, cloud: Cloud) -> None:
-        """Note the coarse cloud of the scan in hand, before anything else takes its place."""
+        """Store the coarse cloud of the scan in hand."""
         self._coarse = cloud
 
-    def whole(self, frames: NDArray[np.uint8]) -> None:
-        """Note the left ``frames`` (n, h, w) of the scan in hand, all of whose work is done, and get ready to compare
-        it."""
+    def add_full(self, frames: NDArray[np.uint8]) -> None:
+        """Store a small copy of the finished scan in hand, and prepare its comparison.
+
+        ``frames``: those of the left camera, (n, h, w).
+        """
         if self._coarse is None:
             return
         begun_s = time.process_time()
-        # The four steps of a sine add up to even light: another picture like the bright one, some tenths of a second
-        # later.
-        others = frames[list(self._sequence.axis(Direction.X).sine)]
-        self._new = coarse_view(self._coarse, self._stride_px, frames[self._sequence.bright], others, self._projection)
+        # The sum of the four sine frames is evenly illuminated: another image like the bright frame, some tenths of a
+        # second later.
+        sine_frames = frames[list(self._sequence.axis(Direction.X).sine)]
+        self._new = coarse_view(
+            self._coarse, self._stride_px, frames[self._sequence.bright], sine_frames, self._projection
+        )
         self._coarse = None
         if self._kept is not None and self._kept_object == self._object:
             self._work = compare(self._kept, self._new)
@@ -80,17 +84,17 @@ class Neighbours:
         if self._new is not None:
             self._kept, self._kept_object = self._new, self._object
 
-    def kept(self, belongs_to: int) -> CoarseView | None:
-        """Return the scan that was kept last where it is of that object; ``None``: there is none."""
+    def kept_view(self, belongs_to: int) -> CoarseView | None:
+        """Return the scan that was kept last if it belongs to that object, else ``None``."""
         return self._kept if self._kept_object == belongs_to else None
 
     @property
-    def waits(self) -> bool:
-        """There is a piece of work left."""
+    def has_work(self) -> bool:
+        """True if a piece of work is left."""
         return self._work is not None
 
     def go_on(self) -> ScanOverlap | None:
-        """Do one piece; returns the answer with the last one."""
+        """Do one piece; the last one returns the result."""
         if self._work is None:
             return None
         begun_s = time.process_time()
@@ -110,8 +114,8 @@ class _Look:
     guidance: Guidance | None = None
 
 
-class Onlooker:
-    """Looks at live pictures with what the ``neighbours`` have kept. Used by one thread."""
+class LiveGuide:
+    """Guidance from live images, by the scan that ``neighbours`` have kept. Used by one thread."""
 
     def __init__(self, calibration: Calibration, water: Water, neighbours: Neighbours) -> None:
         rig = calibration.rig
@@ -121,22 +125,22 @@ class Onlooker:
         self._look: _Look | None = None
 
     def begin(self) -> None:
-        """Give up what is in work: a scan begins, and what is seen after it is seen from elsewhere."""
+        """End the current work: a scan begins, after which the instrument is elsewhere."""
         self._look = None
         self._guide.forget()
 
     def look(self, order: LookAt, picture: NDArray[np.uint8]) -> None:
-        """Get ready to look at a live ``picture`` (h, w) uint8, instead of one that is in work."""
-        kept = self._neighbours.kept(order.belongs_to)
-        self._look = _Look(order.taken_ns, iter(()) if kept is None else self._guide.look(kept, picture))
+        """Prepare to evaluate a live ``picture`` (h, w) uint8, in place of the current one."""
+        kept_view = self._neighbours.kept_view(order.belongs_to)
+        self._look = _Look(order.taken_ns, iter(()) if kept_view is None else self._guide.look(kept_view, picture))
 
     @property
-    def waits(self) -> bool:
-        """There is a piece of work left."""
+    def has_work(self) -> bool:
+        """True if a piece of work is left."""
         return self._look is not None
 
     def go_on(self) -> LiveGuidance | None:
-        """Do one piece; returns the answer with the last one."""
+        """Do one piece; the last one returns the result."""
         look = self._look
         if look is None:
             return None

@@ -1,13 +1,12 @@
-"""Owns the warm process in which scans are reconstructed, so that computing never delays a vertical blank.
+"""The parent's end of the worker, a warm process in which scans are reconstructed.
 
     ReconstructionWorker    the parent's end
-    ScanInWork              the scan begun last
-    Looking                 live images handed to the worker: one at a time, the latest, a third of a processor at most
+    ScanInWork              the latest scan
+    LiveImageRequests       live images for the worker: one at a time, the latest, a third of a processor at most
 
-The parent sends small messages; pixels stay in the shared frame store and points come back through shared memory. A
-worker that dies, does not get on or takes too much memory is killed and started again, and the scan it had is processed
-again from the raw frames, which are untouched by all of that. The child's side is ``serve``; ``Liveness`` judges
-whether it gets on.
+In a process of its own, computing never delays a vertical blank. The parent sends small messages; frames and points are
+in shared memory. A worker that dies, hangs or takes too much memory is killed and started again, and its scan is
+processed again from the raw frames. The child's side is ``serve``; ``Liveness`` checks that it makes progress.
 """
 
 from __future__ import annotations
@@ -58,31 +57,31 @@ from appliance.measure import (
 from drivers.api import Clock
 
 EVERY_S, SHARE = 0.4, 1.0 / 3.0
-"""Least time from one picture to the next, and the most of a processor that looking at them may take."""
+"""Least time between two images, and the largest share of a processor for evaluating them."""
 LIMIT_S = 5.0
-"""Longest wait for an answer before another picture is handed over."""
+"""Longest wait for an answer before another image is sent."""
 
 
-class Looking:
-    """The parent's account of live pictures. Called by one thread."""
+class LiveImageRequests:
+    """Decides when a live image may be sent to the worker. Called by one thread."""
 
     def __init__(self) -> None:
         self._taken_ns: int | None = None
-        """Time of the picture whose answer is awaited; ``None``: none is."""
+        """Time of the image whose answer is awaited; ``None``: none is."""
         self._from_ns = 0
-        """Time from which the next one may be handed over."""
+        """Time from which the next one may be sent."""
 
     def may(self, now_ns: int) -> bool:
-        """Return whether a picture may be handed over now."""
+        """Return True if an image may be sent now."""
         return now_ns >= self._from_ns
 
     def ask(self, shape: tuple[int, int], belongs_to: int, now_ns: int) -> LookAt:
-        """Return the order to look at a picture (h, w) that lies in its place, for an object of that number."""
+        """Return the order for an image (h, w) in the shared memory, for an object of that number."""
         self._taken_ns, self._from_ns = now_ns, now_ns + round(LIMIT_S * 1e9)
         return LookAt(now_ns, shape, belongs_to)
 
     def awaits(self, answer: LiveGuidance) -> bool:
-        """Take note of an answer; returns False where nobody waits for it any more."""
+        """Record an answer; return False if it is outdated."""
         if answer.taken_ns != self._taken_ns:
             return False
         self._taken_ns = None
@@ -99,34 +98,33 @@ MEMORY_CHECK_S = 0.5
 MOST_ATTEMPTS = 2
 """Largest number of attempts at one scan."""
 MOST_FRUITLESS_STARTS = 4
-"""Largest number of starts in a row without a cloud in between; then the worker stays down until the next scan begins.
-"""
+"""Largest number of consecutive starts without a cloud; then the worker stays down until the next scan."""
 POLL_S = 0.002
 MOST_PASSED_OVER = 32
-"""Largest number of messages that one poll passes over because nothing is to be told of them; a scan has some ten."""
+"""Largest number of messages without an event that one poll reads; a scan has some ten."""
 PING_S = 1.0
-"""Time between two questions to a worker with nothing to do whether it is there."""
+"""Time between two pings to an idle worker."""
 
 WorkerEvent = Ready | News | LiveGuidance | WorkerFailure
 
 
 @dataclass(slots=True)
 class ScanInWork:
-    """The scan begun last."""
+    """The latest scan."""
 
     number: int = 0
-    begun: tuple[Begin, ...] = ()
+    orders: tuple[Begin, ...] = ()
     """Order of its sequence, and of its second one, if there is one."""
-    wanted: bool = False
-    """True as long as news of it are."""
-    finishing: bool = False
+    is_wanted: bool = False
+    """True while its results are needed."""
+    is_finishing: bool = False
     """True if all frames of the sequence are there, and the cloud is awaited."""
-    missed: bool = False
-    """True if the worker was started again since: it must be told of all frames once more."""
-    known: bool = False
-    """True if this process found the full cloud: a second sequence can follow without the frames of the first."""
+    is_unsent: bool = False
+    """True if the worker was started again since: it needs all frames announced once more."""
+    has_cloud: bool = False
+    """True if this process made the full cloud: a second sequence can follow without the frames of the first."""
     attempts: int = 1
-    given_up: str | None = None
+    failure: str | None = None
     """Reason why it gets no cloud."""
 
 
@@ -135,22 +133,21 @@ class ReconstructionWorker:
 
     def __init__(self, order: WorkOrder, store: FrameStore, clock: Clock, limits: WorkLimits | None = None) -> None:
         self.order = order
-        """The order that it was started for; ``change`` starts it for another."""
+        """Setup of the worker; ``change`` starts it with another."""
         self.limits = limits or WorkLimits()
-        """May be replaced at any time; what it can still ask for is fixed when it starts."""
+        """May be replaced at any time; the memory that the process may allocate is fixed when it starts."""
         self.restarts = 0
         """Number of times that the process had to be started again."""
         self.coarse: Cloud | None = None
-        """The points of the last ``CoarseCloud``, until another scan begins."""
+        """Points of the last ``CoarseCloud``, until another scan begins."""
         self.full: Cloud | None = None
-        """The points of the last ``FullCloud`` or ``Bracket``, until another scan begins; ``None`` also where both are
-        no cloud."""
+        """Points of the last ``FullCloud`` or ``Bracket``, until another scan begins; ``None`` if both have none."""
         self._store, self._clock = store, clock
         left = order.calibration.rig.left
         self._memory = ParentMemory(left.width_px, left.height_px)
         self._child = ChildProcess("kf-reconstruct", work)
         self._liveness = Liveness(clock, self._used_s)
-        self._looking = Looking()
+        self._image_requests = LiveImageRequests()
         self._starting = False
         self._not_started: str | None = None
         """Reason why there is no process although there should be one."""
@@ -176,25 +173,28 @@ class ReconstructionWorker:
 
     @property
     def pid(self) -> int | None:
-        """Number of the process; ``None`` while there is none."""
+        """Id of the process; ``None`` while there is none."""
         return self._child.pid
 
     @property
     def answers(self) -> bool:
-        """It gets on, or it is known not to be there; false where ``poll`` should have seen that it does not."""
-        # Later than `poll` itself would be: this is for the watchdog, which must not act before the restart does.
+        """False if the process is stuck and ``poll`` should have noticed it."""
+        # With a later limit than in `poll`: the watchdog must not act before the restart.
         return not self._child.runs or self._liveness.late(self.limits.alive_s) is None
 
     def gets_on(self) -> bool:
-        """Return whether the first start, still under way, was seen to take processor time since this was asked last."""
-        # Of the first start only: the self-test waits for that one, and a start that failed before may fail for ever.
+        """Return True if the first start, still under way, has used processor time since the last call."""
+        # For the first start only: the self-test waits for it, and a start that failed before may fail for ever.
         return self._starting and not self._fruitless and self._child.runs and self._liveness.computed()
 
     # ------------------------------------------------------------------------------------- orders
 
     def change(self, order: WorkOrder, store: FrameStore | None = None) -> None:
-        """Start again with another calibration, water or sequence, for cameras of the same size; a scan in work is
-        forgotten. ``store``: where the frames of another sequence will be; the old one is not used any more."""
+        """Start again with another calibration, water or sequence, for cameras of the same size.
+
+        The current scan is dropped. ``store``: the memory for frames of another sequence; the old one is no longer
+        used.
+        """
         self.drop()
         self.order = order
         self._store = store or self._store
@@ -203,24 +203,28 @@ class ReconstructionWorker:
         self._start_again()
 
     def begin(self, scan: int, settings: AcquisitionSettings | None = None, belongs_to: int | None = None) -> None:
-        """Expect a new scan's frames, taken so (``None``: as always). ``belongs_to``: number of its object."""
-        self._looking.stop()
+        """Expect a new scan's frames with these settings (``None``: the defaults).
+
+        ``belongs_to``: number of its object.
+        """
+        self._image_requests.stop()
         self.coarse = self.full = None
         settings = settings or AcquisitionSettings(noise=self.order.noise)
-        self._take_in_work(ScanInWork(scan, (Begin(self._ticket + 1, settings, belongs_to=belongs_to),), wanted=True))
-        self._send(self._scan.begun[0])
+        self._take_in_work(
+            ScanInWork(scan, (Begin(self._ticket + 1, settings, belongs_to=belongs_to),), is_wanted=True)
+        )
+        self._send(self._scan.orders[0])
 
     def begin_second(self, scan: int, settings: AcquisitionSettings) -> None:
-        """Expect a second sequence's frames, of the ``scan`` begun last, whose first ones are still in the store.
+        """Expect a second sequence's frames, of the latest ``scan``, whose first ones are still in the store.
 
         After ``finish``, news of one ``Bracket`` answer.
         """
         second = Begin(self._ticket + 1, settings, second=True)
-        first = replace(self._scan.begun[0], ticket=second.ticket)
-        self._take_in_work(ScanInWork(scan, (first, second), wanted=True, known=self._scan.known))
-        # The process was started since: it has neither maps nor cloud of the first sequence, and makes them from the
-        # frames.
-        if not self._scan.known:
+        first = replace(self._scan.orders[0], ticket=second.ticket)
+        self._take_in_work(ScanInWork(scan, (first, second), is_wanted=True, has_cloud=self._scan.has_cloud))
+        # A process that was started since has no results of the first sequence, and makes them from its frames.
+        if not self._scan.has_cloud:
             self._tell(first)
         self._send(second)
 
@@ -232,36 +236,37 @@ class ReconstructionWorker:
             self._start_again()
 
     def frame(self, side: str, index: int) -> None:
-        """Announce frame ``index`` of ``side``, which is in the store, in the place of the sequence begun last."""
-        # A process that was started meanwhile is told of all frames at once by `finish`: one of the middle would be no
-        # frame 0 to it.
-        if not self._scan.missed:
+        """Announce frame ``index`` of ``side``, which is in the store, for the latest sequence."""
+        # For a process that was started meanwhile, `finish` announces all frames, beginning with frame 0.
+        if not self._scan.is_unsent:
             self._send(FrameStored(side, index))
 
     def finish(self) -> None:
-        """Ask for the facts, as all frames are there and the ledger agrees: the last is the full cloud, or that the
-        scan is lost."""
+        """Request the results, as all frames are there and the ledger agrees.
+
+        The last fact is the full cloud, or that the scan is lost.
+        """
         scan = self._scan
-        if not scan.wanted:
+        if not scan.is_wanted:
             return
-        scan.finishing = True
-        if scan.given_up is not None:
+        scan.is_finishing = True
+        if scan.failure is not None:
             return
         self._expect()
-        if scan.missed:
+        if scan.is_unsent:
             self._tell_again()
         self._send(Finish())
 
     def drop(self) -> None:
-        """Forget the scan that was begun."""
-        self._scan.wanted = self._scan.finishing = False
+        """Drop the latest scan."""
+        self._scan.is_wanted = self._scan.is_finishing = False
         self._expect()
         self._send(Drop())
 
     def keep(self) -> None:
-        """Let the next scan be compared with the one begun last, which the diver keeps.
+        """Let the next scan be compared with the latest one, which the diver keeps.
 
-        A process that was started since knows nothing of it; then nothing is said of the next one.
+        A process that was started since does not have it; then the next one is not compared.
         """
         self._send(Keep())
 
@@ -272,26 +277,25 @@ class ReconstructionWorker:
         self.finish()
 
     def look(self, picture: NDArray[np.uint8], belongs_to: int) -> bool:
-        """Hand over the latest live picture, (h, w) uint8, of a diver who aims at the next scan of an object;
-        ``LiveGuidance`` answers, unless a scan begins before.
+        """Send the latest live image, (h, w) uint8, for guidance to the next scan of an object.
 
-        Returns False where it was not taken: the process is not ready, has something else to do, still looks at the
-        last one, or has taken as much of a processor as it may.
+        ``LiveGuidance`` answers, unless a scan begins before. Returns False if the image was not sent: the process is
+        not ready, is busy, still evaluates the last one, or has used its share of a processor.
         """
         now_ns = self._clock.now_ns()
-        if not self._looking.may(now_ns) or not self._child.runs or self._starting or self._scan.finishing:
+        if not self._image_requests.may(now_ns) or not self._child.runs or self._starting or self._scan.is_finishing:
             return False
-        self._send(self._looking.ask(self._memory.put(picture), belongs_to, now_ns))
+        self._send(self._image_requests.ask(self._memory.put(picture), belongs_to, now_ns))
         return True
 
     def _tell_again(self) -> None:
-        """Announce all frames of the scan, from the first on."""
-        self._scan.missed = False
-        for begun in self._scan.begun:
-            self._tell(begun)
+        """Announce all frames of the scan again."""
+        self._scan.is_unsent = False
+        for order in self._scan.orders:
+            self._tell(order)
 
-    def _tell(self, begun: Begin) -> None:
-        self._send(begun)
+    def _tell(self, order: Begin) -> None:
+        self._send(order)
         for index in range(self._store.shape[0]):
             for side in SIDES:
                 self._send(FrameStored(side, index))
@@ -302,17 +306,16 @@ class ReconstructionWorker:
     # ------------------------------------------------------------------------------------- answers
 
     def poll(self) -> WorkerEvent | None:
-        """Return the next event, or ``None``. Restarts a worker that died or exceeded its limits, and reports that
-        once.
+        """Return the next event, or ``None``; never waits.
 
-        Never waits: the caller is the heartbeat.
+        Restarts a worker that died or exceeded its limits, and reports that once. The service calls this in each cycle.
         """
-        if self._scan.finishing and self._scan.given_up is not None:
-            return self._give_up(self._scan.given_up)
+        if self._scan.is_finishing and self._scan.failure is not None:
+            return self._give_up(self._scan.failure)
         if not self._child.runs:
             return self._restart(self._not_started) if self._not_started is not None else None
-        # What needs no answer is passed over here and now: at a heartbeat for each, an answer behind ten of them would
-        # come 0.2 s late.
+        # Messages without an event are skipped at once: at a cycle for each, an answer behind ten of them would be
+        # 0.2 s late.
         for _ in range(MOST_PASSED_OVER):
             try:
                 message = self._child.receive()
@@ -326,8 +329,7 @@ class ReconstructionWorker:
         return None
 
     def wait(self, timeout_s: float) -> WorkerEvent | None:
-        """Poll for up to ``timeout_s``, for programs without a heartbeat; return the first event, ``None``: there was
-        none."""
+        """Poll for up to ``timeout_s``, for programs without a cycle; return the first event, or ``None``."""
         end_ns = self._clock.now_ns() + int(timeout_s * 1e9)
         while True:
             event = self.poll()
@@ -336,7 +338,7 @@ class ReconstructionWorker:
             self._clock.sleep_s(POLL_S)
 
     def _heard(self, message: object) -> WorkerEvent | None:
-        """Take note of a message, and return what is to be told of it."""
+        """Process a message, and return its event, if any."""
         event: WorkerEvent | None = None
         match message:
             case Ready():
@@ -344,7 +346,7 @@ class ReconstructionWorker:
             case Pong():
                 pass
             case LiveGuidance():
-                event = message if self._looking.awaits(message) else None
+                event = message if self._image_requests.awaits(message) else None
             case News(ticket, fact):
                 event = self._news(fact) if ticket == self._ticket else None
             case WorkerFailure(text):
@@ -355,25 +357,25 @@ class ReconstructionWorker:
         return event
 
     def _news(self, fact: SequenceFact) -> WorkerEvent | None:
-        """Take note of a fact about the scan in work, and return the news of it; ``None``: nothing is to be told."""
+        """Process a fact about the current scan, and return its event, if any."""
         scan = self._scan
         match fact:
             case ReconstructionFailure(fault):
                 return self._give_up(fault.detail)
             case WorkProgress():
                 return None
-            case _ if not scan.wanted:
+            case _ if not scan.is_wanted:
                 return None
             case PatternIdentity(judgement) if judgement.fault is not None:
-                scan.wanted = scan.finishing = False
+                scan.is_wanted = scan.is_finishing = False
             case CoarseCloud(found):
                 self.coarse = self._memory.coarse(found)
             case FullCloud(found) | Bracket(found):
-                self.full = None  # first: its memory may be wanted for the new one
+                self.full = None  # first, since the new one may need its memory
                 if found is not None:
                     self.full = self._memory.full(found)
                 self._send(CloudCopied(self._ticket))
-                scan.finishing, scan.known, self._fruitless = False, True, 0
+                scan.is_finishing, scan.has_cloud, self._fruitless = False, True, 0
             case _:
                 pass
         return News(scan.number, fact)
@@ -381,21 +383,20 @@ class ReconstructionWorker:
     # ------------------------------------------------------------------------------------- its life
 
     def _expect(self) -> None:
-        """Expect of the process what it owes from now on."""
+        """Set the limits for the process's next answer."""
         if self._starting:
-            return  # one start has one limit, whatever is asked meanwhile
-        if self._scan.finishing:
+            return  # a start has its own limit, whatever is requested meanwhile
+        if self._scan.is_finishing:
             self._liveness.owe(self.limits.cloud_s, self.limits.computing_s)
         else:
             self._liveness.rest()
 
     def _check(self) -> WorkerFailure | News | None:
-        """Restart a process that does not get on, or takes too much memory; ask one that has nothing to do whether it
-        is there."""
+        """Restart a process that is stuck or too large; ping one that is idle."""
         why = self._liveness.late() or self._too_large()
         if why is not None:
             return self._restart(why)
-        # Asked only while nothing is awaited: a worker that computes reads no messages.
+        # Only while idle: a worker that computes reads no messages.
         if self._liveness.rested_s > PING_S:
             self._send(Ping())
             self._liveness.owe(self.limits.alive_s, self.limits.computing_s)
@@ -406,10 +407,9 @@ class ReconstructionWorker:
         if self.pid is None or now_ns < self._memory_check_ns:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
-        # A process that has to compile does so before it is ready; loading what is compiled takes no more than scans
-        # do.
+        # Only the start has another limit: it may have to compile kernels.
         most_mb = self.limits.start_memory_mb if self._starting else self.limits.memory_mb
-        # None: it has just ended, which the pipe will say.
+        # None: it has just ended, which the pipe will show.
         used_mb = own_memory_mb(self.pid)
         if used_mb is None or used_mb <= most_mb:
             return None
@@ -420,7 +420,7 @@ class ReconstructionWorker:
 
     def _start(self) -> None:
         order = self.order
-        self._looking.stop()
+        self._image_requests.stop()
         self._child.start(
             encode_calibration(order.calibration),
             order.water,
@@ -430,12 +430,11 @@ class ReconstructionWorker:
             self._memory.name,
             self.limits.memory_mb,
         )
-        self._starting, self._scan.known = True, False
+        self._starting, self._scan.has_cloud = True, False
         self._liveness.owe(self.limits.start_s, self.limits.start_s)
 
     def _start_again(self) -> None:
-        """Start, where a machine that has no room for another process now is a failure of this start, not of the
-        service."""
+        """Start the process; a lack of resources fails this start, not the service."""
         try:
             self._start()
             self._not_started = None
@@ -443,36 +442,36 @@ class ReconstructionWorker:
             self._not_started = f"no process could be started: {error.strerror or error}"
 
     def _restart(self, why: str) -> WorkerFailure | News:
-        """Start again, with the scan in work if it has an attempt left."""
+        """Start again, with the current scan if it has an attempt left."""
         scan = self._scan
-        self._child.stop()  # the heartbeat waits meanwhile
+        self._child.stop()  # the service's cycle waits meanwhile
         self._not_started = None
         self.restarts += 1
-        # Back to 0 by a full cloud alone: a worker that starts well and dies at each scan is not well.
+        # Reset only by a full cloud: a worker that starts and then dies at each scan does not count as healthy.
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS_STARTS:
             return self._give_up(f"the worker failed {self._fruitless} times in a row, the last time because {why}")
         self._start_again()
         why = f"the worker was started again: {why}"
-        # A third process would only keep the diver waiting: the frames can be saved without a cloud.
+        # A third attempt would only keep the diver waiting: the frames can be saved without a cloud.
         if scan.attempts >= MOST_ATTEMPTS:
             return self._give_up(why)
-        if scan.wanted:
+        if scan.is_wanted:
             scan.attempts += 1
-            scan.missed = True
-            if scan.finishing:
+            scan.is_unsent = True
+            if scan.is_finishing:
                 self._tell_again()
                 self._send(Finish())
         return WorkerFailure(why)
 
     def _give_up(self, why: str) -> WorkerFailure | News:
-        """Give up the scan in work.
+        """Give up the current scan.
 
-        That it is lost is told once its frames are all there: before, nobody waits for its points.
+        The loss is reported once all its frames are there: before, its points are not awaited.
         """
         scan = self._scan
-        scan.given_up = why
-        if not scan.finishing:
+        scan.failure = why
+        if not scan.is_finishing:
             return WorkerFailure(why)
-        scan.wanted = scan.finishing = False
+        scan.is_wanted = scan.is_finishing = False
         return News(scan.number, ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, why)))

@@ -1,6 +1,6 @@
-"""Owns the child's side of the warm process: messages in, clouds out, until the pipe closes.
+"""The child's side of the worker: messages in, clouds out, until the pipe closes.
 
-Whatever goes wrong here ends the process with a last message that names it; the parent starts another.
+An error ends the process with a last message that names it; the parent starts another.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from appliance.instrument.worker.messages import (
     Ready,
     ToWorker,
 )
-from appliance.instrument.worker.neighbours import Neighbours, Onlooker
+from appliance.instrument.worker.neighbours import LiveGuide, Neighbours
 from appliance.measure import (
     SIDES,
     AcquisitionSettings,
@@ -68,7 +68,7 @@ from appliance.measure import (
 )
 
 NICENESS = 5
-"""Priority of the process, behind the heartbeat and the cameras."""
+"""Priority of the process, below the service's cycle and the cameras."""
 
 
 def work(
@@ -81,8 +81,10 @@ def work(
     results: str,
     headroom_mb: float,
 ) -> None:
-    """Work as the child's main function. ``headroom_mb``: memory it may still ask for once it is warm, beyond what it
-    has then."""
+    """Run the worker, as the child's main function.
+
+    ``headroom_mb``: memory that it may still allocate once it is warm.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
     os.nice(NICENESS)
     share_freed_memory()
@@ -90,7 +92,7 @@ def work(
     memory = SharedMemory(name=results)
     frame_store = FrameStore(frames, height_px, width_px, attach_to=name)
     try:
-        # In a function of its own: with a view of it alive, shared memory cannot be closed.
+        # In a separate function, whose views end with it: otherwise the shared memory cannot be closed.
         _work(
             pipe,
             decode_calibration(calibration),
@@ -104,7 +106,7 @@ def work(
     except (EOFError, OSError):
         pass  # the parent closed the pipe: the normal end
     finally:
-        gc.collect()  # what points at itself keeps its views until then
+        gc.collect()  # reference cycles keep their views until then
         frame_store.close()
         memory.close()
 
@@ -123,7 +125,7 @@ def _work(
     points = SharedPoints(left.width_px, left.height_px)
     with Pipeline(calibration, water, sequence, table=points.full(memory.buf), noise=noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
-        # So that the first real scan is as fast as the others.
+        # Warm-up, so that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
             nothing = np.zeros(store.shape, np.uint8)
             with compiler_watched() as compiled:
@@ -135,29 +137,29 @@ def _work(
             partial(limit_memory, headroom_mb),
         )
         if compiled():
-            # Not in the pauses of the first scans: what is compiled takes half a minute, not a fraction of a second.
+            # Now instead of in the pauses of the first scans: compiling takes half a minute, loading a fraction of 1 s.
             for run in remaining:
                 run()
             remaining = ()
         pipe.send(Ready())
         neighbours = Neighbours(calibration, water, sequence, pipeline.coarse_stride)
         try:
-            onlooker = Onlooker(calibration, water, neighbours)
+            onlooker = LiveGuide(calibration, water, neighbours)
             picture = LivePicture(memory.buf, points.capacity)
             coarse = points.coarse(memory.buf)
             Server(pipe, processor, store, coarse, remaining, neighbours, (onlooker, picture)).serve()
         except (EOFError, OSError):
             raise
-        except Exception as error:  # the one place where it can still be named
+        except Exception as error:  # the last place where it can be reported
             pipe.send(WorkerFailure(f"{type(error).__name__}: {error}"))
 
 
 @contextmanager
 def _missing(module: str) -> Iterator[None]:
-    """Importing ``module`` fails inside, unless it is there already.
+    """Let an import of ``module`` fail inside, unless it is loaded already.
 
     With its first kernel numba imports all of SciPy's linear algebra, only to see whether ``np.dot`` could be compiled
-    (``numba.np.arraymath``): a sixth of the worker's start and 9 MB, for something that no kernel here uses.
+    (``numba.np.arraymath``): a sixth of the worker's start and 9 MB, for a function that no kernel here uses.
     """
     if module in sys.modules:
         yield
@@ -170,7 +172,7 @@ def _missing(module: str) -> Iterator[None]:
 
 
 class Server:
-    """Does what the messages say, in order. A sequence that is dropped, or followed by another, is not finished."""
+    """Executes the messages in order. A sequence that is dropped, or followed by another, is not finished."""
 
     def __init__(
         self,
@@ -178,32 +180,32 @@ class Server:
         processor: SequenceProcessor,
         store: FrameStore,
         coarse: PointTable,
-        left: Iterable[Callable[[], object]] = (),
+        remaining: Iterable[Callable[[], object]] = (),
         neighbours: Neighbours | None = None,
-        aiming: tuple[Onlooker, LivePicture] | None = None,
+        aiming: tuple[LiveGuide, LivePicture] | None = None,
     ) -> None:
-        """``coarse``: where coarse clouds are left for the parent.
+        """Prepare to serve.
 
-        ``left``: what remains to be loaded; done piece by piece while nothing else is. ``neighbours``: what scans are
-        compared by; ``None``: they are not. ``aiming``: what live pictures are looked at by, and where they lie;
-        ``None``: they are not.
+        ``coarse``: the parent's table for coarse clouds. ``remaining``: functions that load the rest, called one by one
+        in pauses. ``neighbours``: compares scans; ``None``: they are not compared. ``aiming``: guidance, and the live
+        image's place; ``None``: there is no guidance.
         """
         self._pipe, self._processor, self._store = pipe, processor, store
         self._coarse = coarse
         self._neighbours = neighbours
         self._aiming = aiming
-        self._left: deque[Callable[[], object]] = deque(left)
+        self._remaining: deque[Callable[[], object]] = deque(remaining)
         self._in_hand = False
-        """A sequence was begun and is neither finished nor dropped."""
+        """True if a sequence was begun and is neither finished nor dropped."""
         self._ticket = 0
-        """The sequence in work, as the parent numbers them."""
+        """Ticket of the current sequence."""
         self._failed = False
         self._steps: Iterator[SequenceFact] | None = None
-        """Steps that are left of the scan's first sequence; ``None``: all of them."""
+        """Remaining steps of the scan's first sequence; ``None``: all of them."""
         self._first: ProcessedSequence | None = None
-        """The first sequence of the scan in work, once a second one was begun."""
+        """The first sequence of the current scan, once a second one was begun."""
         self._second = False
-        """The frames that come are the second sequence's."""
+        """True if the arriving frames are the second sequence's."""
         self._put_back: deque[ToWorker] = deque()
 
     def serve(self) -> None:
@@ -212,28 +214,30 @@ class Server:
             message = self._put_back.popleft() if self._put_back else self._hear()
             try:
                 self._do(message)
-            except ValueError as error:  # the frames are not what was agreed; the next scan's may be
+            except ValueError as error:  # the frames have a wrong form; those of the next scan may be right
                 self._failed, self._in_hand, self._steps = True, False, None
                 self._tell(ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, str(error))))
 
     def _hear(self) -> ToWorker:
-        """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans,
-        then look at what the diver aims at."""
+        """Return the next message.
+
+        While there is none, and no sequence in hand: load the rest, then compare scans, then evaluate live images.
+        """
         while not self._in_hand and not self._pipe.poll(0.0) and self._did_one_piece():
             pass
         message: ToWorker = self._pipe.recv()
         return message
 
     def _did_one_piece(self) -> bool:
-        """Do a piece of what can wait; returns False where there is none."""
-        if self._left:
-            self._left.popleft()()
-        elif self._neighbours is not None and self._neighbours.waits:
+        """Do one piece of deferred work; return False if there is none."""
+        if self._remaining:
+            self._remaining.popleft()()
+        elif self._neighbours is not None and self._neighbours.has_work:
             overlap = self._neighbours.go_on()
             if overlap is not None:
                 self._tell(overlap)
-        elif self._aiming is not None and self._aiming[0].waits:
-            # Last: a scan's own answer is awaited by who has just kept it.
+        elif self._aiming is not None and self._aiming[0].has_work:
+            # Guidance comes last, since the overlap of a scan is already awaited.
             guidance = self._aiming[0].go_on()
             if guidance is not None:
                 self._say(guidance)
@@ -253,7 +257,7 @@ class Server:
                 if not second:
                     self._first = None
                 elif self._first is None:
-                    # A restarted worker hears of the first sequence again; then this is where its points are found.
+                    # A restarted worker gets the frames of the first sequence again, and computes its points here.
                     self._first = self._work_through_first()
                 self._steps = None
                 self._processor.begin(settings)
@@ -263,7 +267,7 @@ class Server:
                 self._in_hand = False
                 self._finish()
             case Drop():
-                # What still comes of this sequence (frames on their way, Finish) is passed over until the next Begin.
+                # Later messages of this sequence (frames, Finish) are skipped until the next Begin.
                 self._failed, self._in_hand = True, False
             case Keep() if self._neighbours is not None:
                 self._neighbours.keep()
@@ -293,13 +297,13 @@ class Server:
                     coarse = self._processor.cloud(found)
                     if self._neighbours is not None:
                         self._neighbours.coarse(coarse)
-                    # Out of the way of the full cloud, so that nobody waits until the parent has seen this one.
+                    # In another place than the full cloud, so that computing goes on before the parent has read it.
                     self._tell(replace(fact, found=self._coarse.put(coarse)))
                 case FullCloud() | Bracket():
                     self._tell(fact)
-                    # Copied in the time that the parent takes for the points.
+                    # Copied while the parent copies the points.
                     if self._neighbours is not None and self._first is None:
-                        self._neighbours.whole(self._store.frames("left"))
+                        self._neighbours.add_full(self._store.frames("left"))
                     self._await_taken()
                     return
                 case _:
@@ -308,7 +312,7 @@ class Server:
                 return
 
     def _work_through_first(self) -> ProcessedSequence:
-        """Do without a word what was left of the first sequence: all of it, where this process was started since.
+        """Do the remaining work on the first sequence without reporting; all of it after a restart.
 
         Raises ValueError.
         """
@@ -318,29 +322,29 @@ class Server:
         return self._processor.hold()
 
     def _is_unwanted(self) -> bool:
-        """Tell whether the parent has dropped the sequence in work, or begun another one; never waits."""
+        """Return True if the parent has dropped the current sequence, or begun another one; never waits."""
         while self._pipe.poll(0.0):
             if self._ends_work(self._pipe.recv()):
                 return True
         return False
 
     def _await_taken(self) -> None:
-        """Wait until what was found was copied, or nobody wants it any more."""
+        """Wait until the cloud was copied, or is no longer needed."""
         while True:
-            # The parent copies at its next heartbeat; until then the table in shared memory must stay as it is.
+            # The parent copies in its next cycle; until then the table in shared memory must not change.
             message: ToWorker = self._pipe.recv()
             if message == CloudCopied(self._ticket) or self._ends_work(message):
                 return
 
     def _ends_work(self, message: ToWorker) -> bool:
-        """Do what a message wants that was read in the midst of a sequence; returns True where it ends the work on it."""
+        """Handle a message that arrives during work on a sequence; return True if it ends that."""
         match message:
             case Begin() | Drop():
-                # Read here, but meant for `serve`, which does it next.
+                # `serve` executes it next.
                 self._put_back.append(message)
                 return True
             case Keep():
-                # There is nothing to keep before all is done.
+                # A scan can be kept only after the work on it.
                 self._put_back.append(message)
             case Ping():
                 self._say(Pong())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.worker.memory import reduced
 from appliance.instrument.worker.messages import LookAt
-from appliance.instrument.worker.neighbours import Neighbours, Onlooker
+from appliance.instrument.worker.neighbours import LiveGuide, Neighbours
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.guidance import Move, Overlap
 from appliance.measure.light.patterns import build_sequence
@@ -46,14 +46,14 @@ def scan_at(number: int) -> tuple[Cloud, NDArray[np.uint8]]:
 class Between:
     def __init__(self) -> None:
         self.neighbours = Neighbours(CALIBRATION, synthetic.WATER, SEQUENCE, STRIDE_PX)
-        self.onlooker = Onlooker(CALIBRATION, synthetic.WATER, self.neighbours)
+        self.onlooker = LiveGuide(CALIBRATION, synthetic.WATER, self.neighbours)
 
     def take(self, number: int, of: int | None = 1, keep: bool = False) -> None:
         self.neighbours.begin(of)
         cloud, frames = scan_at(number)
         self.neighbours.coarse(cloud)
         in_memory = frames.copy()
-        self.neighbours.whole(in_memory)
+        self.neighbours.add_full(in_memory)
         in_memory[:] = 0  # the next scan's come into the same memory
         if keep:
             self.neighbours.keep()
@@ -62,7 +62,7 @@ class Between:
         for _ in range(MOST_PIECES):
             if (found := self.neighbours.go_on()) is not None:
                 assert found.cpu_s > 0.0
-                assert not self.neighbours.waits
+                assert not self.neighbours.has_work
                 return found.overlap
         raise AssertionError(f"no answer after {MOST_PIECES} pieces")
 
@@ -72,7 +72,7 @@ class Between:
     def looked(self) -> LiveGuidance:
         for _ in range(MOST_PIECES):
             if (found := self.onlooker.go_on()) is not None:
-                assert not self.onlooker.waits
+                assert not self.onlooker.has_work
                 return found
         raise AssertionError(f"no answer after {MOST_PIECES} pieces")
 
@@ -90,7 +90,7 @@ def near() -> NDArray[np.uint8]:
 
 def test_a_scan_is_compared_with_the_one_that_was_kept_and_never_with_one_that_was_rejected(between: Between) -> None:
     between.take(0, keep=True)
-    assert not between.neighbours.waits, "there is none before"
+    assert not between.neighbours.has_work, "there is none before"
     between.take(2)  # and not kept
     between.take(1)
     share = between.compared().share
@@ -109,7 +109,7 @@ def test_scans_of_two_objects_are_not_compared(
 ) -> None:
     between.take(0, before, keep=True)
     between.take(1, now)
-    assert between.neighbours.waits == compared
+    assert between.neighbours.has_work == compared
 
 
 def test_a_new_scan_ends_the_comparison_and_loses_no_neighbour(between: Between) -> None:
@@ -117,7 +117,7 @@ def test_a_new_scan_ends_the_comparison_and_loses_no_neighbour(between: Between)
     between.take(2)
     between.neighbours.go_on()
     between.neighbours.begin(1)
-    assert (between.neighbours.waits, between.neighbours.go_on()) == (False, None)
+    assert (between.neighbours.has_work, between.neighbours.go_on()) == (False, None)
     between.neighbours.keep()  # a scan of which nothing is known yet
     between.take(1)
     assert not between.compared().none
@@ -144,7 +144,7 @@ def test_a_scan_that_begins_ends_it_and_a_later_picture_takes_its_place(
     between.look(1, near)
     assert between.onlooker.go_on() is None
     between.onlooker.begin()
-    assert (between.onlooker.waits, between.onlooker.go_on()) == (False, None)
+    assert (between.onlooker.has_work, between.onlooker.go_on()) == (False, None)
     between.look(2, near)
     between.look(3, near)
     assert between.looked().taken_ns == 3

@@ -42,7 +42,7 @@ def begin(ticket: int) -> say.Begin:
 
 
 class Pieces:
-    """Work of as many pieces as are given, each of which waits to be let through: what neighbours have, or an onlooker once he looks."""
+    """Work of as many pieces as are given, each of which waits to be let through: what neighbours have, or a live guide once it looks."""
 
     def __init__(self, pieces: int, answer: object, wanted: bool = True) -> None:
         self._pieces, self._answer, self._wanted = pieces, answer, wanted
@@ -51,7 +51,7 @@ class Pieces:
         self.reached, self.go = threading.Semaphore(0), threading.Semaphore(0)
 
     @property
-    def waits(self) -> bool:
+    def has_work(self) -> bool:
         return self._wanted and self.done < self._pieces
 
     def begin(self, belongs_to: int | None = None) -> None:
