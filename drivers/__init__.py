@@ -1,1 +1,1 @@
-"""Everything that talks to a device, each behind a protocol of ``drivers.api``."""
+"""The drivers: one package for each device, each behind a protocol of ``drivers.api``."""

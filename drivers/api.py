@@ -1,7 +1,7 @@
-"""Owns the contract between devices and everything above them: protocols and values, no behaviour.
+"""The contract between devices and the product above them: protocols and values, no behaviour.
 
-Concrete drivers live beside this file; the rest of the product sees only these names. Units are in the
-names; ``None`` means missing. Every blocking call has a timeout. See ``docs/protocols``.
+Concrete drivers live beside this file; the rest of the product sees only these names. Units are in the names; ``None``
+means missing. Every blocking call has a timeout. See ``docs/protocols``.
 """
 
 from __future__ import annotations
@@ -38,28 +38,28 @@ class Clock(Protocol):
 
 
 class Date(Protocol):
-    """Date of the calendar, and whether to believe it."""
+    """A date of the calendar, and whether it is reliable."""
 
     @property
     def utc(self) -> datetime.datetime: ...
 
     @property
     def kept(self) -> bool:
-        """True if something from outside (a time server) has set it since power-on and keeps it."""
+        """True if an external source (a time server) has set it since power-on and keeps it."""
 
 
 class Calendar(Protocol):
-    """The date. It may jump, either way, and be of 1970: nothing is timed, ordered or named by it."""
+    """The date. It may jump, either way, and be of 1970: no times, orders or names depend on it."""
 
     def today(self) -> Date:
-        """Never raises: a date that nobody vouches for is not ``kept``."""
+        """Return the date. Never raises: an unreliable date is not ``kept``."""
 
 
 # ------------------------------------------------------------------------------------------- camera
 
 
 class FrameStatus(Enum):
-    """Fate of one frame on its way to the host."""
+    """Status of one frame that was transferred to the host."""
 
     COMPLETE = "complete"
     """Leader, full payload and trailer agree."""
@@ -108,7 +108,7 @@ class CameraSettings:
 
 @dataclass(frozen=True, slots=True)
 class ClockReading:
-    """A camera's own clock, read at some moment between two of the host's."""
+    """A camera's own clock, read at an unknown moment between two times of the host's clock."""
 
     camera_time_ns: int
     host_sent_ns: int
@@ -116,12 +116,12 @@ class ClockReading:
 
     @property
     def offset_ns(self) -> int:
-        """Host minus camera; half of the bracket may be wrong with it."""
+        """Host minus camera; its error is at most half of the bracket."""
         return (self.host_sent_ns + self.host_received_ns) // 2 - self.camera_time_ns
 
     @property
     def bracket_ns(self) -> int:
-        """Duration of the question."""
+        """Time between request and answer."""
         return self.host_received_ns - self.host_sent_ns
 
 
@@ -142,36 +142,40 @@ class CameraSpec:
     serial: str
     trigger_source: str | None = None
     pixel_format: str = "Mono8"
-    """The PFNC name of what the camera sends; more than 8 bits are reduced to the upper 8."""
+    """The PFNC name of the camera's pixel format; more than 8 bits are reduced to the upper 8."""
     offset_x_px: int | None = None
     """First column on the sensor; ``None``: the image lies in its middle."""
     offset_y_px: int | None = None
     features: tuple[tuple[str, FeatureValue], ...] = ()
-    """Features by their SFNC or maker's names, in order, that take the place of built-in settings or follow them; a leading ``?``: may
-    be missing."""
+    """Features by their SFNC or maker's names, in order, that replace built-in settings or follow them; a leading
+    ``?``: may be missing.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class HeldSetting:
-    """One setting as it was asked for, and as the camera holds it."""
+    """One setting as it was requested, and as the camera holds it."""
 
     feature: str
     wanted: FeatureValue | None
-    """Value that was asked for; ``None``: only what it is was asked."""
+    """Requested value; ``None``: the setting was only read."""
     held: FeatureValue | None
     """Value that was read back; ``None``: the camera has no such feature."""
 
 
 @runtime_checkable
 class ReadsBack(Protocol):
-    """A camera that can be asked what it holds of its settings. Not every family can."""
+    """A camera whose settings can be read back. Not every family can."""
 
     def read_back(self) -> tuple[HeldSetting, ...]:
-        """Return every setting that ``configure`` made, in its order, as the camera holds it now. Raises DeviceGone."""
+        """Return every setting that ``configure`` made, in its order, as the camera holds it now.
+
+        Raises DeviceGone.
+        """
 
 
 class Camera(Protocol):
-    """A hardware-triggered camera: all that the service asks of one, of whatever family (``drivers.camera_families``).
+    """A hardware-triggered camera of any family (``drivers.camera_families``).
 
     One thread calls ``next_frame``; the core owns the memory.
     """
@@ -181,21 +185,28 @@ class Camera(Protocol):
 
     @property
     def slow_link(self) -> str | None:
-        """Return what is wrong with a link that is too slow for the images of a scan; ``None``: nothing, or nobody
-        knows."""
+        """The fault of a link that is too slow for the images of a scan; ``None``: no fault, or unknown."""
 
     def health(self) -> Health:
-        """Return what ``kingfisher check`` shows. A lost camera is reported, not raised."""
+        """Return the camera's entry in ``kingfisher check``. A lost camera is reported, not raised."""
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply and return what the camera really set; trigger on, Mono8. Raises DeviceRefused, DeviceGone."""
+        """Apply settings, with trigger on and Mono8, and return those of the camera.
+
+        Raises DeviceRefused, DeviceGone.
+        """
 
     def start(self) -> None:
-        """Flush stale buffers, start the stream, wait for triggers. A running stream is flushed and starts anew, with
-        block ids from their beginning. Raises DeviceError."""
+        """Flush stale buffers, start the stream, wait for triggers.
+
+        A running stream is flushed and starts anew, with block ids from their beginning. Raises DeviceError.
+        """
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
-        """Fill ``slot`` (height, width) uint8 in place. A bad frame is a status; a lost device raises DeviceGone."""
+        """Fill ``slot`` (height, width) uint8 in place.
+
+        A bad frame is a status; a lost device raises DeviceGone.
+        """
 
     def stop(self) -> None:
         """End acquisition. Idempotent. Raises DeviceGone."""
@@ -204,7 +215,7 @@ class Camera(Protocol):
         """Temperature of the camera, ``None`` where it has no sensor. Not while a frame is being read."""
 
     def read_clock(self) -> ClockReading | None:
-        """The clock of the frames' time stamps, ``None`` where it cannot be asked for. Raises DeviceGone."""
+        """Return the clock of the frames' time stamps; ``None`` where it cannot be read. Raises DeviceGone."""
 
 
 # -------------------------------------------------------------------------------------------- board
@@ -212,7 +223,7 @@ class Camera(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BoardTime:
-    """The board's clock, read at some moment between two of the host's."""
+    """The board's clock, read at an unknown moment between two times of the host's clock."""
 
     board_time_us: int
     host_sent_ns: int
@@ -221,7 +232,7 @@ class BoardTime:
 
 @dataclass(frozen=True, slots=True)
 class Vsync:
-    """The latest vertical sync the board saw, and when, in board time; plus the host's bracket of the query."""
+    """The latest vertical sync of the board, with the board's times and the host's times of the query."""
 
     count: int
     board_time_us: int
@@ -241,7 +252,7 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True)
 class LaserState:
-    """Read back from the drivers' current sense."""
+    """State of the lasers, read back from the drivers' current sense."""
 
     left_on: bool
     right_on: bool
@@ -265,7 +276,7 @@ class Telemetry:
 
 @dataclass(frozen=True, slots=True)
 class BoardBooted:
-    """The board was reset: everything it was told is forgotten."""
+    """The board was reset: it has lost all settings and commands."""
 
     firmware: str
     serial: str
@@ -305,10 +316,10 @@ class Board(Protocol):
     def stop(self) -> None: ...
 
     def set_lasers(self, left_on: bool, right_on: bool) -> LaserState:
-        """Switch and return the read-back, which may differ: the caller decides what that means."""
+        """Switch and return the read-back, which may differ; the caller decides about that."""
 
     def next_event(self, timeout_s: float) -> BoardEvent | None:
-        """The oldest unread report, in order; ``None`` after the timeout."""
+        """Return the oldest unread report; ``None`` after the timeout."""
 
 
 # --------------------------------------------------------------------------------------------- keys
@@ -347,7 +358,7 @@ class KeyRelease:
 
 @dataclass(frozen=True, slots=True)
 class KeyStuck:
-    """The key was held longer than 8 s or reported faulty by the pad; masked until it is seen released."""
+    """The key was held longer than 8 s or the pad reported it faulty; masked until it is seen released."""
 
     key: Key
 
@@ -369,8 +380,11 @@ KeyEvent = KeyPress | KeyLongPress | KeyRelease | KeyStuck | KeyFreed | KeysLost
 
 class Keys(Protocol):
     def next_event(self, timeout_s: float) -> KeyEvent | None:
-        """The next event, ``None`` after the timeout. KeysLost comes once; after an unplugged pad's every further call
-        raises DeviceGone, a pad that only fell silent may come back by itself."""
+        """Return the next event; ``None`` after the timeout.
+
+        KeysLost comes once. After an unplugged pad's every further call raises DeviceGone; a pad that only fell silent
+        may come back by itself.
+        """
 
 
 # ------------------------------------------------------------------------------------------- output
@@ -378,7 +392,7 @@ class Keys(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Flip:
-    """The kernel's word that a buffer is on the screen since ``time_ns``."""
+    """The kernel's report that a buffer is on the screen since ``time_ns``."""
 
     index: int
     """Index of the loaded frame (or -1 for a presented image)."""
@@ -425,7 +439,10 @@ class Display(Protocol):
         """(width, height)."""
 
     def present(self, image: NDArray[np.uint8], timeout_s: float) -> Flip:
-        """Show ``image`` (height, width, 3) RGB uint8 at the next vertical blank and wait for it. Raises DeviceGone."""
+        """Show ``image`` (height, width, 3) RGB uint8 at the next vertical blank and wait for it.
+
+        Raises DeviceGone.
+        """
 
 
 # -------------------------------------------------------------------------------------------- wires
@@ -435,14 +452,16 @@ class CardNode(Protocol):
     """An opened DRM node: exactly the system calls the scan-out code makes."""
 
     def ioctl(self, request: int, buffer: bytearray) -> None:
-        """Do the same as ``fcntl.ioctl(fd, request, buffer, True)``; pointers are addresses of this process. Raises
-        OSError."""
+        """Do the same as ``fcntl.ioctl(fd, request, buffer, True)``. Raises OSError.
+
+        Pointers are addresses of this process.
+        """
 
     def map(self, length: int, offset: int) -> memoryview:
         """Map a dumb buffer like ``mmap``: writable, shared."""
 
     def read(self, size: int) -> bytes:
-        """Read like ``os.read`` on a non-blocking descriptor. Raises BlockingIOError when nothing is there."""
+        """Read like ``os.read`` on a non-blocking descriptor. Raises BlockingIOError if there are no data."""
 
     def wait_readable(self, timeout_s: float) -> bool:
         """Wait like ``select``: True when an event can be read."""
@@ -463,7 +482,7 @@ class Wires(Protocol):
     def calendar(self) -> Calendar: ...
 
     def cards(self) -> Sequence[str]:
-        """Paths of all graphics cards that there are."""
+        """Return the paths of all graphics cards."""
 
     def open_card(self, path: str) -> CardNode: ...
 
@@ -473,7 +492,7 @@ WiresOptions = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Statement of a device about itself in ``kingfisher check``."""
+    """A device's entry in ``kingfisher check``."""
 
     device: str
     ok: bool

@@ -1,10 +1,10 @@
-"""Owns the errors of devices: part of the contract (``drivers.api``), and all of it that a reader of rig files needs."""
+"""The errors of devices: the part of the contract (``drivers.api``) that a reader of rig files needs."""
 
 from __future__ import annotations
 
 
 class DeviceError(Exception):
-    """A device failed. ``device`` names it as in the rig file (``camera.left``), ``remedy`` says what to do."""
+    """A device failed. ``device`` names it as in the rig file (``camera.left``), ``remedy`` is the remedy."""
 
     def __init__(self, device: str, message: str, remedy: str) -> None:
         super().__init__(f"{device}: {message}. {remedy}")
@@ -18,8 +18,10 @@ class DeviceGone(DeviceError):
 
 
 class CardGone(DeviceGone):
-    """The whole graphics card, not only an output, no longer answers: its node must be opened anew, and whatever was
-    drawn on it with GL is lost with it."""
+    """The whole graphics card, not only an output, no longer answers.
+
+    Its node must be opened again, and all GL content on it is lost.
+    """
 
 
 class DeviceRefused(DeviceError):

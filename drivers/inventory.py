@@ -1,6 +1,7 @@
-"""Owns the list of what is on the buses, whatever the rig file wants: cameras, serial ports, HID devices, connectors.
+"""The list of devices on the buses: cameras, serial ports, HID devices, connectors.
 
-Nothing is opened for use and nothing is changed; a camera is asked for its serial number, a card for its connectors.
+They need not be in the rig file. No device is opened for use or changed; a camera is asked for its serial number, a
+card for its connectors.
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ from drivers.camera_families import USUAL, lister
 from drivers.output.card import Card
 
 MOST = 32
-"""Number of things of one kind that are listed: a broken hub may enumerate without end."""
+"""Largest number of listed devices of one kind: a broken hub may enumerate without end."""
 
 
 @dataclass(frozen=True, slots=True)
 class OnTheBuses:
-    """Things that are there, each in one line of words; a bus that could not be asked says why in its line."""
+    """The devices on the buses, each in one line of words.
+
+    A bus that could not be read has a line with the reason.
+    """
 
     cameras: tuple[str, ...] = ()
     ports: tuple[str, ...] = ()
@@ -32,8 +36,11 @@ class OnTheBuses:
 
 
 def on_the_buses(wires: Wires, kind: str = USUAL, named: Sequence[str] = ()) -> OnTheBuses:
-    """List what ``wires`` lead to: cameras as the family ``kind`` sees them, and the connectors of every card that there is, and of those that
-    the rig file has ``named`` (``/dev/dri/card0``). Never raises for a device."""
+    """List the cameras of family ``kind``, ports, HID devices, and the connectors of all cards.
+
+    The cards are those of ``wires`` and those that the rig file has ``named`` (``/dev/dri/card0``). Never raises for a
+    device.
+    """
     cards = (*named, *wires.cards())
     return OnTheBuses(
         tuple(_limited(_cameras(wires, kind))),
@@ -52,18 +59,18 @@ def _limited(lines: Iterator[str]) -> Iterator[str]:
 
 
 def _cameras(wires: Wires, kind: str) -> Iterator[str]:
-    # A family that lists nothing of its own is most likely one on USB.
-    own = lister(kind) or lister(USUAL)
-    assert own is not None
+    # A family without a list of its own is most likely on USB.
+    list_cameras = lister(kind) or lister(USUAL)
+    assert list_cameras is not None
     try:
-        yield from own(wires)
+        yield from list_cameras(wires)
     except (DeviceError, usb.core.USBError) as error:
         yield f"cameras of kind {kind} could not be asked: {error}"
 
 
 def _ports() -> Iterator[str]:
-    for port in sorted(serial.tools.list_ports.comports(), key=lambda one: str(one.device)):
-        # Ports of the mainboard have no USB identity, and are there whether anything is plugged in or not.
+    for port in sorted(serial.tools.list_ports.comports(), key=lambda listed_port: str(listed_port.device)):
+        # Ports of the mainboard have no USB identity, and exist with or without a device.
         if port.vid is None:
             continue
         number = f", serial {port.serial_number}" if port.serial_number else ""

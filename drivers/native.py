@@ -1,4 +1,4 @@
-"""Owns the instrument's own wires: the system's USB, HID, graphics card and clock."""
+"""The instrument's own wires: the system's USB, HID, graphics card and clock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class MonotonicClock:
     """``drivers.api.Clock`` over CLOCK_MONOTONIC, the clock of the kernel's flip time stamps."""
 
     def now_ns(self) -> int:
-        """Monotonic time in ns."""
+        """Return the monotonic time in ns."""
         return time.monotonic_ns()
 
     def sleep_s(self, duration_s: float) -> None:
@@ -44,17 +44,17 @@ class NativeWires:
         self.calendar: Calendar = KernelCalendar()
 
     def cards(self) -> tuple[str, ...]:
-        """Paths of all graphics cards that this machine has, by name."""
+        """Return the paths of all graphics cards of this machine, by name."""
         return tuple(sorted(str(path) for path in Path("/dev/dri").glob("card*")))
 
     def open_card(self, path: str) -> CardNode:
-        """The DRM node at ``path``. Raises DeviceGone, DeviceRefused."""
+        """Open the DRM node at ``path``. Raises DeviceGone, DeviceRefused."""
         return DrmNode(path)
 
 
 @contextmanager
 def open(options: WiresOptions) -> Iterator[Wires]:  # the name that rig files use
-    """The instrument's wires; they take no options. Raises DeviceRefused for any."""
+    """Yield the instrument's wires; they take no options. Raises DeviceRefused for any."""
     if options:
         raise DeviceRefused(
             "wires", f"unknown options {', '.join(sorted(options))}", "drivers.native:open takes none; remove them"

@@ -1,8 +1,8 @@
-"""Owns the list of wires that a rig file may name.
+"""The list of wires that a rig file may name.
 
-A rig file is data, often somebody else's. What it names as ``wires`` is called with what it gives as ``wires_options``; were
-any function allowed, reading a rig file would be running it. So the list is part of the program, and a world of its own
-adds itself here (``docs/adr/0003-wires-are-the-only-meeting-point.md``).
+A rig file is data, often from other people. The function that it names as ``wires`` is called with its
+``wires_options``; were any function allowed, reading a rig file would be running it. So the list is part of the
+program, and a new world adds itself here (``docs/adr/0003-wires-are-the-only-meeting-point.md``).
 """
 
 from __future__ import annotations
@@ -17,6 +17,6 @@ REMEDY = f'Correct wires of [rig]; on the instrument it is "{NATIVE}"'
 
 
 def check_registered(name: str) -> None:
-    """Raises DeviceRefused, with the names there are, for any other than a registered one."""
+    """Raise DeviceRefused, with the registered names, for any other one."""
     if name not in REGISTERED:
         raise DeviceRefused("wires", f"{name!r} is not registered; allowed: {', '.join(REGISTERED)}", REMEDY)

@@ -1,4 +1,4 @@
-"""Owns the step from names in a rig file to opened devices: the only place that picks classes.
+"""Opening devices by the names in a rig file: the only place that picks classes.
 
 Every function returns a context manager; the device inside satisfies the protocol of ``drivers.api``.
 """
@@ -31,9 +31,10 @@ __all__ = [
 
 
 def open_wires(name: str, options: WiresOptions) -> AbstractContextManager[Wires]:
-    """The wires that the registered ``module:function`` makes from ``options``.
+    """Return the wires that the registered ``module:function`` makes from ``options``.
 
-    Raises DeviceRefused for a name that is not registered, before anything of it is imported, and where it is not installed.
+    Raises DeviceRefused for a name that is not registered, before its module is imported, and where it is not
+    installed.
     """
     check_registered(name)
     module_name, _, function_name = name.partition(":")
@@ -56,12 +57,12 @@ def open_board(spec: BoardSpec, wires: Wires) -> TriggerBoard:
 
 
 def open_keys(spec: KeysSpec, wires: Wires) -> HidKeypad:
-    """Open the key pad and wait for its first report. Raises DeviceGone, DeviceRefused."""
+    """Open the keypad and wait for its first report. Raises DeviceGone, DeviceRefused."""
     return HidKeypad.open(spec, wires.hidraw, wires.clock)
 
 
 def open_outputs(projector: OutputSpec, display: OutputSpec, wires: Wires) -> Outputs:
-    """Both outputs, unlit until ``open_projector()`` and ``open_display()`` of what ``with`` gives are called.
+    """Return both outputs, unlit until ``open_projector()`` and ``open_display()`` are called.
 
     Two heads may share one card, so they are made together, but each can be opened again on its own.
     """

@@ -1,4 +1,4 @@
-"""Owns the instrument's date, and whether it can be believed: the kernel knows if anything from outside keeps its clock."""
+"""The instrument's date, and whether it is reliable, which the kernel knows."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ STATUS_OFFSET, TIMEX_BYTES = 40, 208
 each), status."""
 STA_UNSYNC = 0x0040
 TIME_ERROR = 5
-"""Value that adjtimex returns while nothing keeps the clock."""
+"""Value that adjtimex returns while no source keeps the clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class KernelDate:
-    """``drivers.api.Date``: the time of CLOCK_REALTIME, and whether the kernel is being told it."""
+    """``drivers.api.Date``: the time of CLOCK_REALTIME, and whether an external source keeps it."""
 
     utc: datetime.datetime
     kept: bool
@@ -30,13 +30,16 @@ class KernelCalendar:
     """``drivers.api.Calendar`` over CLOCK_REALTIME."""
 
     def today(self) -> KernelDate:
-        """The date in UTC."""
+        """Return the date in UTC."""
         return KernelDate(datetime.datetime.now(datetime.UTC), set_from_outside())
 
 
 def set_from_outside() -> bool:
-    """Tell whether a time server or the like keeps the clock. Under water there is none: a date of the battery's clock
-    alone, or of 1970, is written down and marked. Numbers of scans do not depend on it."""
+    """Return True if a time server or the like keeps the clock.
+
+    Under water there is none: a date of the battery's clock alone, or of 1970, is stored and marked. Numbers of scans
+    do not depend on it.
+    """
     timex = ctypes.create_string_buffer(TIMEX_BYTES)  # modes 0: only asks
     try:
         state = ctypes.CDLL(None).adjtimex(timex)
@@ -47,5 +50,5 @@ def set_from_outside() -> bool:
 
 
 def believed(state: int, status: int) -> bool:
-    """Interpret adjtimex's answer: True if the clock can be believed."""
+    """Interpret adjtimex's answer: return True if the clock is reliable."""
     return 0 <= state != TIME_ERROR and not status & STA_UNSYNC

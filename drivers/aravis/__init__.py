@@ -1,4 +1,7 @@
-"""Cameras through the library Aravis: USB3 Vision, GigE Vision, and the camera that the library brings. Features and order of settings are ``drivers.camera``'s."""
+"""Cameras through the library Aravis: USB3 Vision, GigE Vision, and its own simulated camera.
+
+Features and order of settings are those of ``drivers.camera``.
+"""
 
 from drivers.aravis.camera import AravisCamera
 

@@ -1,6 +1,7 @@
-"""Owns what differs between the buses of Aravis: who a camera is, its clock, its link, its block ids, and whether it is still there.
+"""Differences between the buses of Aravis: identity, clock, link, block ids, and lost cameras.
 
-Sources: USB3 Vision 1.0 and GenCP 1.1 (through ``drivers.camera``); GigE Vision 1.2, bootstrap registers, all big-endian.
+Sources: USB3 Vision 1.0 and GenCP 1.1 (through ``drivers.camera``); GigE Vision 1.2, bootstrap registers, all
+big-endian.
 """
 
 from __future__ import annotations
@@ -30,25 +31,34 @@ class Bus(Protocol):
     """One camera's bus."""
 
     def identity(self, features: Features) -> CameraIdentity:
-        """Who the camera says it is. Raises DeviceGone, DeviceRefused."""
+        """Return the camera's identity. Raises DeviceGone, DeviceRefused."""
 
     def slow_link(self, link_speed_mbps: int | None) -> str | None:
-        """Tell what is wrong with a link that is too slow; ``None``: nothing, or nobody knows."""
+        """Return the fault of a link that is too slow; ``None``: no fault, or unknown."""
 
     def read_clock(self, clock: Clock) -> ClockReading | None:
         """Latch the clock of the frames' stamps once; ``None`` where it has no latch. Raises DeviceGone."""
 
     def check(self) -> None:
-        """Ask whether the camera is still there. Raises DeviceGone."""
+        """Raise DeviceGone if the camera is lost."""
 
     def block_id(self, frame_id: int) -> int | None:
-        """Number of a frame from its number on the wire, which grows by one with each; ``None``: it is no frame. One call for each."""
+        """Return the block id of a frame's number on the wire; ``None``: it is no frame.
+
+        Call it once for each frame. Block ids grow by one with each frame.
+        """
 
     def confirm(self, payload_size: int) -> None:
-        """Check that a stream that was just made runs: Aravis does not tell when the camera refused it. Raises DeviceGone, DeviceRefused."""
+        """Check that a new stream runs, since Aravis does not report a refusal.
+
+        Raises DeviceGone, DeviceRefused.
+        """
 
     def prepare(self) -> str:
-        """Choose how images travel, at opening; return it in words, empty where there is nothing to choose. Raises DeviceRefused."""
+        """Choose how images travel, at opening, and return it in words; empty without a choice.
+
+        Raises DeviceRefused.
+        """
 
 
 class UsbBus:
@@ -67,7 +77,7 @@ class UsbBus:
         return CameraIdentity(who.vendor, who.model, who.serial, who.firmware, technology.link_speed_mbps)
 
     def slow_link(self, link_speed_mbps: int | None) -> str | None:
-        """Anything below SuperSpeed is too slow."""
+        """Return the fault of a link below SuperSpeed."""
         return _too_slow(link_speed_mbps, u3v.SUPERSPEED_MBPS, "SuperSpeed")
 
     def read_clock(self, clock: Clock) -> ClockReading | None:
@@ -80,16 +90,19 @@ class UsbBus:
         )
 
     def check(self) -> None:
-        """A register that every camera has is read."""
+        """Read a register that every camera has."""
         _asked(self._device)
 
     def block_id(self, frame_id: int) -> int | None:
-        """Numbers have 64 bits and begin at 0 with each start."""
+        """Return the number itself: it has 64 bits and begins at 0 with each start."""
         return frame_id
 
     def confirm(self, payload_size: int) -> None:
-        """The camera's own word. Aravis 0.8.26 asks for a payload in transfers that need not be multiples of the camera's alignment, and
-        some cameras refuse others."""
+        """Read back whether the camera has enabled the stream.
+
+        Aravis 0.8.26 requests a payload in transfers that need not be multiples of the camera's alignment, and some
+        cameras refuse others.
+        """
         if self._sirm_address is None:
             return
         needs = parse_stream_needs(self._device.read(self._sirm_address, u3v.SIRM_REQUIREMENTS_SIZE))
@@ -101,13 +114,16 @@ class UsbBus:
             )
 
     def prepare(self) -> str:
-        """Images wait in the kernel, several at a time. One transfer after the other was tried: after a damaged trailer nothing came any more."""
+        """Let several images wait in the kernel at a time.
+
+        With one transfer after the other, no image came any more after a damaged trailer.
+        """
         self._device.aravis.call.arv_uv_device_set_usb_mode(self._device.handle, USB_ASYNC)
         return ""
 
 
 class NetworkBus:
-    """GigE Vision, and the camera that Aravis brings, which has the same bootstrap registers without a network."""
+    """GigE Vision, and Aravis' simulated camera, which has the same bootstrap registers."""
 
     def __init__(self, device: AravisDevice) -> None:
         self._device = device
@@ -116,18 +132,21 @@ class NetworkBus:
         self._turns = 0
 
     def identity(self, features: Features) -> CameraIdentity:
-        """Read the bootstrap registers; the speed is what the camera's features tell, in Mbit/s, where they do."""
-        words = {name: _text(self._device, *place) for name, place in _GV_STRINGS.items()}
-        serial = words["serial"] or self._device.listed.serial
+        """Read the bootstrap registers.
+
+        The speed is that of the camera's features, in Mbit/s, if they have it.
+        """
+        strings = {name: _text(self._device, *place) for name, place in _GV_STRINGS.items()}
+        serial = strings["serial"] or self._device.listed.serial
         speed = round(features.number("GevLinkSpeed")) if features.has("GevLinkSpeed") else None
-        return CameraIdentity(words["vendor"], words["model"], serial, words["version"], speed)
+        return CameraIdentity(strings["vendor"], strings["model"], serial, strings["version"], speed)
 
     def slow_link(self, link_speed_mbps: int | None) -> str | None:
-        """Anything below Gigabit is too slow."""
+        """Return the fault of a link below Gigabit Ethernet."""
         return _too_slow(link_speed_mbps, NETWORK_MBPS, "Gigabit Ethernet")
 
     def read_clock(self, clock: Clock) -> ClockReading | None:
-        """Use the latch of the bootstrap registers, in ticks of which the camera tells the frequency."""
+        """Use the latch of the bootstrap registers, in ticks of the camera's frequency."""
         device = self._device
         ticks_hz = _big(device, _GV_TICK_FREQUENCY_HZ)
         if not ticks_hz:
@@ -137,17 +156,23 @@ class NetworkBus:
             lambda: device.write(_GV_TIMESTAMP_CONTROL, _GV_LATCH.to_bytes(4, "big")),
             lambda: _big(device, _GV_TIMESTAMP) * 1_000_000_000 // ticks_hz,
         )
-        # A clock counts from power-on: zero was not latched.
+        # A clock counts from power-on: zero means that it was not latched.
         return reading if reading is not None and reading.camera_time_ns else None
 
     def check(self) -> None:
-        """Aravis asks for a sign of life each second by itself; a camera that gives none for three is no longer ours."""
+        """Check that this process still controls the camera.
+
+        Aravis polls the camera each second; one that does not answer for three seconds is lost.
+        """
         device = self._device
         if self._real and not device.aravis.call.arv_gv_device_is_controller(device.handle):
             raise device.gone("no longer answers over the network")
 
     def block_id(self, frame_id: int) -> int | None:
-        """Sixteen bits go round, from 65535 to 1; block 0 is a packet that tests the way."""
+        """Return the number without wrapping: its 16 bits wrap from 65535 to 1.
+
+        Block 0 is a packet that tests the way.
+        """
         if self._real and frame_id == 0:
             return None
         if self._last - frame_id > _HALF and self._last <= _GV_LAST_BLOCK:
@@ -156,10 +181,13 @@ class NetworkBus:
         return frame_id + self._turns * _GV_LAST_BLOCK
 
     def confirm(self, payload_size: int) -> None:
-        """Packets have room for any size."""
+        """Return at once: packets have room for any size."""
 
     def prepare(self) -> str:
-        """The largest packets that pass the network; the camera must be ours to set."""
+        """Choose the largest packets that pass the network.
+
+        Raises DeviceRefused if another program controls the camera.
+        """
         if not self._real:
             return ""
         device = self._device
@@ -176,7 +204,7 @@ class NetworkBus:
 
 
 def bus_of(device: AravisDevice) -> Bus:
-    """The bus that a device is on."""
+    """Return the bus of a device."""
     return UsbBus(device) if device.listed.protocol == "USB3Vision" else NetworkBus(device)
 
 
@@ -187,7 +215,7 @@ def _too_slow(speed_mbps: int | None, needed_mbps: int, name: str) -> str | None
 
 
 def _latched(clock: Clock, latch: Callable[[], None], value_ns: Callable[[], int]) -> ClockReading | None:
-    """One reading, bracketed by the host's clock; ``None`` where the camera refuses to latch."""
+    """Return one reading, bracketed by the host's clock; ``None`` where the camera refuses to latch."""
     try:
         sent_ns = clock.now_ns()
         latch()

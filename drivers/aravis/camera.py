@@ -1,4 +1,4 @@
-"""Owns one camera behind Aravis from opening to closing: what it is, how it is set, whether it streams."""
+"""One camera behind Aravis from opening to closing: identity, settings and stream."""
 
 from __future__ import annotations
 
@@ -34,17 +34,18 @@ from drivers.camera.pixels import FORMATS
 from drivers.camera.setup import CameraSetup
 
 CLOCK_READINGS = 4
-"""A host that is interrupted in one question is not in all of them."""
+"""Number of readings: a host that is interrupted during one is not during all."""
 
 
 class AravisCamera:
     """A ``drivers.api.Camera`` behind Aravis; open it with ``open`` and close it, or use it in ``with``.
 
-    Settings and start/stop may come from any thread; ``next_frame`` from one. ``start`` waits for a ``next_frame`` that is under way.
+    Settings and start/stop may come from any thread; ``next_frame`` from one. ``start`` waits for a ``next_frame`` that
+    is under way.
     """
 
     def __init__(self, spec: CameraSpec, device: AravisDevice, clock: Clock) -> None:
-        """Read who the camera is and load its description; ``open`` is the usual way in."""
+        """Read the camera's identity and load its description; ``open`` is the usual entry."""
         self._spec = spec
         self._device = device
         self._clock = clock
@@ -67,8 +68,8 @@ class AravisCamera:
     def open(cls, spec: CameraSpec, clock: Clock) -> Self:
         """Find the camera by its serial number on every interface of Aravis and open it.
 
-        A camera that was left streaming by a crashed program is stopped. Raises DeviceGone (not there), DeviceRefused (no library, no
-        permission, in use, not a usable camera).
+        A camera that was left streaming by a crashed program is stopped. Raises DeviceGone (not there), DeviceRefused
+        (no library, no permission, in use, not a usable camera).
         """
         device = find_device(spec.name, spec.serial, library(spec.name))
         try:
@@ -105,13 +106,13 @@ class AravisCamera:
 
     @property
     def slow_link(self) -> str | None:
-        """Return what is wrong with the link, like ``Camera.slow_link``: each bus has its own speed."""
+        """The fault of the link, like ``Camera.slow_link``; each bus has its own limit."""
         return self._bus.slow_link(self._identity.link_speed_mbps)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply ``settings`` and return what the camera really set; a running stream is started anew.
+        """Apply ``settings`` and return those that the camera really has; a running stream is restarted.
 
-        The order is ``drivers.camera.setup``'s. Raises DeviceRefused, DeviceGone.
+        The order is that of ``drivers.camera.setup``. Raises DeviceRefused, DeviceGone.
         """
         with self._lock:
             was_running = self._stream is not None
@@ -130,7 +131,7 @@ class AravisCamera:
             return self._settings
 
     def start(self) -> None:
-        """Start the stream anew, with buffers that nothing was written to, and wait for triggers.
+        """Restart the stream with empty buffers, and wait for triggers.
 
         Raises DeviceRefused (not configured, stream refused), DeviceGone.
         """
@@ -151,15 +152,15 @@ class AravisCamera:
             self._bus.confirm(payload_size)
             self._set_optional_number("TLParamsLocked", 1)
             now = self._bus.read_clock(self._clock)
-            # From now on nothing is thrown away, but what was exposed before this moment is none of this acquisition.
+            # From now on no frame is flushed, but one that was exposed earlier does not belong to this acquisition.
             stream.expect_since(None if now is None else now.camera_time_ns)
             self._features.execute("AcquisitionStart")
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
         """Fill ``slot`` (height, width) uint8, C-contiguous, by one copy.
 
-        A bad frame is a status. Raises DeviceRefused when the stream does not run, DeviceGone when the camera is lost, ValueError for an
-        unusable slot.
+        A bad frame is a status. Raises DeviceRefused when the stream does not run, DeviceGone when the camera is lost,
+        ValueError for an unusable slot.
         """
         with self._reading:
             stream = self._stream
@@ -173,7 +174,7 @@ class AravisCamera:
             self._halt()
 
     def read_back(self) -> tuple[HeldSetting, ...]:
-        """Return what the camera holds of its settings, as ``ReadsBack`` says. Raises DeviceGone, DeviceRefused."""
+        """Return the camera's settings, as ``ReadsBack`` does. Raises DeviceGone, DeviceRefused."""
         with self._lock:
             return self._setup.read_back()
 
@@ -188,16 +189,20 @@ class AravisCamera:
                 return None  # fitted, but not readable in this state: unknown, not zero
 
     def read_clock(self) -> ClockReading | None:
-        """The clock of the frames' time stamps: the reading of several that took the host least time.
+        """Return the clock of the frames' time stamps: the reading of several that took the host least time.
 
         ``None`` where the camera has no time stamp to latch. Raises DeviceGone.
         """
         with self._lock:
             readings = [self._bus.read_clock(self._clock) for _ in range(CLOCK_READINGS)]
-            return min((one for one in readings if one is not None), key=lambda one: one.bracket_ns, default=None)
+            return min(
+                (reading for reading in readings if reading is not None),
+                key=lambda reading: reading.bracket_ns,
+                default=None,
+            )
 
     def health(self) -> Health:
-        """Return what ``kingfisher check`` shows. A lost camera is reported, not raised."""
+        """Return the camera's entry in ``kingfisher check``. A lost camera is reported, not raised."""
         identity, listed = self._identity, self._device.listed
         details = {
             "model": f"{identity.vendor} {identity.model}",
@@ -226,7 +231,7 @@ class AravisCamera:
     # ------------------------------------------------------------------------------------------------- stream
 
     def _payload_size(self, pixels: int) -> int:
-        """Bytes of an image. Raises DeviceRefused where the camera wants to send others."""
+        """Return the bytes of an image. Raises DeviceRefused where the camera would send another number."""
         size = self._format.payload_size(pixels)
         if size is None:
             raise DeviceRefused(
@@ -248,7 +253,7 @@ class AravisCamera:
             self._features.set_number(feature, value)
 
     def _halt(self) -> None:
-        """Stop the acquisition, once nobody waits for a frame of it any more."""
+        """Stop the acquisition after ``next_frame`` has returned."""
         self._end_waiting()
         with self._reading:
             self._halt_now()
@@ -258,7 +263,7 @@ class AravisCamera:
             self._stream.end()
 
     def _halt_now(self) -> None:
-        """Stop whatever state the camera is in; the stream goes, also where the camera is lost."""
+        """Stop the acquisition in any state; the stream is dropped even if the camera is lost."""
         try:
             if self._features.writable("AcquisitionStop"):
                 self._features.execute("AcquisitionStop")
@@ -273,7 +278,10 @@ class AravisCamera:
 
 
 def find_device(name: str, serial: str, aravis: Aravis) -> AravisDevice:
-    """Open the camera with that serial number. Raises DeviceGone, telling which others are there, or DeviceRefused."""
+    """Open the camera with that serial number.
+
+    Raises DeviceGone, which lists the others, or DeviceRefused.
+    """
     if name in aravis.stuck:
         raise DeviceRefused(name, *STUCK)
     with aravis.finding:
@@ -281,47 +289,50 @@ def find_device(name: str, serial: str, aravis: Aravis) -> AravisDevice:
 
 
 def _found(name: str, serial: str, aravis: Aravis) -> AravisDevice:
-    seen: list[str] = []
+    other_serials: list[str] = []
     silent: list[str] = []
     for listed in aravis.cameras():
         device: AravisDevice | None = None
         try:
             if listed.protocol == "USB3Vision" and aravis.serial_of(listed.id) is None:
                 device = AravisDevice(name, aravis, listed)
-            own = _own_serial(aravis, listed, device)
+            own_serial = _own_serial(aravis, listed, device)
         except DeviceError as error:
             silent.append(f"{listed.id}: {error.message}")
             if device is not None:
                 device.close()
             continue
-        if serial in (own, listed.id):
+        if serial in (own_serial, listed.id):
             return device or AravisDevice(name, aravis, listed)
         if device is not None:
             device.close()
         if listed.protocol != BUILT_IN:
-            seen.append(own)
+            other_serials.append(own_serial)
     if silent:
         raise DeviceRefused(
             name,
             f"serial number {serial} not found, and a camera could not be asked for its own ({'; '.join(silent)})",
             "Install the udev rules, or stop the program that uses the camera",
         )
-    others = f"there are {', '.join(sorted(seen))}" if seen else "Aravis sees no camera"
-    raise DeviceGone(name, f"serial number {serial} not found; {others}", "Check the connector and the rig's serial")
+    presence = f"there are {', '.join(sorted(other_serials))}" if other_serials else "Aravis sees no camera"
+    raise DeviceGone(name, f"serial number {serial} not found; {presence}", "Check the connector and the rig's serial")
 
 
 def listed_cameras(aravis: Aravis) -> Iterator[str]:
-    """Yield what Aravis sees, but for the camera of its own: serial number, how it speaks, and where; a camera that cannot be asked says why."""
+    """Yield serial number, protocol and address of every camera but Aravis' simulated one.
+
+    For a camera that cannot be read the reason stands in place of the number.
+    """
     with aravis.finding:
         for listed in aravis.cameras():
             if listed.protocol == BUILT_IN:
                 continue
             try:
-                own = _asked_serial(aravis, listed)
+                own_serial = _asked_serial(aravis, listed)
             except DeviceError as error:
-                own = f"serial number not readable ({error.message})"
+                own_serial = f"serial number not readable ({error.message})"
             protocol = {"USB3Vision": "USB3 Vision", "GigEVision": "GigE Vision"}.get(listed.protocol, listed.protocol)
-            yield f"{own or 'no serial number'} ({protocol}, {listed.address or listed.id})"
+            yield f"{own_serial or 'no serial number'} ({protocol}, {listed.address or listed.id})"
 
 
 def _asked_serial(aravis: Aravis, listed: Listed) -> str:
@@ -332,7 +343,7 @@ def _asked_serial(aravis: Aravis, listed: Listed) -> str:
 
 
 def _own_serial(aravis: Aravis, listed: Listed, device: AravisDevice | None) -> str:
-    """The serial number that a camera itself reports: over USB the library lists another one, that of the bus."""
+    """Return the serial number that a camera itself reports: over USB the library lists that of the bus."""
     if listed.protocol != "USB3Vision":
         return listed.serial
     if device is not None:

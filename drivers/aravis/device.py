@@ -1,4 +1,4 @@
-"""Owns one opened device of Aravis: its register memory, its description, and how a failed call is told."""
+"""One opened device of Aravis: its register memory, its description, and the errors of failed calls."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ from drivers.camera.control import ControlRefused
 from drivers.camera.description import MAX_FILE_SIZE
 
 PIECE = 512
-"""Most bytes asked for at a time: a network camera answers up to 536 in one packet (GigE Vision 1.2, READMEM)."""
+"""Largest number of bytes in one request: a network camera answers up to 536 in one packet (GigE
+Vision 1.2, READMEM).
+"""
 _CONNECTOR = "Check the connector; the camera is opened again by itself"
 _WORD = 4
-"""Bytes in whose multiples a network camera is asked, at addresses that are multiples of it as well (GigE Vision 1.2, READMEM)."""
+"""Address and length of a request to a network camera are multiples of this (GigE Vision 1.2, READMEM)."""
 
 
 class AravisDevice:
     """The register memory of one camera, safe to call from several threads.
 
-    Every method raises DeviceGone (unplugged, silent, or its network control lost) and DeviceRefused (the camera says no).
+    Every method raises DeviceGone (unplugged, silent, or its network control lost) and DeviceRefused (the camera
+    refuses).
     """
 
     def __init__(self, name: str, aravis: Aravis, listed: Listed) -> None:
-        """Open it. Aravis fetches the description by this."""
+        """Open the device; Aravis fetches its description by that."""
         self.name = name
         self.listed = listed
         self.aravis = aravis
@@ -55,14 +58,14 @@ class AravisDevice:
         return self._handle
 
     def close(self) -> None:
-        """Release it; idempotent."""
+        """Release the device; idempotent."""
         with self._lock:
             handle, self._handle = self._handle, None
         if handle is not None:
             self.aravis.release(handle)
 
     def description(self) -> str:
-        """The GenICam description as XML text, as Aravis unpacked it."""
+        """Return the GenICam description as XML text, as Aravis unpacked it."""
         size = ctypes.c_size_t()
         text = self.aravis.call.arv_device_get_genicam_xml(self.handle, ctypes.byref(size))
         if not text or not 0 < size.value <= MAX_FILE_SIZE:
@@ -70,11 +73,11 @@ class AravisDevice:
         return ctypes.string_at(text, size.value).rstrip(b"\0").decode("utf-8-sig", errors="replace")
 
     def read(self, address: int, count: int) -> bytes:
-        """``count`` bytes from ``address``."""
-        # A description may have registers that are neither aligned nor whole words; what lies around them is cut off again.
+        """Return ``count`` bytes from ``address``."""
+        # A description may have registers that are neither aligned nor whole words; the bytes around them are cut off.
         begin, end = address // _WORD * _WORD, -(-(address + count) // _WORD) * _WORD
-        whole = b"".join(self._read(at, min(PIECE, end - at)) for at in range(begin, end, PIECE))
-        return whole[address - begin : address - begin + count]
+        data = b"".join(self._read(position, min(PIECE, end - position)) for position in range(begin, end, PIECE))
+        return data[address - begin : address - begin + count]
 
     def write(self, address: int, data: bytes) -> None:
         """Write ``data`` at ``address``."""
@@ -88,7 +91,7 @@ class AravisDevice:
         return DeviceGone(self.name, why, _CONNECTOR)
 
     def failed(self, what: str, error: AravisError) -> DeviceError:
-        """Return what a failed call means: what the camera answered is a refusal, no answer is a loss."""
+        """Return the error of a failed call: an answer of the camera means a refusal, no answer a loss."""
         answered = error.code == DeviceCode.PROTOCOL_ERROR or (
             DeviceCode.NOT_IMPLEMENTED <= error.code <= DeviceCode.BUSY
         )

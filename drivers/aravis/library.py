@@ -1,7 +1,8 @@
-"""Owns the functions of libaravis 0.8 that are called, with the types of their arguments: nothing else in the program knows it.
+"""The functions of libaravis 0.8 that the driver calls, with the types of their arguments.
 
-Source: the library's reference manual, version 0.8 (``ArvDevice``, ``ArvStream``, ``ArvBuffer``, ``ArvSystem``). ctypes lets go of the interpreter
-during each call, so that one camera's thread waits without holding up the other's.
+No other module calls the library. Source: its reference manual, version 0.8 (``ArvDevice``, ``ArvStream``,
+``ArvBuffer``, ``ArvSystem``). ctypes releases the interpreter lock during each call, so that one camera's thread waits
+without blocking the other's.
 """
 
 from __future__ import annotations
@@ -31,7 +32,10 @@ STUCK = ("Aravis hangs while it ends a stream and keeps the camera", "Switch the
 
 
 class DeviceCode(IntEnum):
-    """``ArvDeviceError``, as far as one is treated in its own way; what the camera itself answered begins with its PROTOCOL_ERROR."""
+    """The codes of ``ArvDeviceError`` that are treated differently.
+
+    An answer of the camera itself is PROTOCOL_ERROR.
+    """
 
     NOT_CONNECTED = 2
     PROTOCOL_ERROR = 3
@@ -58,7 +62,7 @@ class BufferCode(IntEnum):
 
 
 class AravisError(Exception):
-    """A call failed. ``code`` is of ``DeviceCode`` where the error is of the device's domain."""
+    """Error of a failed call. ``code`` is of ``DeviceCode`` where the error is of the device's domain."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
@@ -67,7 +71,7 @@ class AravisError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One camera that the library found. ``protocol`` is ``USB3Vision``, ``GigEVision`` or ``BUILT_IN``."""
+    """One camera in the library's list. ``protocol`` is ``USB3Vision``, ``GigEVision`` or ``BUILT_IN``."""
 
     id: str
     serial: str
@@ -115,10 +119,16 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 
 class Aravis:
-    """The loaded library. Its list of cameras is one for the process, so that it is asked and used under one lock."""
+    """The loaded library.
+
+    Its list of cameras is one for the process, so that it is updated and used under one lock.
+    """
 
     def __init__(self) -> None:
-        """Raises OSError where a library is not installed, AttributeError where it lacks a function."""
+        """Load the library.
+
+        Raises OSError where it is not installed, AttributeError where it lacks a function.
+        """
         functions = ctypes.CDLL(FILE)
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(functions, name)
@@ -130,10 +140,10 @@ class Aravis:
         self._glib.g_error_free.restype, self._glib.g_error_free.argtypes = None, (c_void_p,)
         self._listing = threading.Lock()
         self.finding = threading.Lock()
-        """Held while cameras are opened to be asked for their numbers, which would look like another program's use."""
+        """Held while cameras are opened to read their numbers, which would look like another program's use."""
         self._serials: dict[str, str] = {}
         self.stuck: set[str] = set()
-        """Cameras from the end of whose stream it did not come back: it keeps them as long as this process lives."""
+        """Cameras at the end of whose stream the library hung: it keeps them as long as this process lives."""
         functions.arv_enable_interface(BUILT_IN.encode())
 
     @property
@@ -142,20 +152,25 @@ class Aravis:
         return ".".join(str(getattr(self.call, f"arv_get_{part}_version")()) for part in ("major", "minor", "micro"))
 
     def cameras(self) -> tuple[Listed, ...]:
-        """Every camera on every interface, asked anew: with a network this takes a second."""
+        """Return every camera on every interface. With a network this takes a second."""
         with self._listing:
             self.call.arv_update_device_list()
             return tuple(
-                Listed(*(self._word(what, index) for what in ("id", "serial_nbr", "protocol", "address")))
+                Listed(
+                    *(self._word(property_name, index) for property_name in ("id", "serial_nbr", "protocol", "address"))
+                )
                 for index in range(self.call.arv_get_n_devices())
             )
 
     def serial_of(self, camera_id: str) -> str | None:
-        """Return the serial number that a camera told once; ``None``: not asked yet. What is opened here cannot be asked again."""
+        """Return the serial number that a camera once reported; ``None``: not read yet.
+
+        A camera that is open in this process cannot be read again.
+        """
         return self._serials.get(camera_id)
 
     def remember(self, camera_id: str, serial: str) -> None:
-        """Keep what a camera said."""
+        """Keep the serial number of a camera."""
         self._serials[camera_id] = serial
 
     def open(self, camera_id: str) -> int:
@@ -164,14 +179,14 @@ class Aravis:
             return self.checked(lambda error: self.call.arv_open_device(camera_id.encode(), error))
 
     def release(self, thing: int) -> None:
-        """Give a device back; it goes when nobody else holds it."""
+        """Release a reference to a device; the last one frees it."""
         self._glib.g_object_unref(thing)
 
     def end_stream(self, stream: int, camera: str) -> bool:
-        """Give a camera's stream back; False: the library has not come back from it after ``END_S``, and never will.
+        """Release a camera's stream; return False if the library has hung in that for ``END_S``.
 
-        Aravis 0.8.26 looks whether a cancelled transfer is still out and then waits to be told, without a lock around the two: about one end of
-        a USB stream in a thousand misses its last word.
+        Aravis 0.8.26 checks whether a cancelled transfer is still pending and then waits for its end, without a lock
+        around the two: about one end of a USB stream in a thousand misses the end and waits for ever.
         """
         ending = threading.Thread(target=self.release, args=(stream,), name="kf-aravis-end", daemon=True)
         ending.start()
@@ -181,7 +196,7 @@ class Aravis:
         return camera not in self.stuck
 
     def checked(self, call: Callable[[Any], Any]) -> int:
-        """Return the true result of a call that takes a place for an error. Raises AravisError."""
+        """Return the true result of a call with an error argument. Raises AravisError."""
         error = POINTER(_GError)()
         result = call(ctypes.byref(error))
         if error:
@@ -193,19 +208,22 @@ class Aravis:
             raise AravisError("the library gave no reason", DeviceCode.NOT_FOUND)
         return int(result)
 
-    def _word(self, what: str, index: int) -> str:
-        said = getattr(self.call, f"arv_get_device_{what}")(index)
-        return (said or b"").decode("utf-8", errors="replace").strip()
+    def _word(self, property_name: str, index: int) -> str:
+        text = getattr(self.call, f"arv_get_device_{property_name}")(index)
+        return (text or b"").decode("utf-8", errors="replace").strip()
 
 
 @cache
 def loaded() -> Aravis:
-    """The library, loaded at the first call. Raises what ``Aravis`` raises."""
+    """Return the library, loaded at the first call. Raises the errors of ``Aravis``."""
     return Aravis()
 
 
 def library(device: str) -> Aravis:
-    """The library of this process. Raises DeviceRefused, with the remedy, where it is not installed or too old."""
+    """Return the library of this process.
+
+    Raises DeviceRefused, with the remedy, where it is not installed or too old.
+    """
     try:
         return loaded()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Owns the frames of one running acquisition: buffers that wait in Aravis' queue, and what becomes of each that comes back."""
+"""The frames of one running acquisition: buffers wait in Aravis' queue and return with a status."""
 
 from __future__ import annotations
 
@@ -16,27 +16,31 @@ from drivers.camera.pixels import PixelFormat
 from drivers.camera.usb import TransferBuffer, transfer_buffer
 
 LEAST_BUFFERS = 16
-"""A quarter of a second at 60 Hz: so late may a reader be. What comes when none is free is lost, and its number is missing."""
+"""Number of buffers: a reader may be late by a quarter of a second at 60 Hz. A frame without a free buffer is lost, and
+its number is missing.
+"""
 ROOM = 12 * 1024 * 1024
-"""Bytes of buffers at least, for small images: with less than the 8 MiB that Aravis submits over USB, its thread turns in an empty loop."""
+"""Smallest total size of buffers, for small images: with less than the 8 MiB that Aravis submits over USB, its thread
+spins in an empty loop.
+"""
 LOOK_S = 0.25
-"""Interval after which a camera that sends nothing is asked whether it is still there."""
+"""Time without a frame after which the camera is checked."""
 STALE_LIMIT = 32
-"""Frames of an earlier acquisition that are dropped at most before one is taken as it is."""
+"""Largest number of frames of an earlier acquisition that are dropped in one call."""
 _STATUS = {
     BufferCode.TIMEOUT: FrameStatus.TRUNCATED,
     BufferCode.MISSING_PACKETS: FrameStatus.TRUNCATED,
     BufferCode.SIZE_MISMATCH: FrameStatus.TRUNCATED,
     BufferCode.ABORTED: FrameStatus.TRUNCATED,
 }
-"""Statuses of frames that came short; everything else but success is taken for damaged."""
+"""Statuses of truncated frames; all others but success count as corrupt."""
 
 
 class AravisStream:
     """The frames of one acquisition, for one thread; ``close`` ends it.
 
-    Images lie in the library's buffers when they arrive, for they arrive between two calls as well; one copy, or the reduction of more than
-    8 bits, brings each into the caller's array, and the buffer goes back into the queue.
+    Images arrive in the library's buffers, also between two calls. One copy, or the reduction of more than 8 bits,
+    brings each into the caller's array, and the buffer returns to the queue.
     """
 
     def __init__(
@@ -48,7 +52,10 @@ class AravisStream:
         pixels: PixelFormat,
         payload_size: int,
     ) -> None:
-        """Make the stream and its buffers for images of ``size_px`` (width, height). Raises DeviceGone, DeviceRefused."""
+        """Make the stream and its buffers for images of ``size_px`` (width, height).
+
+        Raises DeviceGone, DeviceRefused.
+        """
         self._device, self._bus, self._clock = device, bus, clock
         self._width_px, self._height_px = size_px
         self._pixels, self._payload_size = pixels, payload_size
@@ -65,21 +72,24 @@ class AravisStream:
             call.arv_stream_push_buffer(self._handle, call.arv_buffer_new_allocate(payload_size))
 
     def end(self) -> None:
-        """Let a reader wait no longer than ``LOOK_S``: from any thread, before ``close``."""
+        """Make a reader return within ``LOOK_S``: from any thread, before ``close``."""
         self._ended = True
 
     def close(self) -> None:
-        """End it, and free its buffers; idempotent. Raises DeviceRefused when the library hangs."""
+        """End the stream and free its buffers; idempotent. Raises DeviceRefused when the library hangs."""
         handle, self._handle = self._handle, None
         if handle is not None and not self._device.aravis.end_stream(handle, self._device.name):
             raise DeviceRefused(self._device.name, *STUCK)
 
     def expect_since(self, camera_ns: int | None) -> None:
-        """Drop frames whose stamp is older than this time of the camera's clock, up to the first one that is not; ``None``: take every one."""
+        """Drop frames that are older than this time of the camera's clock, up to the first that is not.
+
+        ``None``: take every frame.
+        """
         self._since_ns = camera_ns
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
-        """The next frame into ``slot``; see ``drivers.api.Camera``.
+        """Return the next frame, with its image in ``slot``; see ``drivers.api.Camera``.
 
         Raises ValueError for a slot of another shape or kind, DeviceGone when the camera is lost.
         """
@@ -118,7 +128,7 @@ class AravisStream:
         return Frame(FrameStatus.TIMEOUT, None, None, self._clock.now_ns(), "no frame")
 
     def _wait(self, deadline_ns: int) -> int | None:
-        """A buffer that came back; ``None`` after the time. Raises DeviceGone."""
+        """Return the next buffer from the library; ``None`` after the time. Raises DeviceGone."""
         while True:
             left_s = max(0.0, (deadline_ns - self._clock.now_ns()) * 1e-9)
             wait_us = round(min(left_s, LOOK_S) * 1e6)
@@ -132,7 +142,7 @@ class AravisStream:
                 return None
 
     def _judge(self, buffer: int, block_id: int, target: TransferBuffer, received_ns: int) -> Frame:
-        """One verdict per frame; a whole one is brought into ``target``."""
+        """Return the frame of a buffer with its status; a complete image is copied into ``target``."""
         call = self._call
         code = BufferCode(call.arv_buffer_get_status(buffer))
         if code in (BufferCode.UNKNOWN, BufferCode.CLEARED):
@@ -142,23 +152,23 @@ class AravisStream:
             return _frames(None, 0, received_ns)(
                 _STATUS.get(code, FrameStatus.CORRUPT), code.name.lower().replace("_", " ")
             )
-        made = _frames(block_id, int(call.arv_buffer_get_timestamp(buffer)), received_ns)
+        make_frame = _frames(block_id, int(call.arv_buffer_get_timestamp(buffer)), received_ns)
         problem = self._unexpected(buffer)
         if problem:
-            return made(FrameStatus.CORRUPT, problem)
+            return make_frame(FrameStatus.CORRUPT, problem)
         size = ctypes.c_size_t()
         data = call.arv_buffer_get_data(buffer, ctypes.byref(size))
         if size.value < self._payload_size:
-            return made(FrameStatus.TRUNCATED, f"payload of {size.value} of {self._payload_size} bytes")
+            return make_frame(FrameStatus.TRUNCATED, f"payload of {size.value} of {self._payload_size} bytes")
         if self._pixels.reduce is None:
             ctypes.memmove(target.ctypes.data, data, self._payload_size)
         else:
             raw = (ctypes.c_uint8 * self._payload_size).from_address(data)
             self._pixels.reduce(np.ctypeslib.as_array(raw), target)
-        return made(FrameStatus.COMPLETE, "")
+        return make_frame(FrameStatus.COMPLETE, "")
 
     def _unexpected(self, buffer: int) -> str:
-        """Tell what is wrong with the geometry that the frame itself states; empty: nothing."""
+        """Return the fault of the geometry that the frame itself states; empty: none."""
         call = self._call
         pixel_format = int(call.arv_buffer_get_image_pixel_format(buffer))
         if pixel_format != self._pixels.code:
@@ -170,7 +180,10 @@ class AravisStream:
 
 
 def _frames(block_id: int | None, camera_time_ns: int, received_ns: int) -> Callable[[FrameStatus, str], Frame]:
-    """Return a maker of the frame's values. A stamp of 0 is none: the camera keeps no time."""
+    """Return a function that makes the frame from a status.
+
+    A stamp of 0 is none: the camera keeps no time.
+    """
 
     def made(status: FrameStatus, detail: str) -> Frame:
         return Frame(status, block_id, camera_time_ns or None, received_ns, detail)

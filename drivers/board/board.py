@@ -1,4 +1,4 @@
-"""Owns the conversation with the trigger board: who is asked what, what is answered, and whether it still lives."""
+"""The conversation with the trigger board: commands, answers, reports, and the check for its loss."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class BoardRefused(DeviceRefused):
 
 @dataclass(frozen=True, slots=True)
 class BoardCounters:
-    """Damage met since the port was opened."""
+    """Errors on the line since the port was opened."""
 
     damaged_lines: int
     """Lines with a wrong checksum, frame or field, and lines cut off."""
@@ -95,10 +95,10 @@ class BoardCounters:
     lost_reports: int
     """Reports missing in the board's own numbering."""
     late_answers: int
-    """Answers to commands that nobody waits for any more."""
+    """Answers that came after the last attempt of their command."""
     retries: int
     dropped_events: int
-    """Events that were given up because nobody read them."""
+    """Events that were dropped from the full queue."""
 
 
 @dataclass(slots=True)
@@ -114,13 +114,13 @@ class _Exchange:
 class TriggerBoard:
     """A ``drivers.api.Board`` behind a serial port.
 
-    One thread (``kf-board``) reads; commands may come from any thread and go one at a time. After BoardLost
-    because of a vanished port every command raises DeviceGone: close it and open a new one. After BoardLost
-    because of silence the board may come back by itself; its reports then continue.
+    One thread (``kf-board``) reads; commands may come from any thread and go one at a time. After BoardLost because of
+    a vanished port every command raises DeviceGone: close it and open a new one. After BoardLost because of silence the
+    board may come back by itself; its reports then continue.
     """
 
     def __init__(self, spec: BoardSpec, clock: Clock) -> None:
-        """Open the port, start the reader, ask the board who it is. Raises DeviceGone, DeviceRefused."""
+        """Open the port, start the reader and identify the board. Raises DeviceGone, DeviceRefused."""
         self._name = spec.name
         self._clock = clock
         self._events = EventQueue(clock)
@@ -138,7 +138,7 @@ class TriggerBoard:
         self._closing = threading.Event()
         self._url = spec.url
         self._port = _open_port(spec)
-        # Not 0: the board repeats its answer to a number it has just seen, which may be from an earlier program.
+        # Not 0: the board repeats its answer to a number that it has just seen, perhaps from an earlier program.
         self._sequence = (clock.now_ns() // 1_000_000) % SEQUENCE_MODULUS
         self._thread = threading.Thread(target=self._read_forever, name=THREAD_NAME, daemon=True)
         self._thread.start()
@@ -162,7 +162,10 @@ class TriggerBoard:
         self.close()
 
     def close(self) -> None:
-        """End the reader and close the port; idempotent. Lasers and triggers stay as they are: stop them first."""
+        """End the reader and close the port; idempotent.
+
+        Lasers and triggers stay as they are: stop them first.
+        """
         self._closing.set()
         if self._thread is not threading.current_thread():
             self._thread.join(_JOIN_TIMEOUT_S)
@@ -171,7 +174,7 @@ class TriggerBoard:
 
     @property
     def info(self) -> BoardInfo:
-        """Statement of the board about itself when it was opened."""
+        """Identity of the board when it was opened."""
         return self._info
 
     @property
@@ -182,7 +185,7 @@ class TriggerBoard:
 
     @property
     def counters(self) -> BoardCounters:
-        """Damage so far."""
+        """Errors on the line so far."""
         with self._state:
             return BoardCounters(
                 damaged_lines=self._damaged_lines + self._splitter.broken_lines,
@@ -196,10 +199,10 @@ class TriggerBoard:
     # ----------------------------------------------------------------------------------------------- commands
 
     def vsync(self) -> Vsync:
-        """The latest vertical sync, bracketed by host time. Raises BoardRefused (NO_VSYNC), DeviceGone.
+        """Return the latest vertical sync, bracketed by host time. Raises BoardRefused (NO_VSYNC), DeviceGone.
 
-        After a retry the bracket begins with the first attempt: the board repeats an answer as it was, with the
-        times of its first execution.
+        After a retry the bracket begins with the first attempt: the board repeats an answer as it was, with the times
+        of its first execution.
         """
         answer, sent_ns, received_ns = self._ask("VSYNC")
         count, time_us, now_us = self._fields(answer, 3)
@@ -215,7 +218,10 @@ class TriggerBoard:
             raise self._nonsense("VSYNC", error) from error
 
     def read_clock(self) -> BoardTime:
-        """The board's clock now, bracketed by host time; it needs no vertical sync. Raises DeviceGone, DeviceRefused."""
+        """Return the board's clock, bracketed by host time; it needs no vertical sync.
+
+        Raises DeviceGone, DeviceRefused.
+        """
         answer, sent_ns, received_ns = self._ask("PING")
         (time_us,) = self._fields(answer, 1)
         try:
@@ -224,8 +230,11 @@ class TriggerBoard:
             raise self._nonsense("PING", error) from error
 
     def arm(self, pulses: int, at_vsync: int, delay_us: int, width_us: int) -> None:
-        """Fire ``pulses`` (1..64), one per vertical sync from number ``at_vsync`` on, each ``delay_us`` (0..15000)
-        after it and ``width_us`` (50..16000) wide. Raises BoardRefused (busy, past, out of range), DeviceGone."""
+        """Fire ``pulses`` (1..64), one per vertical sync from number ``at_vsync`` on.
+
+        Each is ``delay_us`` (0..15000) after its sync and ``width_us`` (50..16000) wide. Raises BoardRefused (busy,
+        past, out of range), DeviceGone.
+        """
         self._command_echoed("ARM", pulses, at_vsync, delay_us, width_us)
 
     def live(self, every: int, delay_us: int, width_us: int) -> None:
@@ -233,7 +242,7 @@ class TriggerBoard:
         self._command_echoed("LIVE", every, delay_us, width_us)
 
     def stop(self) -> None:
-        """No more pulses. Raises DeviceGone."""
+        """Fire no more pulses. Raises DeviceGone."""
         self._ask("STOP")
 
     def set_lasers(self, left_on: bool, right_on: bool) -> LaserState:
@@ -245,11 +254,11 @@ class TriggerBoard:
             raise self._nonsense("LASER", error) from error
 
     def next_event(self, timeout_s: float) -> BoardEvent | None:
-        """The oldest unread report, in order; ``None`` after the timeout. Overflow: see ``EventQueue``."""
+        """Return the oldest unread report; ``None`` after the timeout. Overflow: see ``EventQueue``."""
         return self._events.get(timeout_s)
 
     def health(self) -> Health:
-        """Return what ``kingfisher check`` shows. A silent board is reported, not raised."""
+        """Return the board's entry in ``kingfisher check``. A silent board is reported, not raised."""
         info, counters, latest = self._info, self.counters, self.latest
         details = {
             "firmware": info.firmware,
@@ -295,7 +304,7 @@ class TriggerBoard:
         return answer.fields[:count]
 
     def _ask(self, verb: str, *fields: str) -> tuple[Sentence, int, int]:
-        """The answer, and the host times before the first sending of its number and after its arrival."""
+        """Return the answer, and the host times before the first sending of its number and after its arrival."""
         with self._command_lock:
             sequence = self._advance()
             sent_ns = self._clock.now_ns()
@@ -311,12 +320,12 @@ class TriggerBoard:
                     self._raise_refusal(answer)
                     return answer, sent_ns, received_ns
                 if exchange.mistaken:
-                    # The board took our number for an earlier command's and executed nothing: another number.
+                    # The board took the number for an earlier command's and did not execute it: use another number.
                     sequence = self._advance()
                     sent_ns = self._clock.now_ns()
         silent = f"no answer to {verb} in {ATTEMPTS} attempts of {ANSWER_TIMEOUT_S * 1000:.0f} ms"
-        if others := self._other_readers():
-            raise DeviceGone(self._name, f"{silent}{others}", "Stop it: it takes the answers")
+        if other_readers := self._other_readers():
+            raise DeviceGone(self._name, f"{silent}{other_readers}", "Stop it: it takes the answers")
         raise DeviceGone(
             self._name,
             silent,
@@ -324,9 +333,9 @@ class TriggerBoard:
         )
 
     def _other_readers(self) -> str:
-        """Return what to add to a message about silence: who else reads the port, or nothing."""
-        others = " and ".join(other_users(self._url))
-        return others and f"; {others} has {self._url} open, too"
+        """Return the addition to a message about silence: other programs that have the port open."""
+        programs = " and ".join(other_users(self._url))
+        return programs and f"; {programs} has {self._url} open, too"
 
     def _advance(self) -> int:
         self._sequence = (self._sequence + 1) % SEQUENCE_MODULUS
@@ -377,7 +386,7 @@ class TriggerBoard:
         heard_ns = self._clock.now_ns()
         silent = False
         while not self._closing.is_set():
-            asked_ns = self._clock.now_ns()
+            read_start_ns = self._clock.now_ns()
             try:
                 data = self._port.read(min(_READ_SIZE, max(1, self._port.in_waiting)))
             except (OSError, TypeError, serial.SerialException) as error:
@@ -390,15 +399,15 @@ class TriggerBoard:
                 if self._take(line, now_ns):
                     heard_ns = now_ns
                     silent = False
-            # A read that found nothing proves silence until it began: since then this thread may have had to wait.
-            if not silent and asked_ns - heard_ns > SILENCE_S * 1e9:
+            # An empty read proves silence until its start: afterwards this thread may have had to wait.
+            if not silent and read_start_ns - heard_ns > SILENCE_S * 1e9:
                 silent = True
                 with self._state:
                     self._latest = None
                 self._events.put(BoardLost(f"no heartbeat for {SILENCE_S} s{self._other_readers()}"))
 
     def _take(self, line: bytes, now_ns: int) -> bool:
-        """Deliver one line; True when it proves that the board is alive (heartbeat or boot banner)."""
+        """Deliver one line; return True when it proves that the board is alive (heartbeat or boot banner)."""
         try:
             sentence = parse_line(line)
             if sentence.kind is Kind.REPORT:

@@ -1,4 +1,4 @@
-"""Owns the sentence of the board's serial line: framing, checksum, and finding the next one after garbage.
+"""The lines of the board's serial port: framing, checksum, and resynchronisation after garbage.
 
 Pure: bytes in, sentences out. Source: ``docs/protocols/board.md``.
 """
@@ -42,12 +42,15 @@ class Sentence:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, initial 0xFFFF, not reflected, no final XOR; ``123456789`` → 0x29B1."""
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, initial 0xFFFF, not reflected, no final XOR.
+
+    ``123456789`` → 0x29B1.
+    """
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def format_line(sentence: Sentence) -> bytes:
-    """The bytes of a sentence. Raises ValueError for what the line cannot carry."""
+    """Return the bytes of a sentence. Raises ValueError for a sentence that the line cannot carry."""
     if not 0 <= sentence.sequence < SEQUENCE_MODULUS:
         raise ValueError(f"sequence number {sentence.sequence}; allowed are 0..{SEQUENCE_MODULUS - 1}")
     for part in (sentence.verb, *sentence.fields):
@@ -61,7 +64,7 @@ def format_line(sentence: Sentence) -> bytes:
 
 
 def parse_line(line: bytes) -> Sentence:
-    """The sentence in ``line``, which runs from ``$`` to ``\\r\\n``. Raises MalformedLine."""
+    """Return the sentence in ``line``, which runs from ``$`` to ``\\r\\n``. Raises MalformedLine."""
     if len(line) > MAX_LINE:
         raise MalformedLine(f"{len(line)} bytes; allowed are {MAX_LINE}")
     if not line.startswith(b"$") or not line.endswith(b"\r\n"):
@@ -86,7 +89,7 @@ def parse_line(line: bytes) -> Sentence:
 
 
 def parse_uint(text: str, largest: int) -> int:
-    """A decimal number 0..``largest``: digits alone, no sign, no blanks. Raises MalformedLine."""
+    """Return a decimal number 0..``largest``: digits alone, no sign, no blanks. Raises MalformedLine."""
     # Bounded before int(): a line of digits is legal ASCII, not a legal number.
     if not text.isascii() or not text.isdigit() or len(text) > 20 or int(text) > largest:
         raise MalformedLine(f"number {text!r}; allowed are 0..{largest}")
@@ -96,7 +99,7 @@ def parse_uint(text: str, largest: int) -> int:
 class LineSplitter:
     """Cuts a stream of bytes into candidate lines; keeps at most one unfinished line.
 
-    Every ``$`` begins a new line, so a half line costs itself alone. ``garbage_bytes`` counts what belongs to no
+    Every ``$`` begins a new line, so that a half line is the only loss. ``garbage_bytes`` counts bytes outside of any
     line, ``broken_lines`` the lines that were cut off or grew too long.
     """
 
@@ -106,7 +109,7 @@ class LineSplitter:
         self.broken_lines = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that ``data`` completes, each from ``$`` to its line feed; not parsed yet."""
+        """Return the lines that ``data`` completes, each from ``$`` to its line feed; not parsed yet."""
         lines: list[bytes] = []
         for byte in data:
             if byte == _START:
@@ -114,7 +117,7 @@ class LineSplitter:
                     self._drop()
                 self._buffer.append(byte)
             elif not self._buffer:
-                # What follows a complete line or a dropped one belongs to nothing.
+                # Bytes after a complete or a dropped line belong to no line.
                 self.garbage_bytes += 1
             else:
                 self._buffer.append(byte)

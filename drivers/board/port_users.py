@@ -1,7 +1,7 @@
-"""Owns who else has a serial port open: what keeps the answers of the board away although it works.
+"""Finding other programs that have the board's serial port open and so take its answers.
 
-A port is locked by those who ask for the lock, and read by anybody who does not (``picocom``, ``cat``): each byte then comes to one of the
-readers, whichever asks first. Linux tells in ``/proc`` which processes have it open, of those that this user may look into.
+A port is locked only against programs that use the lock; any other (``picocom``, ``cat``) may read it: each byte then
+goes to one of the readers. Linux lists in ``/proc`` the open files of those processes that this user may inspect.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ _PROCESSES = Path("/proc")
 
 
 def other_users(port: str) -> tuple[str, ...]:
-    """Return the programs besides this one that have ``port`` (a path) open, as ``name (process number)``; empty where none is known."""
+    """Return the other programs that have ``port`` (a path) open, as ``name (process number)``."""
     try:
-        wanted = Path(port).resolve(strict=True)
-        processes = [one for one in _PROCESSES.iterdir() if one.name.isdigit() and int(one.name) != os.getpid()]
+        resolved_port = Path(port).resolve(strict=True)
+        processes = [entry for entry in _PROCESSES.iterdir() if entry.name.isdigit() and int(entry.name) != os.getpid()]
     except OSError:  # a URL that is no path, or no /proc
         return ()
-    found = []
-    for process in sorted(processes, key=lambda one: int(one.name)):
-        # A process may end meanwhile, and those of other users are closed to us.
+    users = []
+    for process in sorted(processes, key=lambda entry: int(entry.name)):
+        # A process may end meanwhile, and those of other users cannot be read.
         with suppress(OSError):
-            if any(_leads_to(file) == wanted for file in (process / "fd").iterdir()):
+            if any(_leads_to(file) == resolved_port for file in (process / "fd").iterdir()):
                 name = (process / "comm").read_text(encoding="utf-8", errors="replace").strip()
-                found.append(f"{name} (process {process.name})")
-    return tuple(found)
+                users.append(f"{name} (process {process.name})")
+    return tuple(users)
 
 
 def _leads_to(file: Path) -> Path | None:

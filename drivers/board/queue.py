@@ -1,4 +1,4 @@
-"""Owns the reports that nobody has read yet, and what is given up when there are too many."""
+"""The queue of unread reports, and which of them are dropped when there are too many."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ CAPACITY = 256
 class EventQueue:
     """Bounded, ordered, for one or more readers.
 
-    When it is full the oldest *heartbeat* is given up (a newer one says the same better); if there is none, the
-    oldest event. ``dropped`` counts both: no loss is silent.
+    When it is full the oldest *heartbeat* is dropped (a newer one replaces it); if there is none, the oldest event.
+    ``dropped`` counts both: no loss is silent.
     """
 
     def __init__(self, clock: Clock, capacity: int = CAPACITY) -> None:
@@ -36,7 +36,7 @@ class EventQueue:
             self._condition.notify_all()
 
     def get(self, timeout_s: float) -> BoardEvent | None:
-        """The oldest event, or ``None`` after ``timeout_s``."""
+        """Return the oldest event, or ``None`` after ``timeout_s``."""
         with self._condition:
             if not self._clock.wait_for(self._condition, lambda: bool(self._events), timeout_s):
                 return None

@@ -1,4 +1,4 @@
-"""Owns the meaning of the board's reports and answers: sentences in, values of ``drivers.api`` out.
+"""The meaning of the board's reports and answers: sentences in, values of ``drivers.api`` out.
 
 Source: ``docs/protocols/board.md``.
 """
@@ -41,9 +41,9 @@ class BoardInfo:
     capabilities: frozenset[str]
 
 
-def _need(sentence: Sentence, least: int) -> tuple[str, ...]:
-    if len(sentence.fields) < least:
-        raise MalformedLine(f"{sentence.verb} with {len(sentence.fields)} fields, expected {least}")
+def _need(sentence: Sentence, field_count: int) -> tuple[str, ...]:
+    if len(sentence.fields) < field_count:
+        raise MalformedLine(f"{sentence.verb} with {len(sentence.fields)} fields, expected {field_count}")
     return sentence.fields
 
 
@@ -52,7 +52,10 @@ def _on(text: str) -> bool:
 
 
 def parse_report(sentence: Sentence, received_ns: int) -> BoardEvent | None:
-    """The event of a report; ``None`` for a verb this version does not know. Raises MalformedLine."""
+    """Return the event of a report; ``None`` for a verb that this version does not know.
+
+    Raises MalformedLine.
+    """
     match sentence.verb:
         case "PULSE":
             k, vsync, time_us = _need(sentence, 3)[:3]
@@ -89,7 +92,10 @@ def _parse_heartbeat(sentence: Sentence, received_ns: int) -> Telemetry:
 
 
 def parse_sensors(fields: tuple[str, ...]) -> Mapping[str, float | None]:
-    """Parse ``name=value`` fields; a sensor that does not answer (``-``) is ``None``. Raises MalformedLine."""
+    """Parse ``name=value`` fields; a sensor that does not answer (``-``) is ``None``.
+
+    Raises MalformedLine.
+    """
     values: dict[str, float | None] = {}
     for field in fields:
         name, equals, text = field.partition("=")
@@ -111,19 +117,19 @@ def _parse_value(name: str, text: str) -> float:
 
 
 def parse_info(sentence: Sentence) -> BoardInfo:
-    """Raises MalformedLine."""
+    """Parse the answer to INFO. Raises MalformedLine."""
     firmware, serial = _need(sentence, 2)[:2]
     capabilities = sentence.fields[2] if len(sentence.fields) > 2 else ""
     return BoardInfo(firmware, serial, frozenset(filter(None, capabilities.split("+"))))
 
 
 def parse_lasers(sentence: Sentence) -> LaserState:
-    """Raises MalformedLine."""
+    """Parse the answer to LASER. Raises MalformedLine."""
     left, right = _need(sentence, 2)[:2]
     return LaserState(_on(left), _on(right))
 
 
 def parse_refusal(sentence: Sentence) -> tuple[int, str]:
-    """Code and text of a refusal. Raises MalformedLine."""
+    """Return code and text of a refusal. Raises MalformedLine."""
     fields = _need(sentence, 1)
     return parse_uint(fields[0], 9999), ",".join(fields[1:])

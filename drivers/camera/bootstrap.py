@@ -1,4 +1,4 @@
-"""Owns the reading of the bootstrap registers: who the camera is, where its registers and its description lie."""
+"""Reading the bootstrap registers: the camera's identity, and the addresses of its other registers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Technology:
 
 @dataclass(frozen=True, slots=True)
 class StreamNeeds:
-    """Sizes in bytes that a stream needs now, as the SIRM says."""
+    """Sizes in bytes that a stream needs now, from the SIRM."""
 
     alignment: int
     enabled: bool
@@ -48,7 +48,7 @@ class StreamNeeds:
 
 @dataclass(frozen=True, slots=True)
 class ManifestEntry:
-    """One file in the camera: where, how long, how packed."""
+    """One file in the camera: its address, size and format."""
 
     file_version: int
     """Major in the upper byte, minor, subminor in the lower half: larger is newer."""
@@ -111,15 +111,15 @@ def parse_manifest_entry(data: bytes) -> ManifestEntry:
 
 
 def read_identification(control: ControlChannel) -> Identification:
-    """Ask the camera who it is. Raises DeviceGone, ControlRefused."""
+    """Read the camera's identity. Raises DeviceGone, ControlRefused."""
     return parse_identification(control.read(u3v.ABRM_GENCP_VERSION, u3v.ABRM_HEAD_SIZE))
 
 
 def read_technology(control: ControlChannel, sbrm_address: int) -> Technology:
-    """Ask for the limits of the control channel and the place of the stream registers."""
+    """Read the limits of the control channel and the address of the stream registers."""
     return parse_technology(control.read(sbrm_address, u3v.SBRM_SIZE))
 
 
 def read_stream_needs(control: ControlChannel, sirm_address: int) -> StreamNeeds:
-    """Ask what a stream needs with the present image size."""
+    """Read the needs of a stream with the present image size."""
     return parse_stream_needs(control.read(sirm_address, u3v.SIRM_REQUIREMENTS_SIZE))

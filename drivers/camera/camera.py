@@ -1,4 +1,4 @@
-"""Owns one USB3 Vision camera from opening to closing: what it is, how it is set, whether it streams."""
+"""One USB3 Vision camera from opening to closing: identity, settings and stream."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from drivers.camera.transfers import transfers_of
 from drivers.camera.usb import UsbCamera, default_backend, find_camera
 
 CLOCK_READINGS = 4
-"""A host that is interrupted in one question is not in all of them."""
+"""Number of readings: a host that is interrupted during one is not during all."""
 
 
 class UsbVisionCamera:
-    """A ``drivers.api.Camera`` behind USB3 Vision; open it with ``open`` and close it, or use it in ``with``.
+    """A ``drivers.api.Camera`` behind USB3 Vision.
 
-    Settings and start/stop may come from any thread; ``next_frame`` from one. ``start`` waits for a
-    ``next_frame`` that is under way.
+    Open it with ``open`` and close it, or use it in ``with``. Settings and start/stop may come from any thread;
+    ``next_frame`` from one. ``start`` waits for a ``next_frame`` that is under way.
     """
 
     def __init__(
         self, spec: CameraSpec, usb: UsbCamera, control: ControlChannel, clock: Clock, host_speed_mbps: int | None
     ) -> None:
-        """Read who the camera is and load its description; ``open`` is the usual way in."""
+        """Read the camera's identity and load its description; ``open`` is the usual entry."""
         self._spec = spec
         self._usb = usb
         self._control = control
@@ -57,13 +57,15 @@ class UsbVisionCamera:
         self._reader: StreamReader | None = None
         self._settings: CameraSettings | None = None
 
-        who = read_identification(control)
-        technology = read_technology(control, who.sbrm_address)
+        identification = read_identification(control)
+        technology = read_technology(control, identification.sbrm_address)
         if technology.stream_count < 1:
             raise DeviceRefused(spec.name, "the camera has no image stream", "Use a USB3 Vision camera")
-        control.set_limits(technology.max_command_size, technology.max_answer_size, who.max_response_time_s)
+        control.set_limits(technology.max_command_size, technology.max_answer_size, identification.max_response_time_s)
         self._sirm = technology.sirm_address
-        self._features = Features(spec.name, read_description(control, spec.name, who.manifest_address), control)
+        self._features = Features(
+            spec.name, read_description(control, spec.name, identification.manifest_address), control
+        )
         if spec.pixel_format not in FORMATS:
             raise DeviceRefused(
                 spec.name, f"pixel_format {spec.pixel_format!r} is none of {', '.join(FORMATS)}", "Correct the rig file"
@@ -72,7 +74,9 @@ class UsbVisionCamera:
         self._setup = CameraSetup(spec, self._features)
         self._in_pieces = False
         speed = host_speed_mbps if host_speed_mbps is not None else technology.link_speed_mbps
-        self._identity = CameraIdentity(who.vendor, who.model, who.serial, who.firmware, speed)
+        self._identity = CameraIdentity(
+            identification.vendor, identification.model, identification.serial, identification.firmware, speed
+        )
 
     @classmethod
     def open(cls, spec: CameraSpec, backend: Any, clock: Clock) -> Self:
@@ -81,10 +85,10 @@ class UsbVisionCamera:
         A camera that was left streaming by a crashed program is stopped. Raises DeviceGone (not there),
         DeviceRefused (no permission, in use, not a usable camera).
         """
-        found = find_camera(default_backend() if backend is None else backend, spec.name, spec.serial)
-        usb = UsbCamera(spec.name, found)
+        candidate = find_camera(default_backend() if backend is None else backend, spec.name, spec.serial)
+        usb = UsbCamera(spec.name, candidate)
         try:
-            camera = cls(spec, usb, ControlChannel(spec.name, usb.control(), clock), clock, found.link_speed_mbps)
+            camera = cls(spec, usb, ControlChannel(spec.name, usb.control(), clock), clock, candidate.link_speed_mbps)
             camera.stop()
         except ValueError as error:
             usb.close()
@@ -119,34 +123,33 @@ class UsbVisionCamera:
 
     @property
     def link_is_fast(self) -> bool | None:
-        """True at SuperSpeed or better, False when the link fell back, ``None`` when nobody knows."""
+        """True at SuperSpeed or better, False when the link fell back, ``None`` if unknown."""
         speed = self._identity.link_speed_mbps
         return None if speed is None else speed >= u3v.SUPERSPEED_MBPS
 
     @property
     def slow_link(self) -> str | None:
-        """Return what is wrong with the link, like ``Camera.slow_link``: anything below SuperSpeed cannot carry the
-        images of a scan."""
+        """The fault of a link below SuperSpeed, like ``Camera.slow_link``."""
         if self.link_is_fast is not False:
             return None
         return f"the link runs at {self._identity.link_speed_mbps} Mbit/s; SuperSpeed (5000) is needed"
 
     @property
     def control_counters(self) -> ControlCounters:
-        """Repairs that the control channel had to make."""
+        """Errors that the control channel repaired."""
         return self._control.counters
 
     @property
     def stream_counters(self) -> StreamCounters:
-        """Events that the stream met since ``start``; zeros when it does not run."""
+        """Events of the stream since ``start``; zeros when it does not run."""
         reader = self._reader
         return StreamCounters() if reader is None else reader.counters
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply ``settings`` and return what the camera really set; a running stream is started anew.
+        """Apply ``settings`` and return those that the camera really has; a running stream is restarted.
 
-        The first time everything that decides about an image is set (``drivers.camera.setup``); later only what differs: exposure and gain,
-        or all again for another size. Raises DeviceRefused, DeviceGone.
+        The first time all settings of an image are made (``drivers.camera.setup``); later only those that differ:
+        exposure and gain, or all again for another size. Raises DeviceRefused, DeviceGone.
         """
         with self._lock:
             was_running = self._reader is not None
@@ -167,8 +170,8 @@ class UsbVisionCamera:
     def start(self) -> None:
         """Flush stale buffers, start the stream, wait for triggers.
 
-        May be called again at any time: what is queued by then is thrown away and block ids begin anew.
-        Raises DeviceRefused (not configured, stream refused), DeviceGone.
+        May be called again at any time: queued frames are flushed and block ids begin anew. Raises DeviceRefused (not
+        configured, stream refused), DeviceGone.
         """
         with self._lock, self._reading:
             settings = self._settings
@@ -178,7 +181,7 @@ class UsbVisionCamera:
             reader = self._prepare_stream(settings)
             self._set_optional_number("TLParamsLocked", 1)
             self._control.write_u32(self._sirm + u3v.SIRM_CONTROL, u3v.SIRM_ENABLE)
-            # From now on nothing is thrown away, but what was exposed before this moment is none of this acquisition.
+            # From now on no frame is flushed, but one that was exposed earlier does not belong to this acquisition.
             reader.expect_since(self._now_ns())
             self._reader = reader
             self._features.execute("AcquisitionStart")
@@ -201,7 +204,7 @@ class UsbVisionCamera:
             self._halt()
 
     def read_back(self) -> tuple[HeldSetting, ...]:
-        """Return what the camera holds of its settings, as ``ReadsBack`` says. Raises DeviceGone, DeviceRefused."""
+        """Return the camera's settings, as ``ReadsBack`` does. Raises DeviceGone, DeviceRefused."""
         with self._lock:
             return self._setup.read_back()
 
@@ -216,13 +219,15 @@ class UsbVisionCamera:
                 return None  # fitted, but not readable in this state: unknown, not zero
 
     def read_clock(self) -> ClockReading | None:
-        """The clock of the frames' time stamps: the reading of several that took the host least time.
+        """Return the clock of the frames' time stamps: the reading of several that took the host least time.
 
         ``None`` where the camera has no time stamp to latch, which GenCP allows. Raises DeviceGone.
         """
         with self._lock:
             try:
-                return min((self._read_clock_once() for _ in range(CLOCK_READINGS)), key=lambda one: one.bracket_ns)
+                return min(
+                    (self._read_clock_once() for _ in range(CLOCK_READINGS)), key=lambda reading: reading.bracket_ns
+                )
             except ControlRefused:
                 return None
 
@@ -240,7 +245,7 @@ class UsbVisionCamera:
         return ClockReading(self._control.read_u64(u3v.ABRM_TIMESTAMP), sent_ns, received_ns)
 
     def health(self) -> Health:
-        """Return what ``kingfisher check`` shows. A lost camera is reported, not raised."""
+        """Return the camera's entry in ``kingfisher check``. A lost camera is reported, not raised."""
         identity = self._identity
         details = {
             "model": f"{identity.vendor} {identity.model}",
@@ -281,7 +286,8 @@ class UsbVisionCamera:
     def _prepare_stream(self, settings: CameraSettings) -> StreamReader:
         """Set the transfer sizes of a disabled stream: the image in ONE transfer, straight into the slot.
 
-        Where that failed before, in pieces of 1 MiB, as most programs read: not every camera and host takes more at a time.
+        Where that failed before, in pieces of 1 MiB, as most programs read: not every camera and host takes larger
+        transfers.
         """
         needs = read_stream_needs(self._control, self._sirm)
         pixels = settings.width_px * settings.height_px
@@ -298,7 +304,7 @@ class UsbVisionCamera:
                 f"wants to send {needs.payload_size} bytes for an image of {payload_size}",
                 "Switch off chunk data and padding in the camera",
             )
-        # Some cameras do not know their sizes yet when they were just plugged in, and say 0; one packet holds each.
+        # Just after plugging in, some cameras report sizes of 0; one packet is enough for each.
         leader_size = _whole(needs.leader_size or u3v.SUPERSPEED_PACKET, needs.alignment)
         trailer_size = _whole(needs.trailer_size or u3v.SUPERSPEED_PACKET, needs.alignment)
         largest = max(leader_size, trailer_size, u3v.LEADER_SIZE)
@@ -327,7 +333,7 @@ class UsbVisionCamera:
         return reader
 
     def _halt(self) -> None:
-        """Stop the acquisition and disable the stream, whatever state the camera is in."""
+        """Stop the acquisition and disable the stream, in any state of the camera."""
         reader, self._reader = self._reader, None
         if reader is not None and reader.whole_transfers_fail:
             self._in_pieces = True

@@ -1,4 +1,4 @@
-"""Owns the control channel: one command at a time, answered, retried, chunked to what the device can take."""
+"""The control channel: one command at a time, with retries, in chunks of the device's packet size."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ ATTEMPTS = 3
 RESPONSE_TIME_S = 0.5
 """Response time until the device's own "maximum device response time" is known."""
 PENDING_LIMIT_S = 10.0
-"""Most that a device may ask for by PENDING_ACK, in total for one command."""
+"""Longest total wait that a device may request by PENDING_ACK for one command."""
 _INITIAL_SIZE = 64
-"""Packet size until the device's own limits are known; every U3V device takes a 64-byte string register."""
+"""Packet size until the device's own limits are known; every U3V device accepts a 64-byte string register."""
 _STALE_LIMIT = 16
 """Answers to earlier commands that are dropped before a command counts as failed."""
 
@@ -55,10 +55,10 @@ _REMEDY = {
 
 
 class ControlChannel:
-    """Reads and writes of the camera's register memory, safe to call from several threads.
+    """Reads and writes the camera's register memory, safe to call from several threads.
 
-    Raises ControlRefused when the camera says no, DeviceGone when it is unplugged or silent after all attempts.
-    A retry uses a new request id: an answer that comes late is told apart from the one that is waited for.
+    Raises ControlRefused when the camera refuses, DeviceGone when it is unplugged or silent after all attempts. A retry
+    uses a new request id, so that a late answer is distinguished from the expected one.
     """
 
     def __init__(self, name: str, pipe: ControlPipe, clock: Clock) -> None:
@@ -73,7 +73,10 @@ class ControlChannel:
         self.counters = ControlCounters()
 
     def set_limits(self, max_command_size: int, max_answer_size: int, response_time_s: float) -> None:
-        """Adopt what the bootstrap registers say; a limit below what a register access needs is refused."""
+        """Adopt the limits of the bootstrap registers.
+
+        Raises DeviceRefused for limits too small for one register.
+        """
         if max_command_size < u3v.CONTROL_HEADER_SIZE + u3v.WRITE_ADDRESS_SIZE + 8 or max_answer_size < (
             u3v.CONTROL_HEADER_SIZE + 8
         ):
@@ -91,7 +94,7 @@ class ControlChannel:
     def read(self, address: int, count: int) -> bytes:
         """Read ``count`` bytes from ``address``, in as many commands as needed."""
         self._check_range(address, count)
-        # What remains of an answer behind its header is payload.
+        # The payload of an answer is all but its header.
         chunk = self._max_answer - u3v.CONTROL_HEADER_SIZE
         pieces: list[bytes] = []
         done = 0
@@ -109,11 +112,11 @@ class ControlChannel:
             self._write_once(address + offset, data[offset : offset + chunk])
 
     def read_u32(self, address: int) -> int:
-        """One 32-bit register."""
+        """Return one 32-bit register."""
         return int.from_bytes(self.read(address, 4), "little")
 
     def read_u64(self, address: int) -> int:
-        """One 64-bit register."""
+        """Return one 64-bit register."""
         return int.from_bytes(self.read(address, 8), "little")
 
     def write_u32(self, address: int, value: int) -> None:
@@ -121,7 +124,7 @@ class ControlChannel:
         self.write(address, value.to_bytes(4, "little"))
 
     def _check_range(self, address: int, count: int) -> None:
-        """A description may compute any address; the command has room for 64 bits."""
+        """Raise DeviceRefused for a range outside 64 bits: a description may compute any address."""
         if address < 0 or count < 0 or address + count > 1 << 64:
             raise DeviceRefused(
                 self._name,
@@ -151,7 +154,7 @@ class ControlChannel:
             for attempt in range(ATTEMPTS):
                 if attempt:
                     self.counters.retries += 1
-                # A new id for each attempt: the answer to an earlier one that comes late is recognised and dropped.
+                # A new id for each attempt, so that a late answer to an earlier one is recognised and dropped.
                 self._request_id = gencp.next_request_id(self._request_id)
                 try:
                     self._pipe.write(pack(self._request_id), self._response_time_s)
@@ -171,7 +174,7 @@ class ControlChannel:
                     continue
                 except Unplugged as error:
                     raise self._gone(f"unplugged during a {what}") from error
-                # Busy is an answer: the camera lives, and is asked again after a while.
+                # Busy is an answer: the camera lives, and the command is repeated after a pause.
                 if answer.status == u3v.Status.BUSY:
                     failure = "busy"
                     self._clock.sleep_s(min(0.01, self._response_time_s))
@@ -194,14 +197,17 @@ class ControlChannel:
         raise self._gone(f"{failure} at {ATTEMPTS} attempts of a {what}")
 
     def _await_answer(self, request_id: int) -> Answer:
-        """The answer to ``request_id``; older ones are dropped, PENDING_ACK prolongs the wait up to its limit."""
+        """Return the answer to ``request_id``.
+
+        Older ones are dropped, PENDING_ACK prolongs the wait up to its limit.
+        """
         now_ns = self._clock.now_ns()
         last_ns = now_ns + round(PENDING_LIMIT_S * 1e9)
         deadline_ns = now_ns + round(self._response_time_s * 1e9)
         # Rounded up to whole packets, for the same reason as in ``stream``.
         size = -(-self._max_answer // u3v.SUPERSPEED_PACKET) * u3v.SUPERSPEED_PACKET
         for _ in range(_STALE_LIMIT):
-            # Counted, not only timed: a babbling device must not keep us here.
+            # Counted, not only timed, so that a device that sends without end cannot keep the loop running.
             remaining_s = (deadline_ns - self._clock.now_ns()) * 1e-9
             if remaining_s <= 0:
                 break

@@ -1,4 +1,4 @@
-"""Owns the way from a camera's manifest to the text of its GenICam description."""
+"""Fetching a camera's GenICam description: from its manifest to XML text."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from drivers.camera.control import ControlChannel
 
 MAX_ENTRIES = 64
 MAX_FILE_SIZE = 16 * 1024 * 1024
-"""The largest published descriptions have about 2 MB; beyond this the manifest is taken for damaged."""
+"""Limit of a description's size: the largest published ones have about 2 MB; above it the manifest
+counts as damaged.
+"""
 MOST_SAID = 300
-"""Most characters quoted of an unpacker's message, which may quote what is in the archive."""
+"""Largest number of characters quoted of an unpacker's message, which may itself quote the archive."""
 _ATTEMPTS = 2
 _REMEDY = "Update the camera's firmware"
 
 
 class BadDescription(ValueError):
-    """The file is not what the manifest promises."""
+    """The file differs from its entry in the manifest."""
 
 
 def check_sha1(data: bytes, sha1: bytes | None) -> None:
-    """Raises BadDescription when ``data`` does not hash to ``sha1``; ``None`` means the camera gave none."""
+    """Raise BadDescription when ``data`` does not hash to ``sha1``; ``None`` means the camera gave none."""
     if sha1 is not None and hashlib.sha1(data, usedforsecurity=False).digest() != sha1:
         raise BadDescription("the description does not match its SHA-1")
 
 
 def unpack(data: bytes, file_format: int) -> str:
-    """The XML text of a raw or zipped description. Raises BadDescription."""
+    """Return the XML text of a raw or zipped description. Raises BadDescription."""
     if file_format == u3v.MANIFEST_FORMAT_ZIP:
         data = _unzip(data)
     elif file_format != u3v.MANIFEST_FORMAT_RAW:
@@ -65,7 +67,7 @@ def _unzip(data: bytes) -> bytes:
 
 
 def choose(entries: list[ManifestEntry]) -> ManifestEntry | None:
-    """The newest entry that can be read, the first of equals; ``None`` without one."""
+    """Return the newest entry that can be read, the first of equals; ``None`` without one."""
     usable = [
         e
         for e in entries

@@ -1,4 +1,4 @@
-"""Owns the reading of USB descriptors: which device is a USB3 Vision camera, and where its pipes are."""
+"""Reading USB descriptors: which device is a USB3 Vision camera, and which are its pipes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def parse_device_info(data: bytes) -> DeviceInfo:
 
 
 def find_device_info(extra: bytes) -> DeviceInfo | None:
-    """The first U3V device info among class-specific descriptors that follow each other; ``None`` without one.
+    """Return the first U3V device info in a chain of class-specific descriptors, or ``None``.
 
     Never raises: bytes that do not chain end the search.
     """
@@ -61,7 +61,10 @@ def find_device_info(extra: bytes) -> DeviceInfo | None:
 
 
 def parse_string(data: bytes) -> str:
-    """The text of a USB string descriptor (USB 2.0, 9.6.7: length, type 3, UTF-16LE). Raises MalformedDescriptor."""
+    """Return the text of a USB string descriptor (USB 2.0, 9.6.7: length, type 3, UTF-16LE).
+
+    Raises MalformedDescriptor.
+    """
     if len(data) < 2 or data[1] != 0x03 or data[0] < 2 or data[0] > len(data):
         raise MalformedDescriptor(f"not a string descriptor: {data[:4].hex(' ')}")
     return data[2 : data[0]].decode("utf-16-le", errors="replace").rstrip("\0")
@@ -69,7 +72,7 @@ def parse_string(data: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceDescription:
-    """One interface of a configuration, reduced to what finding the pipes needs."""
+    """One interface of a configuration, reduced to the fields with which its pipes are found."""
 
     number: int
     interface_class: int
@@ -82,7 +85,7 @@ class InterfaceDescription:
 
 @dataclass(frozen=True, slots=True)
 class U3vLayout:
-    """Places of the pipes of a USB3 Vision device."""
+    """The pipes of a USB3 Vision device."""
 
     configuration: int
     control_interface: int

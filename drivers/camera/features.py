@@ -1,4 +1,4 @@
-"""Owns access to a camera's features by their SFNC names, through the description that the camera carries.
+"""Access to a camera's features by their SFNC names, through the description that the camera carries.
 
 Source of the names: GenICam Standard Features Naming Convention 2.7.
 """
@@ -22,10 +22,10 @@ _OLDER_NAMES = {"ExposureTime": "ExposureTimeAbs", "TriggerDelay": "TriggerDelay
 
 
 class RegisterMemory(Protocol):
-    """A camera's register memory, over whatever bus."""
+    """A camera's register memory on any bus."""
 
     def read(self, address: int, count: int) -> bytes:
-        """``count`` bytes from ``address``. Raises DeviceGone, DeviceRefused."""
+        """Return ``count`` bytes from ``address``. Raises DeviceGone, DeviceRefused."""
 
     def write(self, address: int, data: bytes) -> None:
         """Write ``data`` at ``address``. Raises DeviceGone, DeviceRefused."""
@@ -58,11 +58,11 @@ class _Port(genapi.AbstractPort):  # type: ignore[misc]  # the package has no ty
 
 
 class Features:
-    """The node map of one camera. Not safe for several threads at a time; its owner takes care of that.
+    """The node map of one camera. Not safe for several threads at a time; its owner ensures that.
 
-    Every method raises DeviceRefused, naming the feature, the value and what is allowed, when the camera lacks the
-    feature or refuses the value, and passes DeviceGone of the register memory on. A feature that has only its name of SFNC 1.x is
-    found under today's.
+    Every method raises DeviceRefused, naming the feature, the value and the allowed ones, when the camera lacks the
+    feature or refuses the value, and passes DeviceGone of the register memory on. A feature that has only its name of
+    SFNC 1.x is found under today's.
     """
 
     def __init__(self, device: str, xml: str, memory: RegisterMemory) -> None:
@@ -79,17 +79,17 @@ class Features:
             ) from error
 
     def has(self, feature: str) -> bool:
-        """True when the camera knows the feature and it is implemented."""
+        """Return True if the camera knows the feature and it is implemented."""
         node = self._find(feature)
         return node is not None and bool(genapi.is_implemented(node))
 
     def writable(self, feature: str) -> bool:
-        """True when the feature exists and may be written in the present state."""
+        """Return True if the feature exists and may be written in the present state."""
         node = self._find(feature)
         return node is not None and bool(genapi.is_writable(node))
 
     def number(self, feature: str) -> float:
-        """Value of an integer or float feature."""
+        """Return the value of an integer or float feature."""
         node = self._node(feature, _NUMBERS)
         try:
             return float(node.value)
@@ -97,18 +97,18 @@ class Features:
             raise self._refused(feature, "cannot be read", error) from error
 
     def set_number(self, feature: str, value: float) -> float:
-        """Write an integer or float feature; returns what the camera holds afterwards."""
+        """Write an integer or float feature and return its value in the camera afterwards."""
         node = self._node(feature, _NUMBERS)
-        whole = isinstance(node, genapi.IInteger)
+        is_integer = isinstance(node, genapi.IInteger)
         try:
-            node.value = int(value) if whole else float(value)
-            # Asked anew: a description may let us keep what was written, and a camera may round it nevertheless.
+            node.value = int(value) if is_integer else float(value)
+            # Read from the camera: the description may allow caching the written value, which the camera may round.
             return float(node.get_value(False, True))
         except genapi.GenericException as error:
-            raise self._refused(feature, f"{value:g} refused, allowed {_range_of(node, whole)}", error) from error
+            raise self._refused(feature, f"{value:g} refused, allowed {_range_of(node, is_integer)}", error) from error
 
     def choice(self, feature: str) -> str:
-        """Symbol of an enumeration feature."""
+        """Return the symbol of an enumeration feature."""
         node = self._node(feature, _CHOICE)
         try:
             return str(node.value)
@@ -116,7 +116,7 @@ class Features:
             raise self._refused(feature, "cannot be read", error) from error
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        """Symbols that the camera offers now, in the order of its description."""
+        """Return the symbols that the camera offers now, in the order of its description."""
         node = self._node(feature, _CHOICE)
         try:
             return tuple(str(entry.symbolic) for entry in node.entries if genapi.is_available(entry.node))
@@ -133,7 +133,7 @@ class Features:
             raise self._refused(feature, f"{symbol} refused, allowed: {allowed}", error) from error
 
     def limits(self, feature: str) -> Limits:
-        """Return what an integer or float feature may be in the present state."""
+        """Return the limits of an integer or float feature in the present state."""
         node = self._node(feature, _NUMBERS)
         try:
             step = float(node.inc) if isinstance(node, genapi.IInteger) else 1.0
@@ -142,10 +142,10 @@ class Features:
             raise self._refused(feature, "cannot be read", error) from error
 
     def value(self, feature: str) -> FeatureValue:
-        """Return what the camera holds, whatever kind of feature it is: of an enumeration its symbol."""
+        """Return the value of a feature of any kind; of an enumeration its symbol."""
         node = self._node(feature, _VALUES)
         try:
-            # Asked anew: a description may let us keep what was written.
+            # Read from the camera: the description may allow caching the written value.
             if isinstance(node, genapi.IEnumeration):
                 return str(node.get_current_entry(False, True).symbolic)
             if isinstance(node, genapi.IBoolean):
@@ -155,7 +155,7 @@ class Features:
             raise self._refused(feature, "cannot be read", error) from error
 
     def set_value(self, feature: str, value: FeatureValue) -> None:
-        """Write a feature of whatever kind; the value must be of that kind."""
+        """Write a feature of any kind; the value must be of that kind."""
         node = self._node(feature, _VALUES)
         if isinstance(node, genapi.IBoolean) and isinstance(value, bool):
             try:
@@ -177,7 +177,7 @@ class Features:
             raise DeviceRefused(self._device, f"{feature} = {value!r}: it must be {kind}", _REMEDY)
 
     def forget(self) -> None:
-        """Ask the camera anew for everything: its state was changed as a whole."""
+        """Drop all cached values, because the camera's state was changed as a whole."""
         for node in self._map.nodes:
             node.node.invalidate_node()
 
@@ -190,8 +190,8 @@ class Features:
             raise self._refused(feature, "cannot be executed", error) from error
 
     def _find(self, feature: str) -> Any:
-        found = self._get(feature)
-        return self._get(_OLDER_NAMES[feature]) if found is None and feature in _OLDER_NAMES else found
+        node = self._get(feature)
+        return self._get(_OLDER_NAMES[feature]) if node is None and feature in _OLDER_NAMES else node
 
     def _get(self, name: str) -> Any:
         try:
@@ -200,7 +200,7 @@ class Features:
             return None
 
     def _node(self, feature: str, kinds: tuple[Any, ...]) -> Any:
-        """The feature, which must be of one of these kinds: a description may call anything by a standard name."""
+        """Return a feature that must be of one of these kinds: a description may use a standard name for any."""
         node = self._find(feature)
         if node is None:
             raise DeviceRefused(self._device, f"has no feature {feature}", "Use a camera that follows the SFNC")
@@ -220,9 +220,9 @@ def _short(error: Exception) -> str:
     return str(error).split(" : ", maxsplit=1)[0].strip().rstrip(".")
 
 
-def _range_of(node: Any, whole: bool) -> str:
+def _range_of(node: Any, is_integer: bool) -> str:
     try:
-        step = f" in steps of {node.inc}" if whole and node.inc != 1 else ""
+        step = f" in steps of {node.inc}" if is_integer and node.inc != 1 else ""
         return f"{node.min:g}..{node.max:g}{step}"
     except genapi.GenericException:
         return "range unknown"

@@ -1,4 +1,4 @@
-"""Owns the layout of GenCP control packets: bytes in, values out, no I/O.
+"""The layout of GenCP control packets: bytes in, values out, no I/O.
 
 Source: GenICam GenCP 1.1, section 3; USB3 Vision 1.0, section 4 (prefix).
 """
@@ -22,7 +22,10 @@ class MalformedPacket(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """One acknowledge packet. ``status`` is the raw code; ``payload`` is exactly as long as the header says."""
+    """One acknowledge packet.
+
+    ``status`` is the raw code; ``payload`` is exactly as long as the header says.
+    """
 
     status: int
     command: int
@@ -31,18 +34,18 @@ class Answer:
 
 
 def next_request_id(request_id: int) -> int:
-    """The id after ``request_id``: counts up, wraps 0xFFFF → 1 (0 is never used)."""
+    """Return the id after ``request_id``: counts up, wraps 0xFFFF → 1 (0 is never used)."""
     return u3v.REQUEST_ID_FIRST if request_id >= u3v.REQUEST_ID_LAST else request_id + 1
 
 
 def pack_read(request_id: int, address: int, count: int) -> bytes:
-    """READMEM of ``count`` (1..65535) bytes at ``address``, acknowledge requested."""
+    """Return READMEM of ``count`` (1..65535) bytes at ``address``, acknowledge requested."""
     header = _HEADER.pack(u3v.CONTROL_MAGIC, u3v.FLAG_ACKNOWLEDGE, u3v.COMMAND_READ, u3v.READ_COMMAND_SIZE, request_id)
     return header + _READ.pack(address, 0, count)
 
 
 def pack_write(request_id: int, address: int, data: bytes) -> bytes:
-    """WRITEMEM of ``data`` at ``address``, acknowledge requested."""
+    """Return WRITEMEM of ``data`` at ``address``, acknowledge requested."""
     size = u3v.WRITE_ADDRESS_SIZE + len(data)
     header = _HEADER.pack(u3v.CONTROL_MAGIC, u3v.FLAG_ACKNOWLEDGE, u3v.COMMAND_WRITE, size, request_id)
     return header + _ADDRESS.pack(address) + data
@@ -62,7 +65,7 @@ def parse_answer(data: bytes) -> Answer:
 
 
 def parse_pending(payload: bytes) -> int:
-    """The milliseconds a PENDING_ACK asks the host to wait further. Raises MalformedPacket."""
+    """Return the milliseconds that a PENDING_ACK asks the host to wait further. Raises MalformedPacket."""
     if len(payload) < _TWO_WORDS.size:
         raise MalformedPacket(f"PENDING_ACK with {len(payload)} bytes, expected {_TWO_WORDS.size}")
     timeout_ms: int = _TWO_WORDS.unpack_from(payload)[1]
@@ -70,7 +73,10 @@ def parse_pending(payload: bytes) -> int:
 
 
 def parse_written(payload: bytes) -> int | None:
-    """The number of bytes a WRITEMEM acknowledge reports; ``None`` where the device leaves it out."""
+    """Return the number of bytes that a WRITEMEM acknowledge reports.
+
+    ``None`` if the device leaves it out.
+    """
     if len(payload) < _TWO_WORDS.size:
         return None
     written: int = _TWO_WORDS.unpack_from(payload)[1]
@@ -78,7 +84,7 @@ def parse_written(payload: bytes) -> int | None:
 
 
 def status_name(status: int) -> str:
-    """Return a name like ``WRITE_PROTECT (0x8004)``, or the bare number for a code the standard does not list."""
+    """Return a name like ``WRITE_PROTECT (0x8004)``, or the bare number for an unlisted code."""
     try:
         return f"{u3v.Status(status).name} ({status:#06x})"
     except ValueError:

@@ -1,4 +1,4 @@
-"""Owns the layout of stream leaders and trailers: bytes in, values out, no I/O.
+"""The layout of stream leaders and trailers: bytes in, values out, no I/O.
 
 Source: USB3 Vision 1.0, tables 5-3 (leader), 5-4 (image leader) and 5-7 (image trailer).
 """
@@ -34,7 +34,10 @@ class Leader:
 
 @dataclass(frozen=True, slots=True)
 class Trailer:
-    """Packet that the camera sends after an image; ``status`` is a raw GenCP code, sizes are what was really sent."""
+    """Packet that the camera sends after an image.
+
+    ``status`` is a raw GenCP code, sizes are those really sent.
+    """
 
     block_id: int
     status: int
@@ -43,12 +46,12 @@ class Trailer:
 
 
 def is_leader(data: bytes) -> bool:
-    """True when ``data`` begins with the leader's magic."""
+    """Return True if ``data`` begins with the leader's magic."""
     return data[:4] == u3v.LEADER_MAGIC.to_bytes(4, "little")
 
 
 def is_trailer(data: bytes) -> bool:
-    """True when ``data`` begins with the trailer's magic."""
+    """Return True if ``data`` begins with the trailer's magic."""
     return data[:4] == u3v.TRAILER_MAGIC.to_bytes(4, "little")
 
 

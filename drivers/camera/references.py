@@ -1,11 +1,11 @@
-"""Owns what is asked of a camera's description before GenApi may see it: its size, and the references in it.
+"""Checks of a camera's description before GenApi parses it: its size, and its references.
 
-GenApi parses in native code, recursively and without limits of its own. So a description that is nested deeper, or has more
-nodes, than any camera's is refused, and so is one that declares a document type: entities can make a gigabyte of a kilobyte,
-or name a file of this machine.
+GenApi parses in native code, recursively and without limits of its own. So a description that is nested deeper, or has
+more nodes, than any camera's is refused, and so is one that declares a document type: entities can make a gigabyte of a
+kilobyte, or name a file of this machine.
 
-A ``pPort`` that names a node other than a port, or any other reference that names a port, ends the process from below
-Python, where nothing can be caught (genicam 1.6). Such a description is refused like any other that cannot be used.
+A ``pPort`` that names a node other than a port, or any other reference that names a port, crashes the process in native
+code, where no exception can be caught (genicam 1.6). Such a description is refused like any other that cannot be used.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ MAX_ATTRIBUTES = 64
 
 
 class WrongReference(ValueError):
-    """The description is not well formed, beyond its limits, or names a node where there is none of the needed kind."""
+    """The description is not well formed, beyond its limits, or refers to a node of the wrong kind."""
 
 
 def check_limits(xml: str) -> None:
-    """Raises WrongReference for a description that is nested too deep, has too many nodes, or declares a document type."""
+    """Raise WrongReference for a description too deep or too large, or with a document type."""
     depth = count = 0
 
     def opened(name: str, attributes: dict[str, str]) -> None:
@@ -56,7 +56,7 @@ def check_limits(xml: str) -> None:
 
 
 def check_references(xml: str) -> None:
-    """Raises WrongReference for what GenApi would not survive; everything else it judges itself."""
+    """Raise WrongReference for a description that would crash GenApi; GenApi checks all else itself."""
     check_limits(xml)
     try:
         root = ElementTree.fromstring(xml.encode())
@@ -72,5 +72,5 @@ def check_references(xml: str) -> None:
 
 
 def _kind(node: ElementTree.Element) -> str:
-    """The element's name without its name space."""
+    """Return the element's name without its name space."""
     return str(node.tag).rpartition("}")[2]

@@ -1,8 +1,9 @@
-"""Owns the order in which a camera is set before it streams, and that each setting is what was asked for.
+"""Setting a camera before it streams: the order of its settings, and the check that each was accepted.
 
-A camera may wake up in any state: binned, mirrored, limited, triggered by another line. So everything that decides about an image
-is set at each opening, one after the other, and read back. The order matters: some features may only be written, or only act, once others have their
-values (SFNC 2.7; the makers' manuals say which). What a camera does not offer is noted; what it holds otherwise than asked is refused.
+A camera may wake up in any state: binned, mirrored, limited, triggered by another line. So all settings of an image are
+made at each opening, one after the other, and read back. The order matters: some features may only be written, or only
+act, once others have their values (SFNC 2.7; the makers' manuals say which). A setting that a camera does not offer is
+noted; one that it holds otherwise than requested is refused.
 """
 
 from __future__ import annotations
@@ -22,16 +23,21 @@ OWN_KEYS = {
     "ExposureTime": "exposure_ms",
     "Gain": "gain_db",
 }
-"""Features that have a key of their own in the rig file."""
+"""Features that have their own key in the rig file."""
 MAY_BE_MISSING = "?"
 """Mark before the name of a feature that not every camera of a kind has."""
 _TOLERANCE, _EXPOSURE_TOLERANCE_US, _GAIN_TOLERANCE_DB = 0.01, 20.0, 0.11
-"""Rounding that is taken: of any number as a share of it, of an exposure, and of a gain, whose steps may be 0.1 dB or coarser ones of a table."""
+"""Accepted rounding: of any number as a share of it, of an exposure, and of a gain, whose steps may be 0.1 dB or those
+of a coarser table.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class _Setting:
-    """One feature and its value. ``choices``: of several symbols the first that is offered; none: the value as it is."""
+    """One feature and its value.
+
+    ``choices``: the first of these symbols that is offered; empty: the value itself.
+    """
 
     feature: str
     value: FeatureValue
@@ -48,7 +54,7 @@ _FORMAT = (
     _Setting("ReverseX", value=False),
     _Setting("ReverseY", value=False),
 )
-"""Settings that come before the size, whose limits follow from them."""
+"""Settings that come before the size, whose limits depend on them."""
 _PLAIN = (
     _Setting("ChunkModeActive", value=False),
     _Setting("TestPattern", "Off"),
@@ -73,7 +79,7 @@ class CameraSetup:
     """
 
     def __init__(self, spec: CameraSpec, features: Features) -> None:
-        """Refuses ``spec.features`` that have keys of their own in the rig file."""
+        """Refuse ``spec.features`` that have their own keys in the rig file."""
         self._name = spec.name
         self._spec = spec
         self._features = features
@@ -85,24 +91,32 @@ class CameraSetup:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Settings that this camera does not offer, in the order in which they were wanted."""
+        """Settings that this camera does not offer, in their order."""
         return tuple(self._missing.values())
 
     @property
     def bends_grey(self) -> tuple[str, ...]:
-        """Features that make grey values no longer proportional to light, as the camera holds them: somebody asked for it under features."""
+        """Features with which grey values are not proportional to light, as the camera holds them.
+
+        The rig file sets them under features.
+        """
         return self._bends_grey
 
     def read_back(self) -> tuple[HeldSetting, ...]:
-        """Return every setting of the last ``apply``, in its order, as the camera holds it now; then what it does not offer."""
+        """Return every setting of the last ``apply``, in its order, as the camera holds it now.
+
+        Then the missing ones.
+        """
         features = self._features
-        made = [HeldSetting(name, wanted, features.value(name)) for name, wanted in self._wanted.items()]
-        # Of the light only what the camera made of it counts: exposures come in steps.
+        settings = [
+            HeldSetting(name, requested_value, features.value(name)) for name, requested_value in self._wanted.items()
+        ]
+        # Exposure and gain have no requested value here: they come in steps, and only the camera's values count.
         light = [HeldSetting(name, None, features.value(name)) for name in _LIGHT if features.has(name)]
-        return (*made, *light, *(HeldSetting(name, None, None) for name in self._missing))
+        return (*settings, *light, *(HeldSetting(name, None, None) for name in self._missing))
 
     def load_defaults(self) -> None:
-        """Bring the camera into its maker's default state: what an owner saved in it counts no more. At opening only."""
+        """Load the maker's default state, so that settings saved in the camera do not count. At opening only."""
         features = self._features
         if not (features.has("UserSetSelector") and features.has("UserSetLoad")):
             self._note("UserSetLoad", "no user sets")
@@ -114,31 +128,31 @@ class CameraSetup:
             features.forget()
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Set everything, in order, and return what the camera made of exposure and gain."""
+        """Set all features, in order, and return exposure and gain as the camera holds them."""
         self._wanted.clear()
         self._format(settings)
         self._trigger()
-        made = self.light(settings)
-        for one in _TONE:
-            self._set(one)
+        result = self.light(settings)
+        for setting in _TONE:
+            self._set(setting)
         if not self._features.has("GammaEnable") or self._holds("GammaEnable", value=True):
             self._set(_Setting("Gamma", 1.0))
         for extra in self._after:
             self._set_extra(extra)
             if not extra[0].startswith("Trigger"):
-                self._wanted.pop(extra[0], None)  # what was set of it stands behind another selector now
+                self._wanted.pop(extra[0], None)  # its earlier value is behind another selector now
         for name in self._instead.keys() - self._wanted.keys() - self._missing.keys():
-            self._set(_Setting(name, self._instead[name][0]))  # its place in the order was passed over on this camera
+            self._set(_Setting(name, self._instead[name][0]))  # this camera skipped its place in the order
         self._set(_Setting("TriggerSelector", _FRAME_START))
         self._verify()
         self._bends_grey = tuple(self._look_at_grey())
-        return made
+        return result
 
     def light(self, settings: CameraSettings) -> CameraSettings:
-        """Set exposure and gain alone, and return what the camera made of them."""
+        """Set exposure and gain alone, and return them as the camera holds them."""
         features = self._features
-        for one in _LIGHT_FIRST:
-            self._set(one)
+        for setting in _LIGHT_FIRST:
+            self._set(setting)
         exposure_us = features.set_number("ExposureTime", settings.exposure_us)
         self._near("ExposureTime", settings.exposure_us, exposure_us, _EXPOSURE_TOLERANCE_US, "µs", "exposure_ms")
         self._set(_Setting("GainAuto", "Off"))
@@ -156,25 +170,25 @@ class CameraSetup:
     def _format(self, settings: CameraSettings) -> None:
         features = self._features
         self._throughput()
-        for one in _FORMAT:
-            self._set(one)
+        for setting in _FORMAT:
+            self._set(setting)
         features.choose("PixelFormat", self._spec.pixel_format)
         self._wanted["PixelFormat"] = self._spec.pixel_format
         # Offsets first: they limit the size that is allowed.
         for offset in ("OffsetX", "OffsetY"):
             if features.has(offset) and features.writable(offset):
                 features.set_number(offset, 0)
-        for feature, wanted in (("Width", settings.width_px), ("Height", settings.height_px)):
-            got = features.set_number(feature, wanted)
-            if got != wanted:
+        for feature, requested_px in (("Width", settings.width_px), ("Height", settings.height_px)):
+            got = features.set_number(feature, requested_px)
+            if got != requested_px:
                 raise DeviceRefused(
-                    self._name, f"{feature}: asked for {wanted} px, got {got:g} px", "Correct the rig's size"
+                    self._name, f"{feature}: asked for {requested_px} px, got {got:g} px", "Correct the rig's size"
                 )
-            self._wanted[feature] = wanted
+            self._wanted[feature] = requested_px
         self._offset("OffsetX", self._spec.offset_x_px)
         self._offset("OffsetY", self._spec.offset_y_px)
-        for one in _PLAIN:
-            self._set(one)
+        for setting in _PLAIN:
+            self._set(setting)
 
     def _throughput(self) -> None:
         """Let the camera send as fast as it can: a limit would make it drop triggers at 60 Hz."""
@@ -185,18 +199,18 @@ class CameraSetup:
         elif features.has("DeviceLinkThroughputLimit") and features.writable("DeviceLinkThroughputLimit"):
             self._set(_Setting("DeviceLinkThroughputLimit", features.limits("DeviceLinkThroughputLimit").high))
 
-    def _offset(self, feature: str, wanted_px: int | None) -> None:
-        """Set the image's place on the sensor. ``None``: its middle, where lenses draw best."""
+    def _offset(self, feature: str, requested_px: int | None) -> None:
+        """Set the image's place on the sensor. ``None``: its middle, where lenses are best."""
         features = self._features
         if not features.has(feature):
-            if wanted_px:
+            if requested_px:
                 raise DeviceRefused(
-                    self._name, f"has no {feature} to set to {wanted_px} px", f"Leave out {OWN_KEYS[feature]}"
+                    self._name, f"has no {feature} to set to {requested_px} px", f"Leave out {OWN_KEYS[feature]}"
                 )
             return
         limits = features.limits(feature)
         middle_px = int(limits.high / 2 // limits.step * limits.step)
-        value = middle_px if wanted_px is None else wanted_px
+        value = middle_px if requested_px is None else requested_px
         if features.number(feature) != value:
             got = features.set_number(feature, value)
             if got != value:
@@ -207,19 +221,19 @@ class CameraSetup:
         self._wanted[feature] = value
 
     def _trigger(self) -> None:
-        """Make each pulse on the board's line one frame, and nothing else."""
+        """Make each pulse on the board's line one frame, and switch all other triggers off."""
         features = self._features
         source = self._source()
         if features.writable("TriggerSelector"):
-            # One that is left on waits for a signal that never comes, or starts frames of its own.
+            # A trigger that is left on waits for a signal that never comes, or starts extra frames.
             for selector in features.choices("TriggerSelector"):
                 features.choose("TriggerSelector", selector)
                 if features.writable("TriggerMode"):
                     features.choose("TriggerMode", "Off")
         if features.has("LineSelector") and source in features.choices("LineSelector"):
             features.choose("LineSelector", source)
-            for one in _INPUT:
-                self._set(one)
+            for setting in _INPUT:
+                self._set(setting)
         self._set(_Setting("TriggerSelector", _FRAME_START))
         features.choose("TriggerSource", source)
         self._wanted["TriggerSource"] = source
@@ -228,7 +242,7 @@ class CameraSetup:
         self._set(_Setting("TriggerOverlap", "ReadOut", ("ReadOut", "PreviousFrame")))
         self._set(_Setting("OverlapMode", "On"))
         self._set(_Setting("TriggerDelay", 0.0))
-        # Before the exposure's mode: on some cameras it acts only on what is triggered already.
+        # Before the exposure's mode, which on some cameras acts only with the trigger on.
         features.choose("TriggerMode", "On")
         self._wanted["TriggerMode"] = "On"
 
@@ -252,9 +266,9 @@ class CameraSetup:
     def _sorted(
         self, extras: Sequence[tuple[str, FeatureValue]]
     ) -> tuple[dict[str, tuple[FeatureValue, bool]], list[tuple[str, FeatureValue, bool]]]:
-        """Return what takes the place of a built-in setting, and what follows after all of them, with whether it may be missing.
+        """Return the features that replace built-in settings, and those that follow.
 
-        What stands behind a selector in the table belongs to it, and follows with it.
+        Each has True if it may be missing. Features after a selector in the table belong to it, and follow with it.
         """
         instead: dict[str, tuple[FeatureValue, bool]] = {}
         after: list[tuple[str, FeatureValue, bool]] = []
@@ -274,7 +288,7 @@ class CameraSetup:
         return instead, after
 
     def _set(self, setting: _Setting) -> None:
-        """Set what not every camera has."""
+        """Set a feature that may be missing, unless the rig file replaces it."""
         name, value = setting.feature, setting.value
         features = self._features
         if name in self._instead:
@@ -287,16 +301,16 @@ class CameraSetup:
             return
         if isinstance(value, str):
             offered = features.choices(name)
-            wanted = next((one for one in setting.choices or (value,) if one in offered), None)
-            if wanted is None:
+            symbol = next((choice for choice in setting.choices or (value,) if choice in offered), None)
+            if symbol is None:
                 self._note(name, f"{name} without {value}: stays {features.choice(name)}")
                 return
-            value = wanted
+            value = symbol
         self._write(name, value)
         self._wanted[name] = value
 
     def _set_extra(self, extra: tuple[str, FeatureValue, bool]) -> bool:
-        """Set what the rig file asks for; False where the camera lacks it and may."""
+        """Set a feature of the rig file; return False where the camera lacks it and may."""
         name, value, optional = extra
         if optional and not self._features.has(name):
             self._note(name, f"no {name}")
@@ -314,28 +328,28 @@ class CameraSetup:
                 f"{name} is {features.value(name)} and cannot be written; it must be {value}",
                 f'Set it by the maker\'s program and save it, or give "{name}" another value under features of this camera',
             )
-        # Also what it holds already: on some cameras a mode acts only when it is written after what it depends on.
+        # Written even if the camera holds it already: on some cameras a mode acts only when written after others.
         features.set_value(name, value)
         if not self._holds(name, value):
             raise self._differs(name, value)
 
     def _holds(self, name: str, value: FeatureValue) -> bool:
-        """Tell whether the camera holds this value, numbers within what it may round."""
+        """Return True if the camera holds this value, numbers within their rounding."""
         held = self._features.value(name)
         if isinstance(value, bool | str) or isinstance(held, bool | str):
             return held == value
         return abs(held - value) <= _TOLERANCE * abs(value)
 
-    def _near(self, name: str, wanted: float, got: float, most: float, unit: str, key: str) -> None:
-        if abs(got - wanted) > max(most, _TOLERANCE * abs(wanted)):
+    def _near(self, name: str, requested: float, got: float, tolerance: float, unit: str, key: str) -> None:
+        if abs(got - requested) > max(tolerance, _TOLERANCE * abs(requested)):
             raise DeviceRefused(
                 self._name,
-                f"{name}: asked for {wanted:g} {unit}, got {got:g} {unit}",
+                f"{name}: asked for {requested:g} {unit}, got {got:g} {unit}",
                 f"Choose a {key} that the camera has",
             )
 
     def _verify(self) -> None:
-        """Read everything once more: a later setting may have changed an earlier one."""
+        """Read all settings once more: a later one may have changed an earlier one."""
         for name, value in self._wanted.items():
             if not self._holds(name, value):
                 raise self._differs(name, value)
@@ -360,7 +374,7 @@ class CameraSetup:
 
 
 _BUILT_IN = {
-    *(one.feature for one in (*_FORMAT, *_PLAIN, *_INPUT, *_LIGHT_FIRST, *_TONE)),
+    *(setting.feature for setting in (*_FORMAT, *_PLAIN, *_INPUT, *_LIGHT_FIRST, *_TONE)),
     *(
         "DeviceLinkThroughputLimitMode",
         "DeviceLinkThroughputLimit",
@@ -370,4 +384,4 @@ _BUILT_IN = {
     ),
     *("TriggerDelay", "TriggerSource", "Gamma", "GainAuto"),
 }
-"""Settings of the order whose values a rig file may replace, in their place."""
+"""Built-in settings whose values a rig file may replace."""

@@ -1,4 +1,4 @@
-"""Owns the image stream: how transfers become frames, and how the reader finds its place again after damage."""
+"""The image stream: from transfers to frames, and resynchronisation after damage."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ PAYLOAD_TIMEOUT_S = 0.25
 TRAILER_TIMEOUT_S = 0.1
 FLUSH_TIMEOUT_S = 0.02
 FLUSH_LIMIT = 256
-"""Transfers thrown away at most by one flush."""
+"""Largest number of transfers that one flush drops."""
 STALE_LIMIT = 32
-"""Frames of an earlier acquisition that are dropped at most before one is taken as it is."""
+"""Largest number of frames of an earlier acquisition that are dropped in one call."""
 _RESYNC_LIMIT = 4096
-"""Transfers skipped at most in one search for a leader."""
+"""Largest number of transfers skipped in one search for a leader."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class StreamGeometry:
     transfers: tuple[int, ...]
     """Sizes of the payload's transfers, multiples of the camera's alignment; usually one."""
     packet_buffer_size: int
-    """Memory for a leader or trailer: what the camera may send, in whole packets."""
+    """Memory for a leader or trailer: the camera's largest, in whole packets."""
 
     @property
     def transfer_size(self) -> int:
@@ -63,13 +63,13 @@ class StreamGeometry:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """Events that the reader met since the stream was started."""
+    """Events of the reader since the stream was started."""
 
     frames: int = 0
     damaged_frames: int = 0
     timeouts: int = 0
     stale_frames: int = 0
-    """Frames of before the acquisition, which the camera still had on their way."""
+    """Frames from before the acquisition, which arrived late."""
     skipped_transfers: int = 0
     """Transfers dropped on the way to the next leader."""
 
@@ -77,9 +77,9 @@ class StreamCounters:
 class StreamReader:
     """Reads frames of one running stream, for one thread.
 
-    A leader is only accepted at the start of a transfer. After any damage the reader drops transfers until the
-    next one that is a leader, so one bad frame costs one frame. A leader that arrives where a trailer or payload
-    was due is kept for the next call.
+    A leader is only accepted at the start of a transfer. After any damage the reader drops transfers until the next one
+    that is a leader, so one bad frame costs one frame. A leader that arrives where a trailer or payload was due is kept
+    for the next call.
     """
 
     def __init__(self, name: str, pipe: StreamPipe, geometry: StreamGeometry, clock: Clock) -> None:
@@ -91,7 +91,7 @@ class StreamReader:
         padded = geometry.transfer_size != geometry.width_px * geometry.height_px or geometry.format.reduce is not None
         # Only for image sizes that are no multiple of the camera's alignment, and for more than 8 bits.
         self._bounce = transfer_buffer(np.zeros(geometry.transfer_size, np.uint8)) if padded else None
-        # One maximal packet more than a payload: whatever is left of a frame ends in it with a short packet.
+        # One maximal packet more than a payload: the remainder of any frame ends in it with a short packet.
         self._waste: TransferBuffer | None = None
         self._pending: bytes | None = None
         self._since_ns: int | None = None
@@ -100,29 +100,31 @@ class StreamReader:
 
     @property
     def whole_transfers_fail(self) -> bool:
-        """True when images that came as one large transfer failed and none was whole: pieces may be what is needed."""
-        one = len(self._geometry.transfers) == 1
-        whole = self.counters.frames - self.counters.damaged_frames - self.counters.timeouts
-        return one and self._payloads_failed > 0 and whole == 0
+        """True if images in one large transfer failed and none was complete, so that pieces may help."""
+        is_one_transfer = len(self._geometry.transfers) == 1
+        complete = self.counters.frames - self.counters.damaged_frames - self.counters.timeouts
+        return is_one_transfer and self._payloads_failed > 0 and complete == 0
 
     def flush(self) -> None:
-        """Drop what is queued in the pipe. Raises DeviceGone."""
+        """Drop the queued transfers of the pipe. Raises DeviceGone."""
         self._pending = None
         for _ in range(FLUSH_LIMIT):
             try:
                 self._read(self._waste_buffer(), FLUSH_TIMEOUT_S)
             except (TransferTimeout, TransferStalled):
-                return  # a halted endpoint holds nothing back
+                return  # a halted endpoint has no queued transfers
             except TransferError:
-                continue  # an overflow only means that there was more
+                continue  # after an overflow there may be more
 
     def expect_since(self, camera_ns: int | None) -> None:
-        """Drop frames whose stamp is older than this time of the camera's clock, up to the first one that is not; ``None``: take
-        every one."""
+        """Drop frames that are older than this time of the camera's clock, up to the first that is not.
+
+        ``None``: take every frame.
+        """
         self._since_ns = camera_ns
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
-        """The next frame into ``slot``; see ``drivers.api.Camera``.
+        """Return the next frame, with its image in ``slot``; see ``drivers.api.Camera``.
 
         Raises ValueError for a slot of another shape or kind, DeviceGone when the camera is lost.
         """
@@ -135,8 +137,8 @@ class StreamReader:
         target = transfer_buffer(slot)
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         frame = self._next_frame(target, deadline_ns)
-        # What was exposed or read out when the acquisition before was stopped may arrive once the stream is open again. A
-        # camera has room for few of them.
+        # Frames that were exposed or read out when the earlier acquisition was stopped may arrive once the stream is
+        # open again. A camera has room for few of them.
         for _ in range(STALE_LIMIT):
             if not self._stale(frame):
                 break
@@ -166,7 +168,7 @@ class StreamReader:
             leader = parse_leader(packet)
         except MalformedStreamPacket as error:
             return self._frame(FrameStatus.CORRUPT, None, str(error))
-        # The geometry was fixed when the stream began; a leader that says otherwise is damaged, or somebody else
+        # The geometry was fixed when the stream began; a leader with another one is damaged, or another program
         # configured the camera.
         problem = self._unexpected(leader)
         if problem:
@@ -180,9 +182,9 @@ class StreamReader:
         return self._judge(leader, count, problem, trailer, trailer_problem)
 
     def _judge(self, leader: Leader, count: int, problem: str, trailer: Trailer | None, trailer_problem: str) -> Frame:
-        """One verdict per frame, the most telling first."""
+        """Return the frame with its status, by the most specific fault."""
         expected = self._geometry.payload_size
-        # The camera says itself that it dropped data: more telling than the length that is missing.
+        # The camera reports dropped data: more specific than a missing length.
         if trailer is not None and trailer.status in (u3v.Status.DATA_DISCARDED, u3v.Status.DATA_OVERRUN):
             return self._frame(FrameStatus.DISCARDED, leader, gencp.status_name(trailer.status))
         if count != expected:
@@ -216,10 +218,10 @@ class StreamReader:
         return ""
 
     def _find_leader(self, deadline_ns: int) -> bytes:
-        """The transfer that begins the next frame. Raises TransferError.
+        """Return the transfer that begins the next frame. Raises TransferError.
 
-        A short transfer of the size of a leader without its magic is a damaged leader when the stream was in step,
-        and is returned as it is; everything else before a leader is skipped.
+        A short transfer of the size of a leader without its magic is a damaged leader when the stream was in step, and
+        is returned as it is; all other transfers before a leader are skipped.
         """
         if self._pending is not None:
             packet, self._pending = self._pending, None
@@ -239,7 +241,7 @@ class StreamReader:
                 return packet
             in_step = False
             if len(packet) == self._scratch.size:
-                # In the middle of a payload: take the rest at once, it ends with the trailer's short packet.
+                # In the middle of a payload: skip the remainder at once, it ends with the trailer's short packet.
                 self._skip_rest(deadline_ns)
         raise TransferTimeout("no leader")
 
@@ -248,10 +250,10 @@ class StreamReader:
         try:
             self._read(self._waste_buffer(), min(PAYLOAD_TIMEOUT_S, remaining_s))
         except TransferError:
-            return  # nothing more came: the next transfer is looked at on its own
+            return  # no more data: the next transfer is examined by itself
 
     def _read_payload(self, target: TransferBuffer) -> tuple[int, str]:
-        """Number of image bytes that came, and the problem if they are not all."""
+        """Return the number of image bytes that came, and the fault if some are missing."""
         buffer = target if self._bounce is None else self._bounce
         count, problem = 0, ""
         for size in self._geometry.transfers:
@@ -268,7 +270,7 @@ class StreamReader:
                 return 0, problem
             count += got
             if got < size:
-                break  # a short packet ends an image that is not whole
+                break  # a short packet ends an incomplete image
         head = buffer[: u3v.LEADER_SIZE].tobytes() if count == u3v.LEADER_SIZE else b""
         if is_leader(head):
             self._pending = head
@@ -306,7 +308,10 @@ class StreamReader:
         return self._scratch[:count].tobytes()
 
     def _read(self, buffer: TransferBuffer, timeout_s: float) -> int:
-        """One transfer; a halt is cleared before it is reported. Raises TransferError, DeviceGone."""
+        """Return the length of one transfer; a halt is cleared before it is reported.
+
+        Raises TransferError, DeviceGone.
+        """
         try:
             return self._pipe.read_into(buffer, timeout_s)
         except TransferStalled:
@@ -316,9 +321,9 @@ class StreamReader:
             raise self._gone() from error
 
     def reset_endpoint(self) -> None:
-        """Halt the stream endpoint and clear it: one that an earlier program left halted may take a clear alone for nothing.
+        """Halt the stream endpoint and clear it. Raises DeviceGone.
 
-        Raises DeviceGone.
+        A device may ignore a clear alone after an earlier program left the endpoint halted.
         """
         try:
             self._pipe.set_halt()
@@ -340,8 +345,8 @@ class StreamReader:
         if self._waste is None:
             # A multiple of the packet size: a bulk read of any other length ends in an overflow when the device sends a
             # whole packet more.
-            whole = -(-self._geometry.transfer_size // u3v.SUPERSPEED_PACKET) + 1
-            size = whole * u3v.SUPERSPEED_PACKET + self._geometry.packet_buffer_size
+            packets = -(-self._geometry.transfer_size // u3v.SUPERSPEED_PACKET) + 1
+            size = packets * u3v.SUPERSPEED_PACKET + self._geometry.packet_buffer_size
             self._waste = transfer_buffer(np.zeros(size, np.uint8))
         return self._waste
 

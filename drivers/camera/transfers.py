@@ -1,6 +1,7 @@
-"""Owns how the bytes of an image are cut into transfers: the four sizes that a stream is told before it begins.
+"""The division of an image into transfers: the four sizes that are set before a stream begins.
 
-Source: USB3 Vision 1.0, section 5.4: ``count`` transfers of one size, then one or two smaller ones; each is a multiple of the camera's alignment.
+Source: USB3 Vision 1.0, section 5.4: ``count`` transfers of one size, then one or two smaller ones; each is a multiple
+of the camera's alignment.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ class Transfers:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Return the transfers of one image, in order."""
-        return (*(self.size,) * self.count, *(one for one in (self.final_1, self.final_2) if one))
+        """Sizes of the transfers of one image, in order."""
+        return (*(self.size,) * self.count, *(size for size in (self.final_1, self.final_2) if size))
 
 
 def transfers_of(payload_size: int, alignment: int, piece: int | None) -> Transfers:
-    """Return the transfers of an image: one, or where ``piece`` is given, as many of that size as it has, and the rest.
+    """Return the transfers of an image: one, or with ``piece`` as many of that size as fit and a last.
 
-    ``alignment``: a power of two. The last transfer is rounded up to it, and what is beyond the image is padding.
+    ``alignment``: a power of two. The last transfer is rounded up to it; its bytes beyond the image are padding.
     """
-    whole = -(-payload_size // alignment) * alignment
-    if piece is None or whole <= piece:
-        return Transfers(whole, 1, 0, 0)
+    padded = -(-payload_size // alignment) * alignment
+    if piece is None or padded <= piece:
+        return Transfers(padded, 1, 0, 0)
     size = max(piece // alignment, 1) * alignment
     count = payload_size // size
-    return Transfers(size, count, whole - count * size, 0)
+    return Transfers(size, count, padded - count * size, 0)

@@ -1,7 +1,7 @@
-"""Owns the numbers of USB3 Vision and GenCP: every constant of the wire stands in this one table.
+"""The numbers of USB3 Vision and GenCP: every constant of the wire in one table.
 
-Sources: USB3 Vision 1.0 (AIA), sections 3 (device class), 4 (control), 5 (streaming) and annex (registers);
-GenICam GenCP 1.1 (EMVA), sections 3 (packets) and 4 (bootstrap registers). All values are little endian on the wire.
+Sources: USB3 Vision 1.0 (AIA), sections 3 (device class), 4 (control), 5 (streaming) and annex (registers); GenICam
+GenCP 1.1 (EMVA), sections 3 (packets) and 4 (bootstrap registers). All values are little endian on the wire.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ ABRM_TIMESTAMP = 0x1F0
 ABRM_TIMESTAMP_LATCH = 0x1F8
 ABRM_STRING_SIZE = 64
 ABRM_HEAD_SIZE = 0x1E0
-"""Bytes up to the end of the SBRM address: what is needed to find everything else."""
+"""Bytes up to the end of the SBRM address, with which all other registers are found."""
 
 # --------------------------------------------------------- technology-specific (U3V) bootstrap registers, SBRM
 
@@ -131,7 +131,7 @@ SUPERSPEED_PACKET = 1024
 """Largest bulk packet at SuperSpeed; a transfer's buffer is a multiple of it, or the transfer may overflow."""
 
 PIECE = 1 << 20
-"""Largest transfer that every camera and host takes, as far as is known: what most programs ask for."""
+"""Largest transfer that every known camera and host accepts: that of most programs."""
 
 # ------------------------------------------------------------------------------------------------ speed
 

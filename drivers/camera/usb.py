@@ -1,7 +1,7 @@
-"""Owns the USB transfers of one camera: pyusb's backend interface, reduced to two pipes and four named failures.
+"""The USB transfers of one camera: pyusb's backend interface, reduced to two pipes and four errors.
 
-The backend interface (``usb.backend.IBackend``) is used directly, not through ``usb.core.Device``: only a backend
-reads into memory that the caller owns, which saves a copy of every image.
+The backend interface (``usb.backend.IBackend``) is used directly, not through ``usb.core.Device``: only a backend reads
+into memory that the caller owns, which saves a copy of every image.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _TRANSFER_TYPE_BULK = 0x02
 
 
 class TransferError(Exception):
-    """A transfer failed in a way that is not the end: the pipe may be used again."""
+    """A transfer failed, but the pipe may be used again."""
 
 
 class TransferTimeout(TransferError):
-    """Nothing came in time."""
+    """No data came in time."""
 
 
 class TransferStalled(TransferError):
@@ -50,11 +50,11 @@ class TransferStalled(TransferError):
 
 
 class TransferOverflow(TransferError):
-    """The device sent more than was asked for; the excess is lost."""
+    """The device sent more than was requested; the excess is lost."""
 
 
 class TransferRefused(TransferError):
-    """The host does not take a transfer of this length."""
+    """The host does not accept a transfer of this length."""
 
 
 class Unplugged(Exception):
@@ -62,18 +62,18 @@ class Unplugged(Exception):
 
 
 class TransferBuffer(np.ndarray[Any, np.dtype[np.uint8]]):
-    """A view of memory with the shape of ``array.array`` that pyusb's backends ask for.
+    """A view of memory with the interface of ``array.array`` that pyusb's backends need.
 
     ``buffer_info`` serves the libusb backend, the buffer protocol every other one. No byte is copied.
     """
 
     def buffer_info(self) -> tuple[int, int]:
-        """(address, number of items), as ``array.array.buffer_info``."""
+        """Return (address, number of items), as ``array.array.buffer_info``."""
         return self.ctypes.data, self.size
 
 
 def transfer_buffer(memory: NDArray[np.uint8]) -> TransferBuffer:
-    """A flat view of ``memory``. Raises ValueError unless it is uint8, C-contiguous and writable."""
+    """Return a flat view of ``memory``. Raises ValueError unless it is uint8, C-contiguous and writable."""
     if memory.dtype != np.uint8 or not memory.flags.c_contiguous or not memory.flags.writeable:
         raise ValueError(
             f"a transfer needs C-contiguous writable uint8 memory, not {memory.dtype} "
@@ -86,10 +86,10 @@ class ControlPipe(Protocol):
     """Pipe that the control channel needs: one packet out, one packet in."""
 
     def write(self, data: bytes, timeout_s: float) -> None:
-        """Raises TransferError, Unplugged."""
+        """Write one transfer. Raises TransferError, Unplugged."""
 
     def read(self, size: int, timeout_s: float) -> bytes:
-        """One transfer of at most ``size`` bytes. Raises TransferError, Unplugged."""
+        """Read one transfer of at most ``size`` bytes. Raises TransferError, Unplugged."""
 
     def clear_halt(self) -> None:
         """Clear the halt of both directions. Raises Unplugged."""
@@ -99,17 +99,17 @@ class StreamPipe(Protocol):
     """Pipe that the stream reader needs: fill memory, one transfer at a time."""
 
     def read_into(self, buffer: TransferBuffer, timeout_s: float) -> int:
-        """One transfer into ``buffer``; the number of bytes that came. Raises TransferError, Unplugged."""
+        """Read one transfer into ``buffer`` and return the number of bytes. Raises TransferError, Unplugged."""
 
     def set_halt(self) -> None:
-        """Ask the device to halt the endpoint, as far as it does. Raises Unplugged."""
+        """Ask the device to halt the endpoint; it may refuse. Raises Unplugged."""
 
     def clear_halt(self) -> None:
-        """Raises Unplugged."""
+        """Clear the halt of the endpoint. Raises Unplugged."""
 
 
 def _as_milliseconds(timeout_s: float) -> int:
-    # libusb takes 0 for "wait for ever"; no wait of ours may become that.
+    # libusb waits for ever with 0, so a short wait must not be rounded to that.
     return max(1, round(timeout_s * 1000.0))
 
 
@@ -123,12 +123,12 @@ def _translate(error: usb.core.USBError) -> Exception:
     if error.errno in (errno.ENOMEM, errno.EINVAL):
         # The kernel has no room for a transfer this long (usbfs_memory_mb), or the controller takes none.
         return TransferRefused(str(error))
-    # ENODEV says so; EIO, EPROTO and ESHUTDOWN are what a hub reports in the instant before it notices.
+    # ENODEV means unplugged; a hub reports EIO, EPROTO or ESHUTDOWN in the moment before it notices.
     return Unplugged(str(error))
 
 
 def default_backend() -> Any:
-    """pyusb's libusb-1.0 backend. Raises DeviceGone when the library is not installed."""
+    """Return pyusb's libusb-1.0 backend. Raises DeviceGone when the library is not installed."""
     import usb.backend.libusb1
 
     backend = usb.backend.libusb1.get_backend()
@@ -152,7 +152,7 @@ class FoundCamera:
 
 
 def _interfaces(backend: Any, device: Any, count: int) -> list[InterfaceDescription]:
-    found: list[InterfaceDescription] = []
+    interfaces: list[InterfaceDescription] = []
     for index in range(count):
         try:
             descriptor = backend.get_interface_descriptor(device, index, 0, 0)
@@ -165,7 +165,7 @@ def _interfaces(backend: Any, device: Any, count: int) -> list[InterfaceDescript
             if int(endpoint.bmAttributes) & _TRANSFER_TYPE_MASK == _TRANSFER_TYPE_BULK:
                 address = int(endpoint.bEndpointAddress)
                 (bulk_in if address & _ENDPOINT_IN else bulk_out).append(address)
-        found.append(
+        interfaces.append(
             InterfaceDescription(
                 number=int(descriptor.bInterfaceNumber),
                 interface_class=int(descriptor.bInterfaceClass),
@@ -176,7 +176,7 @@ def _interfaces(backend: Any, device: Any, count: int) -> list[InterfaceDescript
                 extra=bytes(descriptor.extra_descriptors or ()),
             )
         )
-    return found
+    return interfaces
 
 
 def _read_string(backend: Any, handle: Any, index: int) -> str | None:
@@ -194,9 +194,9 @@ def _read_string(backend: Any, handle: Any, index: int) -> str | None:
 
 
 def find_cameras(backend: Any) -> Iterator[FoundCamera]:
-    """Every USB3 Vision device that the backend enumerates, by class descriptors alone.
+    """Yield every USB3 Vision device that the backend enumerates, by class descriptors alone.
 
-    A device that may not be opened is reported without a serial number; one that vanishes meanwhile is not there.
+    A device that may not be opened is reported without a serial number; one that vanishes meanwhile is left out.
     """
     for device in backend.enumerate_devices():
         try:
@@ -204,9 +204,9 @@ def find_cameras(backend: Any) -> Iterator[FoundCamera]:
             configuration = backend.get_configuration_descriptor(device, 0)
             interfaces = _interfaces(backend, device, int(configuration.bNumInterfaces))
         except (usb.core.USBError, IndexError):
-            continue  # it left the bus between two questions, or has no configuration: not a camera we can use
+            continue  # it left the bus meanwhile, or has no configuration: no usable camera
         layout = find_layout(int(configuration.bConfigurationValue), interfaces)
-        # Many devices are on a bus; only those with a USB3 Vision control interface are asked for a serial number.
+        # Serial numbers are read only from devices with a USB3 Vision control interface.
         if layout is None:
             continue
         index = int(descriptor.iSerialNumber)
@@ -222,7 +222,7 @@ def find_cameras(backend: Any) -> Iterator[FoundCamera]:
                 backend.close_device(handle)
         except usb.core.USBError as error:
             if error.errno == errno.ENODEV:
-                continue  # unplugged, and the library's list is a moment behind: no reason to look at permissions
+                continue  # unplugged, and the library's list is out of date: no problem of permissions
             unreadable = str(error)
         speed = getattr(descriptor, "speed", None)
         yield FoundCamera(
@@ -237,8 +237,11 @@ def find_cameras(backend: Any) -> Iterator[FoundCamera]:
 
 
 def find_camera(backend: Any, name: str, serial: str) -> FoundCamera:
-    """The camera with this serial number. Raises DeviceGone, telling which others are there, or DeviceRefused."""
-    seen: list[str] = []
+    """Return the camera with this serial number.
+
+    Raises DeviceGone, which lists the others, or DeviceRefused.
+    """
+    other_serials: list[str] = []
     forbidden: list[str] = []
     for camera in find_cameras(backend):
         if camera.serial == serial:
@@ -246,26 +249,28 @@ def find_camera(backend: Any, name: str, serial: str) -> FoundCamera:
         if camera.serial is None:
             forbidden.append(f"{camera.location}: {camera.unreadable or 'no serial number'}")
         else:
-            seen.append(camera.serial)
+            other_serials.append(camera.serial)
     if forbidden:
         raise DeviceRefused(
             name,
             f"serial number {serial} not found, and a camera could not be asked for its own ({'; '.join(forbidden)})",
             "Install the udev rules, or stop the program that uses the camera",
         )
-    others = f"the bus has {', '.join(sorted(seen))}" if seen else "the bus has no USB3 Vision camera"
-    raise DeviceGone(name, f"serial number {serial} not found; {others}", "Check the connector and the rig's serial")
+    presence = (
+        f"the bus has {', '.join(sorted(other_serials))}" if other_serials else "the bus has no USB3 Vision camera"
+    )
+    raise DeviceGone(name, f"serial number {serial} not found; {presence}", "Check the connector and the rig's serial")
 
 
 class UsbCamera:
     """One opened camera: its two interfaces are claimed until ``close``."""
 
-    def __init__(self, name: str, found: FoundCamera) -> None:
-        self._backend = found.backend
-        self._layout = found.layout
+    def __init__(self, name: str, candidate: FoundCamera) -> None:
+        self._backend = candidate.backend
+        self._layout = candidate.layout
         self._claimed: list[int] = []
         try:
-            self._handle: Any = self._backend.open_device(found.device)
+            self._handle: Any = self._backend.open_device(candidate.device)
         except usb.core.USBError as error:
             raise _opening_failed(name, error) from error
         try:
@@ -280,12 +285,12 @@ class UsbCamera:
             raise _opening_failed(name, error) from error
 
     def control(self) -> ControlPipe:
-        """The pipe of commands and acknowledges."""
+        """Return the pipe of commands and acknowledges."""
         layout = self._layout
         return _Pipe(self._backend, self._handle, layout.control_interface, layout.control_in, layout.control_out)
 
     def stream(self) -> StreamPipe:
-        """The pipe of images."""
+        """Return the pipe of images."""
         layout = self._layout
         return _Pipe(self._backend, self._handle, layout.stream_interface, layout.stream_in, None)
 
@@ -355,7 +360,7 @@ class _Pipe:
                 self._handle, _HOST_TO_ENDPOINT, _SET_FEATURE, _ENDPOINT_HALT, self._in, nothing, _STRING_TIMEOUT_MS
             )
         except usb.core.USBError as error:
-            # A device may refuse it; then there is nothing to be cleared either.
+            # A device may refuse it, and then has no halt to clear.
             if error.errno == errno.ENODEV:
                 raise Unplugged(str(error)) from error
 

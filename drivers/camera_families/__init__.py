@@ -1,9 +1,10 @@
-"""Owns which families of cameras there are: each module of this package is one, named by ``kind`` of ``[camera]``.
+"""The families of cameras: each module of this package is one, named by ``kind`` of ``[camera]``.
 
-Such a module has a function ``open_camera(spec, wires)`` that finds, opens and identifies one camera, and returns it as a context
-manager that gives a ``drivers.api.Camera``. It raises DeviceGone (not there) and DeviceRefused (not usable). If it has a function
-``list_cameras(wires)`` besides, that yields a line of words for each camera it sees, whatever the rig file wants. It is imported when
-a rig file names it; a name that is no module of this package is never imported (``docs/adr/0036-a-camera-family-is-a-module.md``).
+Such a module has a function ``open_camera(spec, wires)`` that finds, opens and identifies one camera, and returns it as
+a context manager that gives a ``drivers.api.Camera``. It raises DeviceGone (not there) and DeviceRefused (not usable).
+If it has a function ``list_cameras(wires)`` besides, that yields a line of words for each camera it sees, whatever the
+rig file has. It is imported when a rig file names it; a name that is no module of this package is never imported
+(``docs/adr/0036-a-camera-family-is-a-module.md``).
 """
 
 from __future__ import annotations
@@ -24,37 +25,40 @@ USUAL = "usb3vision"
 
 
 class OpenCamera(Protocol):
-    """Function that a family's module has to offer."""
+    """Function that a family's module must offer."""
 
     def __call__(self, spec: CameraSpec, wires: Wires) -> AbstractContextManager[Camera]: ...
 
 
 class ListCameras(Protocol):
-    """Function that a family's module may offer: what it sees, serial number first, and how to reach it. Raises DeviceError."""
+    """Function that a family's module may offer: a line with serial number and address for each camera.
+
+    Raises DeviceError.
+    """
 
     def __call__(self, wires: Wires) -> Iterator[str]: ...
 
 
 def families() -> tuple[str, ...]:
-    """The names that ``kind`` may have."""
-    return tuple(sorted(one.name for one in pkgutil.iter_modules(__path__) if not one.name.startswith("_")))
+    """Return the names that ``kind`` may have."""
+    return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_")))
 
 
 def opener(kind: str) -> OpenCamera:
-    """Return the function that opens cameras of a family. Raises DeviceRefused for a family that is not there."""
+    """Return the function that opens cameras of a family. Raises DeviceRefused for an unknown family."""
     if kind not in families():
         raise DeviceRefused(
             "camera",
             f"there is no family {kind!r}; allowed: {', '.join(families())}",
             f'Correct kind of [camera]; usually it is "{USUAL}"',
         )
-    found: OpenCamera = importlib.import_module(f"{__name__}.{kind}").open_camera
-    return found
+    function: OpenCamera = importlib.import_module(f"{__name__}.{kind}").open_camera
+    return function
 
 
 def lister(kind: str) -> ListCameras | None:
-    """Return the function that lists cameras of a family; ``None``: the family, or such a function, is not there."""
+    """Return the function that lists cameras of a family; ``None`` if the family has none or is unknown."""
     if kind not in families():
         return None
-    found: ListCameras | None = getattr(importlib.import_module(f"{__name__}.{kind}"), "list_cameras", None)
-    return found
+    function: ListCameras | None = getattr(importlib.import_module(f"{__name__}.{kind}"), "list_cameras", None)
+    return function

@@ -1,4 +1,4 @@
-"""Owns the family of cameras that the library Aravis knows: USB3 Vision, GigE Vision, and the one that it brings (``drivers.aravis``)."""
+"""The family of cameras of the library Aravis: USB3 Vision, GigE Vision, and its simulated one."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from drivers.aravis.library import library
 
 
 def open_camera(spec: CameraSpec, wires: Wires) -> AbstractContextManager[Camera]:
-    """The camera with that serial number on any of this machine's interfaces: the library finds its own way, past the wires' USB. Raises
-    DeviceGone, DeviceRefused."""
+    """Open the camera with that serial number on any of this machine's interfaces.
+
+    The library does not use the wires' USB. Raises DeviceGone, DeviceRefused.
+    """
     return AravisCamera.open(spec, wires.clock)
 
 
 def list_cameras(wires: Wires) -> Iterator[str]:
-    """Every camera that the library sees on this machine's interfaces, without the one that it brings. Raises DeviceRefused where the library is not
-    installed."""
+    """Yield every camera on this machine's interfaces that the library sees, but not its simulated one.
+
+    Raises DeviceRefused where the library is not installed.
+    """
     return listed_cameras(library("cameras"))

@@ -1,4 +1,4 @@
-"""The key pad: four keys that work with gloves, as HID reports."""
+"""The keypad: four keys that work with gloves, as HID reports."""
 
 from drivers.keys.keypad import HidKeypad, KeysSpec
 

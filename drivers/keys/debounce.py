@@ -1,4 +1,4 @@
-"""Owns what a press is: contact states with times in, debounced key events out. Pure: it never looks at a clock.
+"""Debouncing: contact states with times in, key events out. Pure: it never reads a clock.
 
 Source: ``docs/protocols/keys.md``; inductive coils bounce for up to 20 ms.
 """
@@ -24,7 +24,7 @@ class _KeyState:
     down_since_ns: int = 0
     long_told: bool = False
     masked: bool = False
-    """True for a key held since before we listened, or stuck: silent until seen released."""
+    """True for a key held since before the first report, or stuck: silent until seen released."""
     stuck_told: bool = False
     faulty: bool = False
 
@@ -32,9 +32,9 @@ class _KeyState:
 class Debouncer:
     """Turns contact states into presses, long presses, releases and stuck keys.
 
-    A change counts when it has held for 30 ms and is dated to its beginning. Feed it with ``contacts`` for every
-    report and with ``advance`` when time passes without one; times must not run backwards. Each key is on its own:
-    a stuck one does not disturb the others. Keys that are down in the first report are masked until released.
+    A change counts when it has held for 30 ms and is dated to its beginning. Call ``contacts`` for every report and
+    ``advance`` when time passes without one; times must not run backwards. Keys are independent: a stuck one does not
+    disturb the others. Keys that are down in the first report are masked until released.
     """
 
     def __init__(self) -> None:
@@ -42,11 +42,11 @@ class Debouncer:
         self._listening = False
 
     def contacts(self, now_ns: int, pressed: frozenset[Key], faulty: frozenset[Key]) -> list[KeyEvent]:
-        """A report arrived: these coils are closed, these are faulty."""
+        """Take a report with the closed and the faulty coils, and return the events."""
         events = self.advance(now_ns)
         for key, state in self._keys.items():
             contact = key in pressed
-            # A key that is down when we begin to listen was pressed for somebody else.
+            # A key that is down in the first report was not pressed for this program.
             if not self._listening:
                 state.contact = state.down = state.masked = contact
                 state.contact_since_ns = state.down_since_ns = now_ns
@@ -58,18 +58,18 @@ class Debouncer:
                 if state.faulty and not state.stuck_told:
                     events.append(self._stick(key, state))
                 elif not state.faulty and not state.down and not contact:
-                    told: list[tuple[int, KeyEvent]] = []
-                    self._free(key, state, told)
-                    events += [event for _, event in told]
+                    freed_events: list[tuple[int, KeyEvent]] = []
+                    self._free(key, state, freed_events)
+                    events += [event for _, event in freed_events]
         self._listening = True
         return events
 
     def advance(self, now_ns: int) -> list[KeyEvent]:
-        """Time passed: what became true since the last call, in the order in which it became true."""
+        """Return the events that became due by ``now_ns``, in the order of their times."""
         events: list[tuple[int, KeyEvent]] = []
         for key, state in self._keys.items():
-            # Twice: a long press may have become true before the contact settled to open, and another one begin after
-            # it settled to closed.
+            # Twice: a long press may become due before the contact settled to open, and another one may begin after it
+            # settled to closed.
             self._hold(key, state, now_ns, events)
             self._settle(key, state, now_ns, events)
             self._hold(key, state, now_ns, events)
@@ -77,7 +77,7 @@ class Debouncer:
         return [event for _, event in events]
 
     def due_ns(self) -> int | None:
-        """Time at which ``advance`` has something to say although no report comes; ``None`` when never."""
+        """Return the time of the next event without a report; ``None`` if there is none."""
         times: list[int] = []
         for state in self._keys.values():
             if state.contact != state.down:
@@ -89,7 +89,7 @@ class Debouncer:
         return min(times, default=None)
 
     def _settle(self, key: Key, state: _KeyState, now_ns: int, events: list[tuple[int, KeyEvent]]) -> None:
-        """A contact that has held long enough becomes the state."""
+        """Make a contact that has held long enough the debounced state."""
         if state.contact == state.down or now_ns - state.contact_since_ns < DEBOUNCE_NS:
             return
         # Dated to the beginning of the change, not to the end of the wait: the time a key was held does not contain the
@@ -107,10 +107,10 @@ class Debouncer:
             self._free(key, state, events)
 
     def _hold(self, key: Key, state: _KeyState, now_ns: int, events: list[tuple[int, KeyEvent]]) -> None:
-        """A key that is held becomes a long press, later a stuck key."""
+        """Report a key that is held as a long press, later as stuck."""
         if not state.down:
             return
-        # An open contact may be bounce or the release: until that is known, the key was held up to its opening.
+        # An open contact may be bounce or the release: until that is known, the key counts as held until the opening.
         held_ns = (now_ns if state.contact else state.contact_since_ns) - state.down_since_ns
         if held_ns >= LONG_PRESS_NS and not state.long_told and not state.masked:
             state.long_told = True
@@ -120,7 +120,7 @@ class Debouncer:
             events.append((state.down_since_ns + STUCK_NS, self._stick(key, state)))
 
     def _free(self, key: Key, state: _KeyState, events: list[tuple[int, KeyEvent]]) -> None:
-        """Free a key that works again; who was told that it is stuck hears of it."""
+        """Unmask a key that works again; report this only if it was reported stuck."""
         if state.stuck_told:
             events.append((state.contact_since_ns, KeyFreed(key)))
         state.masked = state.stuck_told = False

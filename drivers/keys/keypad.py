@@ -1,4 +1,4 @@
-"""Owns the HID device of the key pad: which one it is, what it sends, and whether it is still there."""
+"""The HID device of the keypad: finding it, reading its reports, and noticing its loss."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SILENCE_S = 1.0
 """Four missing reports."""
 FIRST_REPORT_TIMEOUT_S = 1.0
 _WAITED_NS = 2_000_000
-"""A read that took longer found nothing ready: its report is fresh."""
+"""Duration of a read above which no report was queued before it: its report is new."""
 _USAGE_PAGE = 0xFF4B
 _WRAP_MS = 1 << 16
 """The pad counts milliseconds in 16 bits (docs/protocols/keys.md)."""
@@ -24,7 +24,7 @@ _MS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class KeysSpec:
-    """The key pad of the rig, by USB identity."""
+    """The keypad of the rig, by USB identity."""
 
     vendor_id: int
     product_id: int
@@ -32,10 +32,10 @@ class KeysSpec:
 
 
 class PadTime:
-    """Dates reports so that a host that was late to read them does not change how long a key was held.
+    """Dates reports so that a late host does not change the duration of a key press.
 
-    A report that was waited for is dated to its arrival. One that was lying there already is dated by the pad's own
-    clock from the report before it, never after its arrival and never before its predecessor.
+    A report for which the read had to wait is dated to its arrival. One that was queued already is dated by the pad's
+    own clock from the report before it, never after its arrival and never before its predecessor.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class PadTime:
         self._last_ns = 0
 
     def date(self, pad_time_ms: int, arrival_ns: int, waited_for: bool) -> int:
-        """Host time in ns at which the report was made."""
+        """Return the host time in ns at which the report was made."""
         time_ns = arrival_ns
         if not waited_for and self._last_ms is not None:
             # Modulo the counter's range: reports come far more often than it wraps.
@@ -57,7 +57,7 @@ class PadTime:
 
 @dataclass(slots=True)
 class KeypadCounters:
-    """Counts of what came since the pad was opened."""
+    """Counts of reports since the pad was opened."""
 
     reports: int = 0
     garbage_reports: int = 0
@@ -99,7 +99,10 @@ class HidKeypad:
 
     @classmethod
     def open(cls, spec: KeysSpec, hidraw: Any, clock: Clock) -> Self:
-        """Open the pad like the constructor; ``hidraw`` is hidapi's module of that name or an object of its shape."""
+        """Open the pad like the constructor.
+
+        ``hidraw`` is hidapi's module of that name or an object of its shape.
+        """
         return cls(spec, hidraw, clock)
 
     def __enter__(self) -> Self:
@@ -117,7 +120,7 @@ class HidKeypad:
             device.close()
 
     def next_event(self, timeout_s: float) -> KeyEvent | None:
-        """The next event, or ``None`` after the timeout. Raises DeviceGone after the pad was unplugged."""
+        """Return the next event, or ``None`` after the timeout. Raises DeviceGone after the pad was unplugged."""
         if self._events:
             return self._events.popleft()
         if self._failure is not None or self._device is None:
@@ -125,8 +128,8 @@ class HidKeypad:
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         now_ns = self._clock.now_ns()
         while True:
-            # At least one read per call, and time is looked at only when nothing lies unread: a report that waited
-            # for a late host must not turn a short press into a long one, or a busy second into a lost pad.
+            # At least one read per call, and time counts only when no report is queued: one that waited for a late
+            # host must not turn a short press into a long one, or a busy second into a lost pad.
             if not self._read_one(self._next_look_s(now_ns, deadline_ns)):
                 self._look_at_time(asked_ns=now_ns, now_ns=self._clock.now_ns())
             if self._events:
@@ -136,7 +139,7 @@ class HidKeypad:
                 return None
 
     def health(self) -> Health:
-        """Return what ``kingfisher check`` shows."""
+        """Return the keypad's entry in ``kingfisher check``."""
         counters = self.counters
         details = {
             "firmware": "unknown" if self._firmware is None else str(self._firmware),
@@ -172,13 +175,16 @@ class HidKeypad:
         return max(0.0, (min(times) - now_ns) * 1e-9)
 
     def _look_at_time(self, asked_ns: int, now_ns: int) -> None:
-        """Take note of a read that began at ``asked_ns`` and found nothing. It proves silence until then, not until
-        now: a host whose thread had to wait after it may have reports by now."""
+        """Handle a read that began at ``asked_ns`` and found no report.
+
+        It proves silence until ``asked_ns``, not until now: if this thread had to wait afterwards, reports may have
+        come.
+        """
         if self._silent:
             return
         if asked_ns - self._heard_ns > SILENCE_S * 1e9:
             self._silent = True
-            # What is down now is unknown: forget it, so that a key held meanwhile neither presses nor sticks.
+            # The state of the keys is unknown now: drop it, so that a key held meanwhile neither presses nor sticks.
             self._debouncer = Debouncer()
             self._pad_time = PadTime()
             self._counter = None
@@ -187,7 +193,10 @@ class HidKeypad:
             self._events.extend(self._debouncer.advance(now_ns))
 
     def _read_one(self, timeout_s: float) -> bool:
-        """Read and digest at most one report; True when it was one. Garbage is like silence, or it could hide it."""
+        """Read and process at most one report; return True if there was one.
+
+        Garbage counts as silence, which it could otherwise hide.
+        """
         # A timeout of 0 means "for ever" to some versions of hidapi.
         timeout_ms = max(1, -(-round(timeout_s * 1e6) // 1000))
         before_ns = self._clock.now_ns()
@@ -221,22 +230,22 @@ class HidKeypad:
 
 
 def _open_device(spec: KeysSpec, hidraw: Any) -> Any:
-    found = [
+    entries = [
         entry
         for entry in hidraw.enumerate(spec.vendor_id, spec.product_id)
         # Kernels and libraries that do not know the usage page say 0.
         if entry.get("usage_page", 0) in (0, _USAGE_PAGE)
     ]
-    if not found:
+    if not entries:
         raise DeviceGone(
             spec.name, f"no key pad {spec.vendor_id:04x}:{spec.product_id:04x}", "Check the key pad's cable"
         )
     device = hidraw.device()
-    path = found[0]["path"]
+    path = entries[0]["path"]
     try:
         device.open_path(path)
     except OSError as error:
-        # hidapi says "open failed" for everything; the device is there, so it is permission or another owner.
+        # hidapi reports only "open failed"; the device exists, so the cause is permission or another program.
         raise DeviceRefused(
             spec.name, f"{path!r} cannot be opened ({error})", "Install the udev rules, or stop the other program"
         ) from error

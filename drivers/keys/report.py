@@ -1,4 +1,4 @@
-"""Owns the layout of the key pad's input report: bytes in, values out. Source: ``docs/protocols/keys.md``."""
+"""The layout of the keypad's input report: bytes in, values out. Source: ``docs/protocols/keys.md``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class MalformedReport(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class KeyReport:
-    """One report: what the coils see, without debouncing."""
+    """One report with the state of the coils, without debouncing."""
 
     pressed: frozenset[Key]
     faulty: frozenset[Key]
@@ -34,7 +34,7 @@ class KeyReport:
 
 
 def checksum(data: bytes) -> int:
-    """XOR of all bytes and 0xA5."""
+    """Return the XOR of all bytes and 0xA5."""
     return reduce(xor, data, _CHECK_SEED)
 
 
@@ -43,7 +43,7 @@ def _keys(mask: int) -> frozenset[Key]:
 
 
 def parse_report(data: bytes) -> KeyReport:
-    """Raises MalformedReport for another length, number or checksum, or for keys that do not exist."""
+    """Parse a report. Raises MalformedReport for a wrong length, number or checksum, or for unknown keys."""
     if len(data) != REPORT_SIZE:
         raise MalformedReport(f"{len(data)} bytes; a report has {REPORT_SIZE}")
     if data[0] != REPORT_NUMBER:

@@ -1,8 +1,8 @@
-"""Owns one graphics card: the kernel's mode-setting calls as typed functions, and its flip reports.
+"""One graphics card: the kernel's mode-setting calls as typed functions, and its flip reports.
 
-Both heads of an instrument usually hang on one card and share its descriptor, perhaps from two threads: flip
-reports are therefore sorted by their token, whoever reads them. Functions let ``OSError`` through; the head that
-asked knows what it means (``head.py``).
+Both heads of an instrument usually hang on one card and share its descriptor, perhaps from two threads: flip reports
+are therefore sorted by their token, whichever thread reads them. Functions let ``OSError`` through; the head that made
+the call knows its meaning (``head.py``).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ READ_SIZE = 4096
 
 @dataclass(frozen=True, slots=True)
 class Connector:
-    """A socket and what is plugged into it. ``properties`` maps property id → value."""
+    """A connector of the card. ``properties`` maps property id → value."""
 
     id: int
     name: str
@@ -43,15 +43,20 @@ class Connector:
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """Property of a DRM object; ``choices`` maps the names of an enumerated property to values; empty for other
-    kinds."""
+    """Property of a DRM object.
+
+    ``choices`` maps the names of an enumerated property to values; empty for other kinds.
+    """
 
     name: str
     choices: Mapping[str, int]
 
 
 class Buffer:
-    """A dumb XRGB8888 buffer that can be scanned out. ``pixels`` is (height, width, 4) uint8: blue, green, red, –."""
+    """A dumb XRGB8888 buffer that can be scanned out.
+
+    ``pixels`` is (height, width, 4) uint8: blue, green, red, –.
+    """
 
     def __init__(self, handle: int, framebuffer: int, memory: memoryview, size_px: tuple[int, int], pitch: int) -> None:
         width, height = size_px
@@ -107,7 +112,7 @@ class Card:
                 ),
                 drm.CARD_RESOURCES,
             )[4:8]
-            # More than there was room for: something was plugged in between; the kernel then fills nothing.
+            # If more ids than room: a device was plugged in meanwhile, and the kernel filled no list.
             if all(now <= room for now, room in zip(again, counts, strict=True)):
                 self._crtcs, self._connectors = crtcs.values(again[1]), connectors.values(again[2])
                 return
@@ -118,17 +123,20 @@ class Card:
         return self._crtcs
 
     def connectors(self) -> list[Connector]:
-        """Every connector, from the kernel's memory (no probing). Raises OSError."""
+        """Return every connector, from the kernel's memory (no probing). Raises OSError."""
         return [self.connector(connector) for connector in self._connectors]
 
     def connector(self, connector: int, probe: bool = False) -> Connector:
-        """One connector; ``probe`` makes the driver look at the wire again (slow, needs mastery). Raises OSError."""
+        """Return one connector; ``probe`` makes the driver check the wire (slow, needs mastery).
+
+        Raises OSError.
+        """
         room = self._connector_counts(connector, probe)
         for _ in range(PROBE_TRIES):
             modes_room, properties_room, encoders_room = room
             encoders, ids = _U32s(encoders_room), _U32s(properties_room)
             values = (ctypes.c_uint64 * max(1, properties_room))()
-            # With room for no mode the kernel would probe once more: always leave room for one.
+            # Without room for a mode the kernel would probe once more: always leave room for one.
             modes = ctypes.create_string_buffer(drm.MODE_INFO.size * max(1, modes_room))
             got = self._call(
                 drm.IOCTL_GET_CONNECTOR,
@@ -153,18 +161,21 @@ class Card:
         raise OSError(errno.EAGAIN, f"connector {connector} kept changing through {PROBE_TRIES} reads")
 
     def is_connected(self, connector: int) -> bool:
-        """Tell whether something is plugged in, as far as the driver noticed. Cheap; raises OSError."""
+        """Return True if a device is plugged in, as far as the driver noticed. Cheap; raises OSError."""
         return bool(self._ask_connector(connector, probe=False)[11] == drm.CONNECTED)
 
     def possible_crtcs(self, connector: Connector) -> tuple[int, ...]:
-        """CRTCs that can drive a connector through one of its encoders, in the card's order. Raises OSError."""
+        """Return the CRTCs that can drive a connector through one of its encoders, in the card's order.
+
+        Raises OSError.
+        """
         mask = 0
         for encoder in connector.encoders:
             mask |= self._call(drm.IOCTL_GET_ENCODER, drm.GET_ENCODER.pack(encoder, 0, 0, 0, 0), drm.GET_ENCODER)[3]
         return tuple(crtc for bit, crtc in enumerate(self._crtcs) if mask >> bit & 1)
 
     def property(self, property_id: int) -> Property:
-        """A property's name and choices. Raises OSError."""
+        """Return a property's name and choices. Raises OSError."""
         layout = drm.GET_PROPERTY
         first = self._call(drm.IOCTL_GET_PROPERTY, layout.pack(0, 0, property_id, 0, b"", 0, 0), layout)
         name, n_values, n_choices = _text(first[4]), first[5], first[6]
@@ -185,7 +196,10 @@ class Card:
     # ---------------------------------------------------------------------------------- buffers
 
     def create_buffer(self, width_px: int, height_px: int) -> Buffer:
-        """A black buffer, mapped and registered for scan-out. Raises OSError; leaves nothing behind then."""
+        """Make a black buffer, mapped and registered for scan-out.
+
+        Raises OSError after releasing all its parts.
+        """
         _, _, _, _, handle, pitch, size = self._call(
             drm.IOCTL_CREATE_DUMB, drm.CREATE_DUMB.pack(height_px, width_px, 32, 0, 0, 0, 0), drm.CREATE_DUMB
         )
@@ -235,7 +249,10 @@ class Card:
         return True
 
     def submit_flip(self, crtc: int, buffer: Buffer) -> int:
-        """Ask for ``buffer`` at the next vertical blank; returns the token of its report. Raises OSError (EBUSY)."""
+        """Request ``buffer`` at the next vertical blank; return the token of its report.
+
+        Raises OSError (EBUSY).
+        """
         with self._changed:
             token = next(self._tokens)
             # Before the call: the report may be read by another thread before this one returns.
@@ -253,14 +270,14 @@ class Card:
         return token
 
     def wait_flip(self, token: int, timeout_s: float) -> drm.FlipDone | None:
-        """The report of a submitted flip, ``None`` after the timeout (it may still come). Raises OSError, ValueError.
+        """Return the report of a submitted flip; ``None`` after the timeout (it may still come).
 
-        Of several waiting threads one reads the node and hands the others their reports.
+        With several waiting threads one reads the node and hands the others their reports. Raises OSError, ValueError.
         """
         deadline_ns = self._clock.now_ns() + int(timeout_s * 1e9)
         left_s = timeout_s
         with self._changed:
-            # Two outputs share one node, and the kernel gives reports to whoever reads: one reads, all are told.
+            # Two outputs share one node, and the kernel gives each report to one reader: one thread reads for all.
             while token not in self._arrived:
                 self._await_reports(token, max(0.0, left_s))
                 left_s = (deadline_ns - self._clock.now_ns()) * 1e-9
@@ -272,13 +289,13 @@ class Card:
             return report
 
     def forget_flip(self, token: int) -> None:
-        """The report of this flip interests nobody any more."""
+        """Drop the report of this flip when it comes."""
         with self._changed:
             self._awaited.discard(token)
             self._arrived.pop(token, None)
 
     def _await_reports(self, token: int, timeout_s: float) -> None:
-        """Become the reader, or wait for what the present reader finds. Call with the lock held."""
+        """Read reports, or wait for another thread that is reading them. Call with the lock held."""
         if self._reading:
             self._clock.wait_for(self._changed, lambda: token in self._arrived or not self._reading, timeout_s)
             return
@@ -310,7 +327,7 @@ class Card:
         return got[4], got[5], got[6]
 
     def _ask_connector(self, connector: int, probe: bool) -> tuple[Any, ...]:
-        # Room for no mode at all is the kernel's sign for a forced probe.
+        # No room for modes makes the kernel probe.
         mode = ctypes.create_string_buffer(drm.MODE_INFO.size)
         pointer, room = (0, 0) if probe else (ctypes.addressof(mode), 1)
         layout = drm.GET_CONNECTOR

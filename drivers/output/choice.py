@@ -1,4 +1,4 @@
-"""Owns the choices before an output is lit: which connector, which mode, which CRTC for which head."""
+"""The choices before an output is lit: its connector, its mode, and its CRTC."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ REFRESH_TOLERANCE_HZ = 1.0
 
 
 def choose_connector(device: str, spec: OutputSpec, connectors: Sequence[Connector]) -> Connector:
-    """The connector that the rig file names, whether or not something is plugged in. Raises DeviceRefused."""
+    """Return the connector that the rig file names, even if it is empty. Raises DeviceRefused."""
     for connector in connectors:
         if connector.name == spec.connector:
             return connector
@@ -25,9 +25,9 @@ def choose_connector(device: str, spec: OutputSpec, connectors: Sequence[Connect
 
 
 def choose_mode(device: str, spec: OutputSpec, connector: Connector) -> Mode:
-    """The progressive mode of exactly the wanted size, nearest to the wanted refresh rate.
+    """Return the progressive mode of exactly the wanted size, nearest to the wanted refresh rate.
 
-    Raises DeviceGone when nothing is plugged in, DeviceRefused when no mode is within 1 Hz, listing the modes.
+    Raises DeviceGone when no device is plugged in, DeviceRefused when no mode is within 1 Hz, listing the modes.
     """
     if not connector.connected:
         raise DeviceGone(device, f"nothing is plugged into {connector.name}", "Check its cable and its power")
@@ -50,7 +50,7 @@ def choose_mode(device: str, spec: OutputSpec, connector: Connector) -> Mode:
 
 
 def assign_crtcs(possible: Sequence[Sequence[int]]) -> tuple[int, ...] | None:
-    """One CRTC for each head out of its possible ones, none twice; ``None`` when that cannot be.
+    """Return one CRTC for each head out of its possible ones, none twice; ``None`` when that cannot be.
 
     Earlier heads and earlier CRTCs are preferred; the search is exhaustive (cards have at most eight CRTCs).
     """
@@ -59,8 +59,8 @@ def assign_crtcs(possible: Sequence[Sequence[int]]) -> tuple[int, ...] | None:
         if len(chosen) == len(possible):
             return chosen
         for crtc in possible[len(chosen)]:
-            if crtc not in chosen and (whole := extend((*chosen, crtc))) is not None:
-                return whole
+            if crtc not in chosen and (assignment := extend((*chosen, crtc))) is not None:
+                return assignment
         return None
 
     return extend(())

@@ -1,4 +1,4 @@
-"""Owns the presenting of pictures to the diver: two buffers that take turns."""
+"""Presenting pictures to the diver: two buffers that take turns."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class PictureDisplay(Generic[P]):
         return Flip(PRESENTED, shown.sequence, shown.time_ns)
 
     def health(self) -> Health:
-        """Return what is lit, for ``kingfisher check``."""
+        """Return the display's entry in ``kingfisher check``."""
         return surface_health(self._surface)
 
     def close(self) -> None:
-        """Dark. Idempotent."""
+        """Switch the output off. Idempotent."""
         self._surface.close()

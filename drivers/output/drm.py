@@ -1,7 +1,7 @@
-"""Owns the bytes of the kernel's mode-setting interface: request numbers, structure layouts, names.
+"""The bytes of the kernel's mode-setting interface: request numbers, structure layouts, names.
 
-Source: the Linux user-space headers ``drm.h`` and ``drm_mode.h``. All fields are little endian and laid out
-without implicit padding; pointers travel as 64-bit addresses of this process.
+Source: the Linux user-space headers ``drm.h`` and ``drm_mode.h``. All fields are little endian and laid out without
+implicit padding; pointers travel as 64-bit addresses of this process.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ FLIP_EVENT = Struct("<2IQ4I")
 
 
 def iowr(number: int, layout: Struct) -> int:
-    """The request number of a DRM ioctl that reads and writes ``layout``: ``_IOWR('d', number, size)``."""
+    """Return the number of a DRM ioctl that reads and writes ``layout``: ``_IOWR('d', number, size)``."""
     return 3 << 30 | layout.size << 16 | ord("d") << 8 | number
 
 
@@ -90,15 +90,17 @@ CONNECTOR_TYPES = (
 
 
 def connector_name(type_number: int, type_count: int) -> str:
-    """Return the connector's name: ``(11, 1)`` → ``HDMI-A-1``. A type this table does not know reads ``Unknown``, as in
-    the kernel."""
-    known = type_number < len(CONNECTOR_TYPES)
-    return f"{CONNECTOR_TYPES[type_number] if known else CONNECTOR_TYPES[0]}-{type_count}"
+    """Return the connector's name: ``(11, 1)`` → ``HDMI-A-1``.
+
+    A type that is not in this table reads ``Unknown``, as in the kernel.
+    """
+    is_known = type_number < len(CONNECTOR_TYPES)
+    return f"{CONNECTOR_TYPES[type_number] if is_known else CONNECTOR_TYPES[0]}-{type_count}"
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A display mode; ``raw`` is what the kernel said, to be handed back unchanged."""
+    """A display mode; ``raw`` has the kernel's bytes, which are handed back unchanged."""
 
     width_px: int
     height_px: int
@@ -109,7 +111,7 @@ class Mode:
 
     @classmethod
     def unpack(cls, raw: bytes) -> Mode:
-        """Raises struct.error unless ``raw`` has 68 bytes."""
+        """Unpack a mode. Raises struct.error unless ``raw`` has 68 bytes."""
         clock_khz, width, _, _, htotal, _, height, _, _, vtotal, _, vrefresh, flags, kind, _ = MODE_INFO.unpack(raw)
         # vrefresh is rounded to whole Hz; the timing itself is exact. A driver may leave the timing empty.
         timed = clock_khz and htotal and vtotal
@@ -130,19 +132,19 @@ class FlipDone:
 
 
 def parse_events(data: bytes) -> list[FlipDone]:
-    """All flip reports in one read, oldest first; other events are skipped by their length.
+    """Return all flip reports of one read, oldest first; other events are skipped by their length.
 
-    Raises ValueError on a length that cannot be: the stream is then out of step.
+    Raises ValueError on an impossible length: the stream is then out of step.
     """
-    flips, at = [], 0
-    while at < len(data):
-        if len(data) - at < EVENT_HEADER.size:
-            raise ValueError(f"DRM event of {len(data) - at} bytes; a header has {EVENT_HEADER.size}")
-        kind, length = EVENT_HEADER.unpack_from(data, at)
-        if not EVENT_HEADER.size <= length <= len(data) - at:
-            raise ValueError(f"DRM event says {length} bytes; {len(data) - at} are there")
+    flips, position = [], 0
+    while position < len(data):
+        if len(data) - position < EVENT_HEADER.size:
+            raise ValueError(f"DRM event of {len(data) - position} bytes; a header has {EVENT_HEADER.size}")
+        kind, length = EVENT_HEADER.unpack_from(data, position)
+        if not EVENT_HEADER.size <= length <= len(data) - position:
+            raise ValueError(f"DRM event says {length} bytes; {len(data) - position} are there")
         if kind == EVENT_FLIP_COMPLETE and length >= FLIP_EVENT.size:
-            _, _, token, seconds, microseconds, sequence, _ = FLIP_EVENT.unpack_from(data, at)
+            _, _, token, seconds, microseconds, sequence, _ = FLIP_EVENT.unpack_from(data, position)
             flips.append(FlipDone(token, seconds * 1_000_000_000 + microseconds * 1_000, sequence))
-        at += length
+        position += length
     return flips

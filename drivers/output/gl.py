@@ -1,4 +1,4 @@
-"""Owns the off-screen OpenGL context that draws patterns and screens without a window system."""
+"""The off-screen OpenGL context that draws patterns and screens without a window system."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from drivers.api import DeviceRefused
 
 @contextlib.contextmanager
 def open_gl() -> Iterator[moderngl.Context]:
-    """An OpenGL ≥ 3.3 core context on EGL, current in the calling thread, set up for output that is exact to the bit.
+    """Yield an OpenGL ≥ 3.3 core context on EGL, current in this thread, with output exact to the bit.
 
-    Dithering (which GL switches on by default) and multisampling are off. Only the thread that opened it may use
-    it. Raises DeviceRefused when EGL or a driver is missing.
+    Dithering (which GL switches on by default) and multisampling are off. Only the thread that opened it may use it.
+    Raises DeviceRefused when EGL or a driver is missing.
     """
     settings: dict[str, Any] = {"backend": "egl"}
     try:
@@ -35,7 +35,7 @@ def open_gl() -> Iterator[moderngl.Context]:
 
 
 def make_exact(context: moderngl.Context) -> None:
-    """Switch off what changes 8-bit codes on their way through the pipeline."""
+    """Switch off all stages of the pipeline that change 8-bit codes."""
     dither, multisample, framebuffer_srgb = 0x0BD0, 0x809D, 0x8DB9
     for capability in (dither, multisample, framebuffer_srgb):
         context.disable_direct(capability)

@@ -1,4 +1,4 @@
-"""Owns one lit output: a connector, its mode, its CRTC, and what is being scanned out on it."""
+"""One lit output: a connector, its mode, its CRTC, and its scan-out buffers."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ WANTED_PROPERTIES = {
     "dithering mode": "off",
     "underscan": "off",
 }
-"""Values of connector properties with which a code reaches the screen as it was written, where a driver lets us
-choose."""
+"""Values of connector properties with which a code reaches the screen as it was written, where a driver offers a
+choice."""
 
 _GONE = frozenset({errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF})
 _NOT_MASTER = frozenset({errno.EACCES, errno.EPERM})
@@ -32,7 +32,7 @@ _NOT_MASTER = frozenset({errno.EACCES, errno.EPERM})
 
 @contextlib.contextmanager
 def explained(device: str, doing: str) -> Iterator[None]:
-    """Turn the kernel's refusals into DeviceGone and DeviceRefused that say what was tried and what to do."""
+    """Turn the kernel's errors into DeviceGone and DeviceRefused with the failed action and the remedy."""
     try:
         yield
     except OSError as error:
@@ -51,7 +51,7 @@ def explained(device: str, doing: str) -> Iterator[None]:
 class Head:
     """A connector with a mode set, showing black from the start. Used by one thread at a time.
 
-    Raises DeviceError when it cannot be lit; everything made until then is given back.
+    Raises DeviceError when it cannot be lit; all buffers made until then are released.
     """
 
     def __init__(self, device: str, card: Card, connector: Connector, crtc: int, mode: drm.Mode, clock: Clock) -> None:
@@ -85,7 +85,7 @@ class Head:
         return self._crtc
 
     def create_picture(self) -> Buffer:
-        """A black buffer of the mode's size; given back with the head. Raises DeviceError."""
+        """Make a black buffer of the mode's size; it is released with the head. Raises DeviceError."""
         with explained(self.device, f"allocating a scan-out buffer of {self.size_px[0]}×{self.size_px[1]} px"):
             buffer = self._card.create_buffer(*self.size_px)
         self._buffers.append(buffer)
@@ -94,8 +94,8 @@ class Head:
     def flip(self, picture: Buffer, timeout_s: float) -> Shown:
         """Show ``picture`` from the next vertical blank on and wait until it is visible.
 
-        Raises DeviceGone when the report does not come within ``timeout_s``, when nothing is plugged in any more,
-        or when the card is gone; DeviceRefused when the kernel stays busy.
+        Raises DeviceGone when the report does not come within ``timeout_s``, when the cable was unplugged, or when the
+        card is gone; DeviceRefused when the kernel stays busy.
         """
         self._flips += 1
         if self._flips % CONNECTION_CHECK_EVERY_FLIPS == 0:
@@ -107,7 +107,7 @@ class Head:
         return self._finish(self._pending, timeout_s)
 
     def check_connection(self) -> None:
-        """Raises DeviceGone when the driver noticed that the cable is out."""
+        """Raise DeviceGone if the driver noticed that the cable is out."""
         with explained(self.device, f"asking {self.connector.name}"):
             connected = self._card.is_connected(self.connector.id)
         if not connected:
@@ -118,7 +118,7 @@ class Head:
         return f"{self.connector.name} {self.mode}", {**self.details, **pacing}
 
     def close(self) -> None:
-        """Darken the output and give its buffers back. A card that is gone has already done so."""
+        """Darken the output and release its buffers. A card that is gone has already done so."""
         if self._pending is not None:
             self._card.forget_flip(self._pending)
             self._pending = None
@@ -178,15 +178,15 @@ class Head:
     def _set_properties(self) -> None:
         for property_id, value in self.connector.properties.items():
             try:
-                described = self._card.property(property_id)
-                wanted = WANTED_PROPERTIES.get(described.name)
-                if wanted is None or wanted not in described.choices:
+                connector_property = self._card.property(property_id)
+                choice = WANTED_PROPERTIES.get(connector_property.name)
+                if choice is None or choice not in connector_property.choices:
                     continue
-                if value != described.choices[wanted]:
-                    self._card.set_property(self.connector.id, property_id, described.choices[wanted])
-                self.details[described.name] = wanted
+                if value != connector_property.choices[choice]:
+                    self._card.set_property(self.connector.id, property_id, connector_property.choices[choice])
+                self.details[connector_property.name] = choice
             except OSError as error:
-                # An output that cannot be tuned is still an output: say so, and leave the verdict to `check`.
+                # The output works without this property: note it for `check`.
                 self.details[f"property {property_id}"] = f"refused ({error.strerror})"
 
     def _linearise(self) -> None:

@@ -1,4 +1,4 @@
-"""Owns the system calls on a real DRM node, and nothing else."""
+"""The system calls on a real DRM node."""
 
 from __future__ import annotations
 

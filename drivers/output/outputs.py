@@ -1,4 +1,4 @@
-"""Owns which output is opened how: projector and display, on one card or two, on a connector or in a window."""
+"""Opening the outputs: projector and display, on one card or two, on a connector or in a window."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ PROJECTOR, DISPLAY = "projector", "display"
 def open_outputs(
     projector_spec: OutputSpec, display_spec: OutputSpec, wires: Wires
 ) -> Iterator[tuple[Projector, Display]]:
-    """Both outputs, lit and black. Raises DeviceError when either fails; see ``Outputs`` to do with one of them."""
+    """Yield both outputs, lit and black.
+
+    Raises DeviceError when either fails; ``Outputs`` can do with one.
+    """
     with Outputs(projector_spec, display_spec, wires) as outputs:
         yield outputs.open_projector(), outputs.open_display()
 
@@ -31,8 +34,8 @@ def open_outputs(
 class Outputs:
     """The two outputs of a rig, each opened, closed and opened again without disturbing the other.
 
-    Two heads of one card share its descriptor, since a card has one master. Which CRTC drives which head is
-    settled for both together, before the first is lit, also while one of them is unplugged.
+    Two heads of one card share its descriptor, since a card has one master. CRTCs are assigned to both heads together,
+    before the first is lit, also while one of them is unplugged.
     """
 
     def __init__(self, projector_spec: OutputSpec, display_spec: OutputSpec, wires: Wires) -> None:
@@ -54,15 +57,15 @@ class Outputs:
             self._drop_card(path)
 
     def open_projector(self) -> PatternProjector[Any]:
-        """The projector, lit and black; one that was opened before is closed first. Raises DeviceError."""
+        """Return the projector, lit and black; an open one is closed first. Raises DeviceError."""
         return PatternProjector(self._surface(PROJECTOR), all_channels=self._specs[PROJECTOR].all_channels)
 
     def close_projector(self) -> None:
-        """Darken the projector's output and keep its card: nobody else lights it meanwhile. Idempotent."""
+        """Darken the projector's output and keep its card, so that no other program lights it. Idempotent."""
         self._close(PROJECTOR)
 
     def open_display(self) -> PictureDisplay[Any]:
-        """The display, lit and black; one that was opened before is closed first. Raises DeviceError."""
+        """Return the display, lit and black; an open one is closed first. Raises DeviceError."""
         return PictureDisplay(self._surface(DISPLAY))
 
     def _surface(self, device: str) -> Surface[Any]:
@@ -88,7 +91,7 @@ class Outputs:
         try:
             return self._light(device, spec, self._card(device, spec.card))
         except CardGone:
-            # The node was opened before its card went away and came back: everything on it is dead.
+            # The card went away and came back since its node was opened: all handles on that are invalid.
             self._drop_card(spec.card)
             return self._light(device, spec, self._card(device, spec.card))
 
@@ -104,22 +107,22 @@ class Outputs:
 
     def _crtc(self, device: str, spec: OutputSpec, card: Card, connectors: list[Connector]) -> int:
         possible: dict[str, tuple[int, ...]] = {}
-        for other, other_spec in self._specs.items():
+        for other_device, other_spec in self._specs.items():
             if other_spec.kind is not OutputKind.KMS or other_spec.card != spec.card:
                 continue
-            if other in self._heads:
-                possible[other] = (self._heads[other].crtc,)
+            if other_device in self._heads:
+                possible[other_device] = (self._heads[other_device].crtc,)
                 continue
             named = next((c for c in connectors if c.name == other_spec.connector), None)
             if named is not None:  # a name that does not exist is reported when that output is opened
                 with explained(device, f"asking which CRTC can drive {named.name}"):
-                    possible[other] = card.possible_crtcs(named)
+                    possible[other_device] = card.possible_crtcs(named)
         assigned = assign_crtcs(list(possible.values()))
         if assigned is None:
-            wanted = "; ".join(f"{other}: {len(crtcs)} possible" for other, crtcs in possible.items())
+            counts = "; ".join(f"{other_device}: {len(crtcs)} possible" for other_device, crtcs in possible.items())
             raise DeviceRefused(
                 device,
-                f"{spec.card} has no CRTC of its own for every output ({wanted})",
+                f"{spec.card} has no CRTC of its own for every output ({counts})",
                 "Move one output to another connector or card",
             )
         return dict(zip(possible, assigned, strict=True))[device]
@@ -129,7 +132,7 @@ class Outputs:
             try:
                 node = self._wires.open_card(path)
             except DeviceError as error:
-                # The node knows its path only; the one who reads this wants to know which output is dark.
+                # The node's error has only its path; add which output is dark.
                 raise type(error)(device, f"{path} {error.message}", error.remedy) from error
             except OSError as error:
                 raise DeviceGone(

@@ -1,4 +1,4 @@
-"""Owns the answer to "when may the next picture go out" where the hardware does not throttle flips itself."""
+"""The pace of flips that the hardware does not throttle, and an extended counter of vertical blanks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ UNTHROTTLED_FRACTION = 0.75
 
 
 class Pacer:
-    """Holds flips to one per period by the clock, once they were seen to come faster than that.
+    """Limits flips to one per period by the clock, once they came faster than that.
 
-    A virtual machine's display and a window without swap interval complete a flip at once; real hardware never
-    meets this wait.
+    A virtual machine's display and a window without swap interval complete a flip at once; real hardware never meets
+    this wait.
     """
 
     def __init__(self, clock: Clock, refresh_hz: float) -> None:
@@ -30,12 +30,12 @@ class Pacer:
         """Return when the next picture may be handed over; at once on hardware that throttles."""
         if self._unthrottled and self._due_ns is not None:
             left_ns = self._due_ns - self._clock.now_ns()
-            # More than a period left is a clock or a grid that jumped: not waited for.
+            # More than a period left means that a clock or the grid jumped: do not wait.
             if 0 < left_ns <= self._period_ns:
                 self._clock.sleep_s(left_ns * 1e-9)
 
     def shown(self, time_ns: int) -> None:
-        """A picture became visible at ``time_ns``."""
+        """Take the time at which a picture became visible."""
         if self._last_ns is not None and 0 <= time_ns - self._last_ns < UNTHROTTLED_FRACTION * self._period_ns:
             self._unthrottled = True
         # The grid of due times advances by whole periods so that waiting late once does not shift all later ones.

@@ -1,4 +1,4 @@
-"""Owns the playing of patterns: resident frames, one per vertical blank, starting at a blank agreed beforehand."""
+"""Playing patterns: resident frames, one per vertical blank, starting at a blank agreed beforehand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.api import DeviceError, Flip, Health
 from drivers.output.surface import P, Shown, Surface
 
 FLIP_TIMEOUT_S, FLIP_PERIODS = 1.0, 6
-"""A projector that takes longer than both is not there."""
+"""Longest time of a flip, in s and in periods, whichever is longer: after that the projector counts as lost."""
 COUNTER_TRIES = 3
 """Flips after which a counter that still reads zero does not exist."""
 MAX_LEAD_BLANKS = 600
@@ -23,11 +23,16 @@ GREEN = 1
 
 
 class PatternProjector(Generic[P]):
-    """``drivers.api.Projector`` on any surface. Frames lie in its memory, so that playing copies nothing."""
+    """``drivers.api.Projector`` on any surface.
+
+    Frames lie in its memory, so that playing copies no pixels.
+    """
 
     def __init__(self, surface: Surface[P], *, all_channels: bool = False) -> None:
-        """Play on ``surface``: in green, or with ``all_channels`` the same in blue, green and red, for a projector that makes three
-        sub-frames of one colour out of them."""
+        """Play on ``surface`` in green, or with ``all_channels`` the same in blue, green and red.
+
+        The latter is for a projector that makes three sub-frames of one colour out of them.
+        """
         self._surface = surface
         self._channels = slice(0, 3) if all_channels else slice(GREEN, GREEN + 1)
         self._timeout_s = max(FLIP_TIMEOUT_S, FLIP_PERIODS / surface.refresh_hz)
@@ -74,26 +79,26 @@ class PatternProjector(Generic[P]):
         start: Callable[[Flip], int | None],
         abort: Callable[[], bool],
     ) -> list[Flip]:
-        """See ``drivers.api.Projector.play``. However it ends, ``idle`` is what stays on.
+        """See ``drivers.api.Projector.play``. In any case ``idle`` stays on at the end.
 
-        Where nothing counts vertical blanks, ``start`` gets a flip without a sequence number: what it returns counts
-        periods of the clock from that flip, and lateness is judged by time stamps alone. Raises IndexError for a frame
-        that was not loaded, ValueError for a start that cannot be, DeviceGone.
+        Without a counter of vertical blanks, ``start`` gets a flip without a sequence number: its result counts periods
+        of the clock from that flip, and lateness is judged by time stamps alone. Raises IndexError for a frame that was
+        not loaded, ValueError for an impossible start, DeviceGone.
         """
         frames = [(index, self._frame(index)) for index in indices]
         idle_picture = self._frame(idle)
         self._surface.check_connection()
         shown = self._settle(idle_picture)
-        asked = shown
-        first = start(_flip(idle, asked))
+        agreed = shown
+        first = start(_flip(idle, agreed))
         if first is not None:
-            ahead = first - (asked.sequence or 0)
+            ahead = first - (agreed.sequence or 0)
             self._require_reachable(ahead)
-            while self._blanks_between(asked, shown) + 1 < ahead:
+            while self._blanks_between(agreed, shown) + 1 < ahead:
                 if abort():
                     return []
                 shown = self._surface.flip(idle_picture, self._timeout_s)
-        if asked.sequence is None:
+        if agreed.sequence is None:
             first = None  # from here on each flip is compared with the one before it
         flips: list[Flip] = []
         try:
@@ -112,15 +117,15 @@ class PatternProjector(Generic[P]):
         return flips
 
     def health(self) -> Health:
-        """Return what is lit, for ``kingfisher check``."""
+        """Return the projector's entry in ``kingfisher check``."""
         return surface_health(self._surface)
 
     def close(self) -> None:
-        """Dark. Idempotent."""
+        """Switch the output off. Idempotent."""
         self._surface.close()
 
     def _settle(self, idle: P) -> Shown:
-        """Flip ``idle`` until its report tells whether blanks are counted."""
+        """Flip ``idle`` until its report shows whether blanks are counted."""
         shown = self._surface.flip(idle, self._timeout_s)
         for _ in range(COUNTER_TRIES - 1):
             if shown.sequence is not None:
@@ -149,7 +154,7 @@ class PatternProjector(Generic[P]):
 
 
 def surface_health(surface: Surface[P]) -> Health:
-    """Return what a surface shows, and what could be set on the way of a code to the screen."""
+    """Return a surface's entry in ``kingfisher check``: its mode, and the properties that were set."""
     summary, details = surface.describe()
     try:
         surface.check_connection()

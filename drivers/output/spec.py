@@ -1,4 +1,4 @@
-"""Owns what the rig file may say about an output."""
+"""The description of an output in the rig file."""
 
 from __future__ import annotations
 

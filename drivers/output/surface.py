@@ -1,4 +1,4 @@
-"""Owns what a projector and a display need of a scan-out, whether it is a connector or a window."""
+"""The interface of a scan-out for projector and display, be it a connector or a window."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One picture became visible. ``sequence`` counts vertical blanks, ``None`` where nothing counts them."""
+    """One picture became visible. ``sequence`` counts vertical blanks, ``None`` without a counter."""
 
     sequence: int | None
     time_ns: int
@@ -37,16 +37,16 @@ class Surface(Protocol[P]):
     refresh_hz: float
 
     def create_picture(self) -> P:
-        """A black picture of the surface's size; it lives as long as the surface. Raises DeviceError."""
+        """Make a black picture of the surface's size; it lives as long as the surface. Raises DeviceError."""
 
     def flip(self, picture: P, timeout_s: float) -> Shown:
         """Show ``picture`` from the next vertical blank on and wait until it is visible. Raises DeviceGone."""
 
     def check_connection(self) -> None:
-        """Raises DeviceGone when it is known that nobody sees this surface any more."""
+        """Raise DeviceGone if the surface is known to be invisible: unplugged or closed."""
 
     def describe(self) -> tuple[str, Mapping[str, str]]:
-        """One line saying what is lit, and details by name."""
+        """Return one line about the lit output, and details by name."""
 
     def close(self) -> None:
-        """Go dark and give everything back. Idempotent."""
+        """Go dark and release all memory. Idempotent."""

@@ -1,4 +1,4 @@
-"""Owns an output that is a window on a desk: the same pictures, without the instrument's hardware."""
+"""An output that is a window on a desk: the same pictures, without the instrument's hardware."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class WindowPicture:
 class Window:
     """A window of the wanted size, or, where ``connector`` names a monitor, that monitor in full.
 
-    To be opened and presented to by the main thread, which also handles the window's events; a projector may be
-    played from another one. Nothing counts vertical blanks here. Raises DeviceRefused without a display server.
+    To be opened and presented to by the main thread, which also handles the window's events; a projector may be played
+    from another one. It has no counter of vertical blanks. Raises DeviceRefused without a display server.
     """
 
     def __init__(self, device: str, spec: OutputSpec, clock: Clock) -> None:
@@ -78,7 +78,7 @@ class Window:
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:
-        """Inside, the window's context is the calling thread's; afterwards none is, so that others can be."""
+        """Make the window's context current in this thread within the block, and release it afterwards."""
         if self._handle is None:
             raise DeviceGone(self.device, "the window was closed", "Start again to reopen it")
         glfw.make_context_current(self._handle)
@@ -95,7 +95,10 @@ class Window:
         return WindowPicture(self, texture)
 
     def flip(self, picture: WindowPicture, timeout_s: float) -> Shown:
-        """Show a picture like ``Surface.flip``; ``timeout_s`` cannot be kept by a window system and is not used."""
+        """Show a picture like ``Surface.flip``.
+
+        ``timeout_s`` cannot be kept by a window system and is not used.
+        """
         self.check_connection()
         self._pacer.wait()
         with self.current():
@@ -112,7 +115,7 @@ class Window:
         return Shown(None, time_ns)
 
     def check_connection(self) -> None:
-        """Handle the window's events; raises DeviceGone when its user closed it."""
+        """Handle the window's events. Raises DeviceGone when its user closed it."""
         if self._handle is not None and threading.get_ident() == self._thread:
             glfw.poll_events()  # only the thread that made the windows may do this
         if self._handle is None or glfw.window_should_close(self._handle):
@@ -131,7 +134,7 @@ class Window:
 
 
 def fit(picture_px: tuple[int, int], window_px: tuple[int, int]) -> tuple[int, int, int, int]:
-    """(left, bottom, width, height) of the picture in the window: whole, centred, undistorted.
+    """Return (left, bottom, width, height) of the picture in the window: whole, centred, undistorted.
 
     A window at least as large shows whole multiples of pixels, so that every pattern stripe keeps its width.
     """
@@ -143,7 +146,7 @@ def fit(picture_px: tuple[int, int], window_px: tuple[int, int]) -> tuple[int, i
 
 
 class _GlfwLoader:
-    """Tells moderngl where the GL functions of the window's context are."""
+    """Gives moderngl the addresses of GL functions in the window's context."""
 
     def load_opengl_function(self, name: str) -> Any:
         return glfw.get_proc_address(name) or 0
@@ -163,9 +166,9 @@ def _member(program: moderngl.Program, name: str, kind: type[_T]) -> _T:
     return member
 
 
-def _text(words: Any) -> str:
-    """The library hands out bytes where its type stubs say str, and None for nothing."""
-    return words.decode("utf-8", "replace") if isinstance(words, bytes) else str(words or "")
+def _text(value: Any) -> str:
+    """Return text of the library, which has bytes where its type stubs say str, and None for no text."""
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value or "")
 
 
 def _create(device: str, spec: OutputSpec) -> Any:

@@ -1,1 +1,4 @@
-"""Owns the trigger board's firmware for MicroPython on RP2040 or RP2350; it imports nothing of the rest."""
+"""The trigger board's firmware for MicroPython on RP2040 or RP2350.
+
+It imports no other part of the product.
+"""

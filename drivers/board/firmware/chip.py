@@ -1,7 +1,7 @@
-"""Owns the board's electronics on RP2040 and RP2350: pins, PIO, timer, watchdog, sensors' bus and USB, and nothing else.
+"""The board's electronics on RP2040 and RP2350: pins, PIO, timer, watchdog, sensors' bus and USB.
 
-The only module beside ``main.py`` that needs MicroPython's ``machine`` and ``rp2``; it cannot run anywhere but on the chip.
-Register addresses: RP2040 datasheet 2.19.6, 3.7, 4.6.5, 4.7.6; RP2350 datasheet 9.11.1, 11.7, 12.8.5, 12.9.7.
+The only module beside ``main.py`` that needs MicroPython's ``machine`` and ``rp2``; it runs on the chip alone. Register
+addresses: RP2040 datasheet 2.19.6, 3.7, 4.6.5, 4.7.6; RP2350 datasheet 9.11.1, 11.7, 12.8.5, 12.9.7.
 """
 
 import time
@@ -19,14 +19,16 @@ RELEASE = 0x0200
 CLOCK_HZ = 125_000_000
 """Set on both chips: a multiple of the stamps' 5 MHz, so that no divider has a fraction."""
 WATCHDOG_MS = 2000
-"""Time after which a board whose loop hangs is reset; at most 8388 on RP2040. The longest turn of the loop, with a start that waits for a pulse, is below 40 ms."""
+"""Time after which a board whose loop hangs is reset; at most 8388 on RP2040. The longest turn of the loop, with a
+start that waits for a pulse, is below 40 ms.
+"""
 OUTBOX_BYTES = 2048
 LASER_SETTLE_US = 1000
 ELECTRODE_US = 200
 SHT40_READY_MS = 10
 PULSE_END_US = 17_000
 HOST_MARK = 0x4B46484F
-"""Mark in the watchdog's scratch register: the reset that follows was asked for by a person at the prompt."""
+"""Mark in the watchdog's scratch register: a person at the prompt requested the reset that follows."""
 
 _GATE, _PULSE, _SYNCS, _PULSES = 0, 1, 2, 3
 _PIO0 = 0x50200000
@@ -44,23 +46,26 @@ def chip_name(machine_text: str) -> str:
 
 
 def reset_cause(name: str) -> str:
-    """Return the cause of the last reset as the protocol names it. A brownout cannot be told from power-on here."""
+    """Return the cause of the last reset as the protocol names it. A brownout looks like a power-on here."""
     scratch = _WATCHDOG[name] + _SCRATCH0
-    asked = machine.mem32[scratch] & 0xFFFFFFFF == HOST_MARK
+    requested = machine.mem32[scratch] & 0xFFFFFFFF == HOST_MARK
     machine.mem32[scratch] = 0
-    if asked:
+    if requested:
         return "HOST"
     return "WATCHDOG" if machine.reset_cause() == machine.WDT_RESET else "POWER"
 
 
 def restart(name: str) -> None:
-    """Reset the board on behalf of a person: its next BOOT says HOST."""
+    """Reset the board on a person's request: its next BOOT reports HOST."""
     machine.mem32[_WATCHDOG[name] + _SCRATCH0] = HOST_MARK
     machine.reset()
 
 
 def serial_port(serial: str) -> CDCInterface:
-    """Appear on the bus as the trigger board and return its port; MicroPython's own serial port goes."""
+    """Appear on the bus as the trigger board and return its port.
+
+    It replaces MicroPython's own serial port.
+    """
     # A ring of 63 bytes never makes a transfer of 64; without a timeout neither reading nor writing waits.
     port = CDCInterface(timeout=0, txbuf=63, rxbuf=512)
     usb.device.get().init(
@@ -83,8 +88,8 @@ def serial_port(serial: str) -> CDCInterface:
 def assembled(program: pio.Program, **settings: object) -> object:
     """Return ``program`` in the form that ``rp2.StateMachine`` takes."""
     emit = rp2.PIOASMEmit(**settings)
-    for turn in (0, 1):
-        emit.start_pass(turn)
+    for pass_number in (0, 1):
+        emit.start_pass(pass_number)
         for i in range(len(program.words)):
             if i == program.wrap_target:
                 emit.wrap_target()
@@ -96,7 +101,7 @@ class ChipHardware(BoardHardware):
     """The board's electronics; made once after a reset."""
 
     def __init__(self, name: str, serial: str) -> None:
-        """Take hold of every pin; ``name`` is the chip's."""
+        """Set up every pin; ``name`` is the chip's."""
         machine.freq(CLOCK_HZ)
         self._timer = _TIMER[name]
         self._began_us = 0
@@ -136,7 +141,10 @@ class ChipHardware(BoardHardware):
         self._watchdog = machine.WDT(timeout=WATCHDOG_MS)
 
     def _stamping(self, number: int, pin: object) -> tuple[object, int]:
-        """Start a stamper; return it and the time at which its count began, right to the few us of two statements."""
+        """Start a stamper.
+
+        Return it and the time at which its count began, right to the few us of two statements.
+        """
         stamper = rp2.StateMachine(number, self._programs[2], freq=pio.STAMP_HZ, jmp_pin=pin)
         before_us = self.now_us()
         stamper.active(1)
@@ -186,14 +194,17 @@ class ChipHardware(BoardHardware):
         self._gate.active(1)
 
     def _ends_after_this_pulse(self) -> bool:
-        """Tell whether a pulse is on its way, after which PULSE takes new numbers; ``False``: it may be set up anew."""
+        """Return True if a pulse is under way, after which PULSE takes new numbers.
+
+        Else it may be set up anew.
+        """
         end_us = self.now_us() + PULSE_END_US
-        # Numbers that it has not taken yet are those of a start within this same pulse: only then is there a wait.
+        # Numbers that it has not taken yet are of an earlier start during this pulse: only then is there a wait.
         while self._trigger.value() and self._pulse.tx_fifo() and self.now_us() < end_us:
             pass
         if self._trigger.value():
             self._pulse.exec(pio.LAST_PULSE)
-        # Still high behind it: the pulse was going on when its count was set, and is the last one.
+        # Still high afterwards: the count was set during this pulse, which is therefore the last one.
         return bool(self._trigger.value())
 
     def stop(self) -> None:
@@ -223,8 +234,8 @@ class ChipHardware(BoardHardware):
     # ------------------------------------------------------------------------------------------ sensors
 
     def fitted(self) -> list[str]:
-        there = [value for chip in self._chips for value in chip.values] + ["LEAK", "SUPPLY"]
-        return [name for name in ("TPROJ", "TCASE", "TBOARD", "LEAK", "HUM", "SUPPLY") if name in there]
+        names = [value for chip in self._chips for value in chip.values] + ["LEAK", "SUPPLY"]
+        return [name for name in ("TPROJ", "TCASE", "TBOARD", "LEAK", "HUM", "SUPPLY") if name in names]
 
     def _answers(self, chip: pins.Chip) -> bool:
         try:
@@ -262,17 +273,20 @@ class ChipHardware(BoardHardware):
         return sensors.written(sensors.tmp117_c(self._bus.readfrom_mem(chip.address, sensors.TMP117_VALUE, 2)), 2)
 
     def _humidity(self, chip: pins.Chip) -> str:
-        """Fetch what the call before has begun, some 200 ms ago, and begin the next: nobody waits for the converter."""
+        """Fetch the result of the previous call, some 200 ms ago, and begin the next measurement.
+
+        So no call waits for the converter.
+        """
         self._board_c = None
         try:
-            got = sensors.sht40(self._bus.readfrom(chip.address, 6))
+            values = sensors.sht40(self._bus.readfrom(chip.address, 6))
         except OSError:
-            got = None
+            values = None
         self._begin_sht40(chip)
-        if got is None:
+        if values is None:
             return sensors.MISSING
-        self._board_c = got[0]
-        return sensors.written(got[1], 1)
+        self._board_c = values[0]
+        return sensors.written(values[1], 1)
 
     def _leak(self) -> str:
         self._electrode.value(1)
@@ -294,10 +308,10 @@ class ChipHardware(BoardHardware):
             self._outbox.clear()
 
     def pump(self) -> None:
-        """Hand USB what it takes; called after each turn of the core."""
+        """Hand USB as much as it takes; called after each turn of the core."""
         while True:
             piece = self._outbox.piece()
-            taken = self._port.write(piece) if piece else 0
-            if not taken:
+            sent_count = self._port.write(piece) if piece else 0
+            if not sent_count:
                 return
-            self._outbox.sent(taken)
+            self._outbox.sent(sent_count)

@@ -1,6 +1,6 @@
-"""Owns what the trigger board does and says: verbs, refusals, reports, heartbeat, and which pulses belong to whom.
+"""The behaviour of the trigger board: verbs, refusals, reports, heartbeat, and the numbers of pulses.
 
-Knows no pin: everything electrical is behind ``hardware.BoardHardware``, and timing of pulses is not done here at all. Source:
+It knows no pin: all electronics are behind ``hardware.BoardHardware``, and pulses are not timed here. Source:
 ``docs/protocols/board.md``.
 """
 
@@ -10,12 +10,12 @@ from drivers.board.firmware.line import Command, CommandFinder, decimal, sentenc
 FIRMWARE = "2.0.0"
 HEARTBEAT_US = 500_000
 MEASURE_EVERY_US = 40_000
-"""One sensor at a time: none of them may delay an answer by more than its own few milliseconds."""
+"""Interval of measurements, one sensor at a time: none may delay an answer by more than its own few milliseconds."""
 SYNC_LOST_US = 50_000
 """Three periods of 60 Hz."""
 PERIOD_US = 16_667
 SYNC_GUARD_US = 1500
-"""No start this shortly before an expected sync: a start that meets an edge might count it or not."""
+"""Time before an expected sync in which no start is allowed: a start at the edge itself might count it or not."""
 STARTS = 3
 LONGEST_NAME = 16
 """Characters of an unknown verb that a refusal repeats."""
@@ -28,7 +28,7 @@ WIDTH_US = (50, 16_000)
 
 
 class Refused(Exception):
-    """The command cannot be obeyed; ``code`` is that of the protocol."""
+    """Exception of a command that is refused; ``code`` is that of the protocol."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -36,7 +36,7 @@ class Refused(Exception):
 
 
 class Series:
-    """Pulses that were ordered: ``pulses`` of them from sync ``start`` on, or without end (``None``)."""
+    """Requested pulses: ``pulses`` of them from sync ``start`` on, or without end (``None``)."""
 
     def __init__(self, pulses: int | None, start: int, width_us: int) -> None:
         self.pulses = pulses
@@ -47,10 +47,13 @@ class Series:
 
 
 class BoardCore:
-    """The board's mind: call ``step`` as often as possible, at least every 20 ms."""
+    """The board's logic: call ``step`` as often as possible, at least every 20 ms."""
 
     def __init__(self, hardware: BoardHardware, serial: str, cause: str) -> None:
-        """Begin after a reset by ``cause`` (``POWER WATCHDOG BROWNOUT HOST``): lasers off, nothing armed, BOOT reported."""
+        """Begin after a reset by ``cause`` (``POWER WATCHDOG BROWNOUT HOST``).
+
+        Lasers are off, no pulses are armed, and BOOT is reported.
+        """
         self._hardware = hardware
         self._serial = serial
         self._finder = CommandFinder()
@@ -72,14 +75,14 @@ class BoardCore:
         self._report("BOOT", [FIRMWARE, serial, cause])
 
     def step(self) -> None:
-        """Look once at everything that may have happened, and say what is to be said. Needs about 1 ms on the chip."""
+        """Handle all events since the last call, and send the reports. Needs about 1 ms on the chip."""
         self._hardware.feed()
         self._hardware.beat()
         self._look_at_syncs()
         self._look_at_pulses()
         self._look_at_time()
         for command in self._finder.feed(self._hardware.read()):
-            # A host that lost an answer sends the same again: it is answered again, not obeyed again.
+            # A host that lost an answer sends the command again: the answer is repeated, the command is not.
             if not command.same_as(self._answered):
                 self._answer = self._obey(command)
                 self._answered = command
@@ -88,7 +91,7 @@ class BoardCore:
     # ------------------------------------------------------------------------------------------ what happens by itself
 
     def _look_at_syncs(self) -> bool:
-        """Count the syncs that have come; tell whether there were any."""
+        """Count the new syncs; return True if there were any."""
         came = False
         while True:
             time_us = self._hardware.next_sync()
@@ -119,7 +122,7 @@ class BoardCore:
         if series is not None and series.fired == series.pulses and now_us >= series.ends_us:
             self._series = None
             self._report("DONE", [str(series.pulses)])
-        # Stamps that were lost make the count wrong: whoever relies on it must hear of it, as of a sync that is gone.
+        # Lost stamps make the count wrong: the host must be told, as of lost syncs.
         lost = self._hardware.syncs_lost()
         if self._series is not None and (lost or not self._synced(now_us)):
             self._hardware.stop()
@@ -129,7 +132,7 @@ class BoardCore:
             self._measure_us = now_us + MEASURE_EVERY_US
             self._measure_one()
         if now_us >= self._beat_us:
-            # From the last one, not from now: half seconds do not add up delays.
+            # From the last heartbeat, not from now, so that delays do not add up.
             self._beat_us += HEARTBEAT_US
             self._report("HB", [str(now_us), str(self._count)] + self._lasers() + self._sensors())
 
@@ -148,8 +151,8 @@ class BoardCore:
     def _sensors(self) -> list[str]:
         return [name + "=" + value for name, value in zip(self._names, self._values)]
 
-    def _report(self, verb: str, words: list[str]) -> None:
-        self._hardware.write(sentence("R", self._reports, [verb] + words))
+    def _report(self, verb: str, fields: list[str]) -> None:
+        self._hardware.write(sentence("R", self._reports, [verb] + fields))
         self._reports = self._reports + 1 & 0xFFFF
 
     # ------------------------------------------------------------------------------------------ commands
@@ -157,11 +160,11 @@ class BoardCore:
     def _obey(self, command: Command) -> bytes:
         verb = command.verb
         try:
-            words = self._execute(verb, command.arguments)
+            fields = self._execute(verb, command.arguments)
         except Refused as refused:
             cut = verb[:LONGEST_NAME]
             return sentence("N", command.number, [cut, str(refused.code), TEXTS[refused.code]])
-        return sentence("A", command.number, [verb] + words)
+        return sentence("A", command.number, [verb] + fields)
 
     def _execute(self, verb: str, arguments: list[str]) -> list[str]:
         if verb == "ARM":
@@ -208,7 +211,7 @@ class BoardCore:
                 self._forget_pulses()
                 self._series = Series(pulses, start, width_us)
                 return [str(pulses), str(start), str(delay_us), str(width_us)]
-            # A sync came between counting and starting: it may have been passed over, or not.
+            # A sync came between counting and starting: it is unknown whether it was counted.
             self._hardware.stop()
             self._series = None
         raise Refused(PAST)
@@ -228,7 +231,7 @@ class BoardCore:
             raise Refused(NO_SYNC)
 
     def _keep_clear_of_the_sync(self) -> None:
-        """Wait, where a sync is due any moment, until it has come: less than 2 ms."""
+        """Wait, if a sync is due within 1.5 ms, until it has come: less than 2 ms."""
         self._look_at_syncs()
         if self._synced_us is None:
             return
@@ -238,7 +241,7 @@ class BoardCore:
             self._look_at_syncs()
 
     def _forget_pulses(self) -> None:
-        """Pulses of a series before, whose stamps nobody had read, are none of the new one."""
+        """Drop the unread stamps of an earlier series."""
         while self._hardware.next_pulse() is not None:
             pass
 

@@ -1,11 +1,14 @@
-"""Owns what the board's core asks of the electronics: pins, stamps, clock and wire behind one small door.
+"""The interface between the board's core and its electronics: pins, stamps, clock and wire.
 
-``chip.py`` is that door on the microcontroller; tests put a model of the pins there.
+``chip.py`` implements it on the microcontroller; tests implement it with a model of the pins.
 """
 
 
 class BoardHardware:
-    """The electronics as the core sees them. Times are in us of the board's clock, which starts near 0 at reset."""
+    """The electronics as the core sees them.
+
+    Times are in us of the board's clock, which starts near 0 at reset.
+    """
 
     def now_us(self) -> int:
         """Return the board's clock: 64 bit, never backwards."""
@@ -16,21 +19,21 @@ class BoardHardware:
         raise NotImplementedError
 
     def next_sync(self) -> int | None:
-        """Return the time of the oldest vertical sync that was not yet read; ``None`` when all were."""
+        """Return the time of the oldest unread vertical sync; ``None`` when all were read."""
         raise NotImplementedError
 
     def next_pulse(self) -> int | None:
-        """Return the time of the oldest rising edge of the trigger line that was not yet read; ``None`` when all were."""
+        """Return the time of the oldest unread rising edge of the trigger line; ``None`` when all were read."""
         raise NotImplementedError
 
     def syncs_lost(self) -> bool:
-        """Tell whether stamps of syncs were lost since the last call, because nobody had read them in time."""
+        """Return True if stamps of syncs were lost since the last call, because they were not read in time."""
         raise NotImplementedError
 
     def start(self, skip: int, every: int, pulses: int | None, delay_us: int, width_us: int) -> None:
-        """Fire on the sync after the next ``skip`` ones and on each ``every``-th behind it, ``pulses`` times or for ever.
+        """Fire on the sync after the next ``skip`` ones and on each ``every``-th behind it.
 
-        Replaces what was being fired; a pulse that has begun keeps its width.
+        It fires ``pulses`` times or for ever. Replaces an earlier series; a pulse that has begun keeps its width.
         """
         raise NotImplementedError
 
@@ -43,7 +46,7 @@ class BoardHardware:
         raise NotImplementedError
 
     def lasers(self) -> tuple[bool, bool]:
-        """Return through which laser (left, right) a current flows."""
+        """Return whether a current flows through the left and the right laser."""
         raise NotImplementedError
 
     def beat(self) -> None:
@@ -63,9 +66,9 @@ class BoardHardware:
         raise NotImplementedError
 
     def read(self) -> bytes:
-        """Return what the host has sent, 256 bytes at most; nothing if there is nothing."""
+        """Return the bytes from the host, at most 256; empty if there are none."""
         raise NotImplementedError
 
     def write(self, line: bytes) -> None:
-        """Send a line to the host; it is lost as a whole when nobody listens or the buffer is full."""
+        """Send a line to the host; it is lost as a whole when no host listens or the buffer is full."""
         raise NotImplementedError

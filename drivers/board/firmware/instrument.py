@@ -1,9 +1,10 @@
-"""Owns what one instrument's rig file says to its board: the USB identity, and which way the projector's sync goes.
+"""The values of one instrument's rig file for its board: USB identity and polarity of the sync.
 
-In the source tree it is what the packaged rig file says; ``kingfisher setup firmware board`` writes it for any other.
+In the source tree they are those of the packaged rig file; ``kingfisher setup firmware board`` writes them for any
+other.
 """
 
 VENDOR = 0x1209
 PRODUCT = 0x4B42
 SYNC_RISES = False
-"""The sync at the pin begins with a rising edge; ``False``: with a falling one, as at 1024x768 and 60 Hz."""
+"""True if the sync at the pin begins with a rising edge; ``False``: with a falling one, as at 1024x768 and 60 Hz."""

@@ -1,4 +1,4 @@
-"""Owns the sentence of the serial line on the board's side: checksum, framing, and commands out of any bytes.
+"""The lines of the serial port on the board's side: checksum, framing, and commands from any bytes.
 
 Source: ``docs/protocols/board.md``. Runs under MicroPython and CPython alike.
 """
@@ -11,7 +11,7 @@ LARGEST_NUMBER = 65535
 
 
 def _table() -> array:  # type: ignore[type-arg]
-    """Return CRC-16/CCITT-FALSE of each single byte: 512 bytes of memory instead of eight turns for every byte."""
+    """Return a table with CRC-16/CCITT-FALSE of each single byte, which saves eight turns for every byte."""
     table = array("H")
     for byte in range(256):
         crc = byte << 8
@@ -33,9 +33,12 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def sentence(kind: str, number: int, words: list[str]) -> bytes:
-    """Return one line with checksum and line end. The words are the board's own: printable, none with ``,`` ``$`` ``*``."""
-    body = ",".join([kind, str(number)] + words).encode()
+def sentence(kind: str, number: int, parts: list[str]) -> bytes:
+    """Return one line with checksum and line end.
+
+    The parts are the board's own: printable, none with ``,`` ``$`` ``*``.
+    """
+    body = ",".join([kind, str(number)] + parts).encode()
     return b"$" + body + b"*" + f"{crc16(body):04X}".encode() + b"\r\n"
 
 
@@ -47,35 +50,35 @@ class Command:
         self.verb = verb
         self.arguments = arguments
 
-    def same_as(self, other: "Command | None") -> bool:
-        """Tell whether the host has sent this command again."""
+    def same_as(self, earlier: "Command | None") -> bool:
+        """Return True if the host has sent this command again."""
         return (
-            other is not None
-            and self.number == other.number
-            and self.verb == other.verb
-            and self.arguments == other.arguments
+            earlier is not None
+            and self.number == earlier.number
+            and self.verb == earlier.verb
+            and self.arguments == earlier.arguments
         )
 
 
 class CommandFinder:
-    """Finds commands in whatever arrives; begins anew at each ``$`` and keeps at most one line."""
+    """Finds commands in arriving bytes; begins anew at each ``$`` and keeps at most one line."""
 
     def __init__(self) -> None:
         self._line = b""
 
     def feed(self, data: bytes) -> list[Command]:
-        """Return the commands that ``data`` completes; everything else is garbage and forgotten."""
-        found: list[Command] = []
-        # Cut by the interpreter's own C: byte by byte, a long line would cost a third of the answer's 20 ms.
+        """Return the commands that ``data`` completes; all other bytes are dropped."""
+        commands: list[Command] = []
+        # ``split`` runs in C: byte by byte in Python, a long line would take a third of the answer's 20 ms.
         pieces = data.split(b"$")
         for i in range(len(pieces)):
             if i:
                 self._line = b"$"
             if self._line:
-                self._go_on(pieces[i], found)
-        return found
+                self._go_on(pieces[i], commands)
+        return commands
 
-    def _go_on(self, piece: bytes, found: list[Command]) -> None:
+    def _go_on(self, piece: bytes, commands: list[Command]) -> None:
         end = piece.find(b"\n") + 1
         if not end:
             self._line += piece
@@ -85,27 +88,30 @@ class CommandFinder:
         command = parsed(self._line + piece[:end])
         self._line = b""
         if command is not None:
-            found.append(command)
+            commands.append(command)
 
 
 def parsed(line: bytes) -> Command | None:
-    """Return the command in ``line``, which runs from ``$`` to its line feed; ``None`` for anything else."""
+    """Return the command in ``line``, which runs from ``$`` to its line feed, or ``None``."""
     if not 9 <= len(line) <= LONGEST or line[-2:] != b"\r\n" or line[-7:-6] != b"*":
         return None
     body = line[1:-7]
     if min(body) < 0x20 or max(body) > 0x7E or b"*" in body or line[-6:-2] != f"{crc16(body):04X}".encode():
         return None
-    words = body.decode().split(",")
-    if len(words) < 3 or words[0] != "C":
+    parts = body.decode().split(",")
+    if len(parts) < 3 or parts[0] != "C":
         return None
-    number = decimal(words[1], LARGEST_NUMBER)
+    number = decimal(parts[1], LARGEST_NUMBER)
     if number is None:
         return None
-    return Command(number, words[2], words[3:])
+    return Command(number, parts[2], parts[3:])
 
 
 def decimal(text: str, largest: int) -> int | None:
-    """Return the number that ``text`` writes with up to ten digits and nothing else, 0..``largest``; else ``None``."""
+    """Return the number 0..``largest`` that ``text`` writes with up to ten digits alone.
+
+    Else ``None``.
+    """
     if not text.isdigit() or len(text) > 10:
         return None
     number = int(text)

@@ -1,6 +1,7 @@
-"""Owns the board's start: MicroPython runs this file after each reset, and it does not return.
+"""The board's start: MicroPython runs this file after each reset, and it does not return.
 
-A jumper from SERVICE to ground keeps it from starting; then MicroPython's prompt is on the USB port, as on a bare module.
+A jumper from SERVICE to ground keeps it from starting; then MicroPython's prompt is on the USB port, as on a bare
+module.
 """
 
 import gc
@@ -17,7 +18,7 @@ COLLECT_EVERY = 64
 
 
 def run() -> None:
-    """Be the trigger board until power goes."""
+    """Run the trigger board until power-off."""
     if not machine.Pin(pins.gpio("SERVICE"), machine.Pin.IN, machine.Pin.PULL_UP).value():
         return
     name = chip_name(sys.implementation._machine)
@@ -25,12 +26,12 @@ def run() -> None:
     serial = "KF-BRD-" + machine.unique_id().hex().upper()[-8:]
     hardware = ChipHardware(name, serial)
     core = BoardCore(hardware, serial, cause)
-    turn = 0
+    turn_count = 0
     while True:
         core.step()
         hardware.pump()
-        turn += 1
-        if turn % COLLECT_EVERY == 0:
+        turn_count += 1
+        if turn_count % COLLECT_EVERY == 0:
             gc.collect()
 
 

@@ -1,11 +1,16 @@
-"""Owns what waits for the host: whole lines, a bound, and pieces that USB takes without stalling."""
+"""The queue of bytes for the host: whole lines, a limit, and pieces that USB takes without stalling."""
 
 PIECE = 63
-"""Bytes handed to USB at once: a transfer of exactly one 64-byte packet waited for a second one (MicroPython #15960)."""
+"""Bytes handed to USB at once: a transfer of exactly one 64-byte packet waited for a second one
+(MicroPython #15960).
+"""
 
 
 class Outbox:
-    """Bytes on their way to the host; a line that does not fit is lost as a whole, which its report number tells."""
+    """Bytes on their way to the host.
+
+    A line that does not fit is lost as a whole, and its report number is missing.
+    """
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
@@ -19,13 +24,13 @@ class Outbox:
         return True
 
     def piece(self) -> bytes:
-        """Return what to send next, 63 bytes at most."""
+        """Return the next bytes to send, 63 at most."""
         return self._bytes[:PIECE]
 
     def sent(self, count: int) -> None:
-        """Forget ``count`` bytes, which USB has taken."""
+        """Drop ``count`` bytes, which USB has taken."""
         self._bytes = self._bytes[count:]
 
     def clear(self) -> None:
-        """Forget everything: whoever listens from now on begins with a whole line."""
+        """Drop all bytes, so that a new listener begins with a whole line."""
         self._bytes = b""

@@ -1,4 +1,4 @@
-"""Owns the trigger board's pin assignment: every wire between the microcontroller and what is around it, as data.
+"""The trigger board's pin assignment: every wire of the microcontroller, as data.
 
 The module is a Raspberry Pi Pico (RP2040) or Pico 2 (RP2350), without radio: same header, same GPIO numbers. All lines
 are 3.3 V. Read by MicroPython on the board and by CPython where wiring is drawn.
@@ -72,7 +72,9 @@ SUPPLY_DIVIDER = 11.0
 ADC_FULL_MV = 3300.0
 
 Chip = namedtuple("Chip", ("part", "address", "values"))
-"""One device on the I2C bus: its part, seven-bit address and the sensors of ``docs/protocols/board.md`` that it gives."""
+"""One device on the I2C bus: its part, seven-bit address and the sensors of
+``docs/protocols/board.md`` that it gives.
+"""
 
 CHIPS = (
     Chip("TMP117", 0x48, ("TPROJ",)),
@@ -84,7 +86,7 @@ I2C_NUMBER, I2C_HZ, I2C_TIMEOUT_US = 0, 100_000, 2000
 
 
 def gpio(name: str) -> int:
-    """Return the chip's number of the line ``name``. Raises ValueError for a line that there is not."""
+    """Return the chip's number of the line ``name``. Raises ValueError for an unknown line."""
     for line in LINES:
         if line.name == name:
             return int(line.gpio)

@@ -1,14 +1,14 @@
-"""Owns the programs of the PIO: which syncs are counted, when a pulse begins and ends, and what stamps them.
+"""The programs of the PIO: counting syncs, begin and end of pulses, and their time stamps.
 
-Three programs fill one block's 32 words, see ``docs/build/firmware.md``. GATE and PULSE run at the system clock and share flag
-4; STAMP runs twice at 5 MHz, five clocks a turn: on the sync and on the trigger line. Words as in the RP2040 datasheet,
-section 3.4; RP2350 has the same.
+Three programs fill one block's 32 words, see ``docs/build/firmware.md``. GATE and PULSE run at the system clock and
+share flag 4; STAMP runs twice at 5 MHz, five clocks a turn: on the sync and on the trigger line. Words as in the RP2040
+datasheet, section 3.4; RP2350 has the same.
 """
 
 STAMP_HZ = 5_000_000
 """One turn of STAMP is five clocks: 1 us."""
 STAMP_AHEAD_US = 1
-"""A stamp counts the turn in which the edge is seen: 0.6 to 1.6 us more than have passed."""
+"""A stamp includes the turn in which the edge is seen: 0.6 to 1.6 us more than have passed."""
 FLAG = 4
 LARGEST_DELAY_CYCLES = (1 << 24) - 1
 GATE_CYCLES = 7
@@ -16,7 +16,7 @@ GATE_CYCLES = 7
 SYNCHRONISER_CYCLES = 2
 """Flip-flops between the pin and the PIO (section 3.5.6.3)."""
 PULSE_CYCLES = 2
-"""Clocks that a pulse is longer than its loop's counter says."""
+"""Clocks by which a pulse is longer than its loop's counter."""
 
 # Conditions of JMP, registers of MOV and OUT.
 _ALWAYS, _X_DEC, _Y_DEC, _PIN = 0, 2, 4, 6
@@ -61,8 +61,8 @@ LAST_PULSE = 0xE040
 class Program:
     """The words of a program, and where its endless part begins."""
 
-    def __init__(self, words: tuple[int, ...], wrap_target: int) -> None:
-        self.words = words
+    def __init__(self, instructions: tuple[int, ...], wrap_target: int) -> None:
+        self.words = instructions
         self.wrap_target = wrap_target
 
 
@@ -100,7 +100,7 @@ PULSE = Program(
     ),
     0,
 )
-"""Makes one pulse for each flag, as many as it was told, and then waits for new numbers: count and width."""
+"""Makes one pulse for each flag, up to its count, and then waits for new numbers: count and width."""
 
 STAMP = Program(
     (
@@ -121,7 +121,10 @@ STAMP = Program(
 
 
 def gate_words(skip: int, every: int, delay_us: int, clock_hz: int) -> tuple[int, int]:
-    """Return what GATE pulls. Raises ValueError for a delay that 24 bit of clocks do not hold, or every beyond 1..256."""
+    """Return the words that GATE pulls.
+
+    Raises ValueError for a delay above 24 bit of clocks, or every beyond 1..256.
+    """
     cycles = max(delay_us * (clock_hz // 1_000_000) - GATE_CYCLES - SYNCHRONISER_CYCLES, 0)
     if cycles > LARGEST_DELAY_CYCLES or not 1 <= every <= 256:
         raise ValueError(f"delay_us={delay_us}, every={every}: they do not fit into the gate's word")
@@ -129,14 +132,17 @@ def gate_words(skip: int, every: int, delay_us: int, clock_hz: int) -> tuple[int
 
 
 def pulse_words(pulses: int | None, width_us: int, clock_hz: int) -> tuple[int, int]:
-    """Return what PULSE pulls; without a number of pulses it is two years of syncs."""
+    """Return the words that PULSE pulls; without a number of pulses it is two years of syncs."""
     return (0xFFFFFFFF if pulses is None else pulses - 1), width_us * (clock_hz // 1_000_000) - PULSE_CYCLES
 
 
 def stamp_us(stamp: int, began_us: int, now_us: int) -> int:
-    """Return the time of a 32-bit stamp, whose count began at ``began_us`` and wraps each 71 minutes, on the 64-bit clock."""
+    """Return the time of a 32-bit stamp on the 64-bit clock.
+
+    Its count began at ``began_us`` and wraps each 71 minutes.
+    """
     ago_us = now_us - began_us - stamp + STAMP_AHEAD_US & 0xFFFFFFFF
-    # It may be a little ahead of the clock that was read before it.
+    # A stamp may be slightly later than the clock, which was read before.
     if ago_us & 0x80000000:
         ago_us -= 1 << 32
     return now_us - ago_us

@@ -1,4 +1,4 @@
-"""Owns what the sensors' bits mean: registers and converter counts in, values of the protocol out.
+"""Conversion of the sensors' bits: registers and converter counts in, values of the protocol out.
 
 Sources: TMP117 datasheet SNOSD82, table 7-3; SHT4x datasheet, sections 4.4 and 4.5; INA180 gain of ``pins.py``.
 """
@@ -12,7 +12,10 @@ _TMP117_NOT_YET = 0x8000
 
 
 def tmp117_c(raw: bytes) -> float | None:
-    """Return the temperature in a TMP117's two bytes, steps of 1/128 °C; ``None`` before its first conversion."""
+    """Return the temperature in a TMP117's two bytes, steps of 1/128 °C.
+
+    ``None`` before its first conversion.
+    """
     value = raw[0] << 8 | raw[1]
     if value == _TMP117_NOT_YET:
         return None
@@ -20,7 +23,10 @@ def tmp117_c(raw: bytes) -> float | None:
 
 
 def sht40(raw: bytes) -> tuple[float, float] | None:
-    """Return temperature in °C and relative humidity in % of an SHT40's six bytes; ``None`` if a checksum is wrong."""
+    """Return temperature in °C and relative humidity in % of an SHT40's six bytes.
+
+    ``None`` if a checksum is wrong.
+    """
     if len(raw) != 6 or crc8(raw[0:2]) != raw[2] or crc8(raw[3:5]) != raw[5]:
         return None
     temperature_c = -45 + 175 * (raw[0] << 8 | raw[1]) / 65535
@@ -44,14 +50,14 @@ def supply_v(counts: int, full_mv: float, divider: float) -> float:
 
 
 def laser_conducts(counts: int, full_mv: float, mv_per_ma: float, on_ma: float) -> bool:
-    """Tell from a 16-bit reading of the shunt amplifier whether a laser's current flows."""
+    """Return True if a 16-bit reading of the shunt amplifier shows a laser's current."""
     return counts * full_mv / ADC_FULL >= mv_per_ma * on_ma
 
 
 def leak(driven: tuple[int, ...], undriven: tuple[int, ...]) -> str:
     """Return LEAK from the electrodes' levels while the common one is driven, and while it is not.
 
-    An electrode that is high without being driven is wet too: by water that reaches some other voltage.
+    An electrode that is high without being driven is wet, too: by water at another voltage.
     """
     return "1" if any(driven) or any(undriven) else "0"
 

@@ -1,1 +1,1 @@
-"""Owns the key pad's firmware for MicroPython on RP2040; it imports nothing of the rest."""
+"""The keypad's firmware for MicroPython on RP2040; it imports no other part of the product."""

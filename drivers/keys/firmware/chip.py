@@ -1,6 +1,6 @@
-"""Owns the pad's electronics on RP2040: pins, coil chip, watchdog and USB, and nothing else.
+"""The keypad's electronics on RP2040: pins, coil chip, watchdog and USB.
 
-The only module beside ``main.py`` that needs MicroPython's ``machine``; it cannot run anywhere but on the chip.
+The only module beside ``main.py`` that needs MicroPython's ``machine``; it runs on the chip alone.
 """
 
 import time
@@ -18,14 +18,14 @@ RELEASE = 0x0200
 WATCHDOG_MS = 2000
 START_MS = 50
 RETRY_MS = 1000
-"""A chip that does not answer is looked for again so often."""
+"""Interval after which a chip that does not answer is tried again."""
 
 
 class ChipPad(PadHardware):
     """The pad's electronics; made once after a reset."""
 
     def __init__(self, serial: str) -> None:
-        """Take hold of every pin and appear on the bus as the key pad; MicroPython's own serial port goes."""
+        """Set up every pin and appear on the bus as the keypad; MicroPython's own serial port goes."""
         self._began_ms = time.ticks_ms()  # type: ignore[attr-defined]
         self._passed_ms = 0
         self._power = machine.Pin(pins.gpio("COILS_POWER"), machine.Pin.OUT, value=1)
@@ -53,7 +53,10 @@ class ChipPad(PadHardware):
         self._watchdog = machine.WDT(timeout=WATCHDOG_MS)
 
     def _found(self) -> CoilChip | None:
-        """Look for the chip with its power pin high (LDC3114: full power), then low (LDC1614: not shut down)."""
+        """Return the coil chip, set up; ``None`` if none answers.
+
+        It is tried with its power pin high (LDC3114: full power), then low (LDC1614: not shut down).
+        """
         for level in (1, 0):
             self._power.value(level)
             time.sleep_ms(START_MS)  # type: ignore[attr-defined]
@@ -77,21 +80,21 @@ class ChipPad(PadHardware):
         return self._chip is None or self._chip.raises
 
     def counts(self) -> list[int | None]:
-        none: list[int | None] = [None] * COILS
+        no_counts: list[int | None] = [None] * COILS
         if self._chip is None:
             if self.now_ms() >= self._retry_ms:
                 self._retry_ms = self.now_ms() + RETRY_MS
                 self._chip = self._found()
-            return none
+            return no_counts
         try:
             return self._chip.counts()
         except OSError:
-            # Perhaps it has lost its power and its set-up with it.
+            # It may have lost its power and so its set-up.
             self._chip = None
-            return none
+            return no_counts
 
     def send(self, report: bytes) -> bool:
-        # No timeout: a host that does not fetch must not keep the coils from being followed.
+        # No timeout: a host that does not fetch reports must not stop the sampling of coils.
         return bool(self._hid.is_open() and not self._hid.busy() and self._hid.send_report(report, timeout_ms=0))
 
     def show(self, pressed: bool) -> None:

@@ -1,7 +1,7 @@
-"""Owns when a coil's count is a press: a resting value that follows drift, a threshold that follows noise, and faults.
+"""The decision whether a coil's count is a press, by a rest value that follows drift and a threshold.
 
-Counts come at a steady rate, some 80 a second; what they count is the chip's affair, only ratios are used. Integers alone,
-in 256ths of a count.
+Counts come at a steady rate, some 80 a second; their unit depends on the chip, only ratios are used. Integers alone, in
+256ths of a count.
 """
 
 PRESS_PPM = 300
@@ -9,14 +9,16 @@ PRESS_PPM = 300
 RELEASE_PERCENT = 60
 """Part of the press threshold at which a key is released: a finger that trembles there does not bounce for ever."""
 NOISE_FACTOR = 6
-"""The threshold is at least so many mean differences of two samples, which know nothing of drift."""
+"""The threshold is at least so many mean differences of successive samples, which do not depend on drift."""
 REST_SHIFT = 8
-"""The resting value follows by 1/256 of the difference a sample, within 3 s: depth and warmth take longer, fingers less."""
+"""The resting value follows by 1/256 of the difference a sample, within 3 s: depth and warmth take longer, fingers
+less.
+"""
 NOISE_SHIFT = 6
 LONGEST_PRESS = 4800
-"""Samples: one minute. A key that seems pressed for longer is drift, and what it shows is its new rest."""
+"""Samples of the longest press, one minute: a longer one is drift, and its value the new rest."""
 TURNED = 3
-"""Samples beyond the threshold on the other side after which that is the rest: the key was held at power-on."""
+"""Samples beyond the threshold on the other side after which their value is the rest: the key was held at power-on."""
 TRIES = 3
 """Samples in a row without a count, or with one, that make a coil faulty, or whole."""
 
@@ -35,7 +37,10 @@ class CoilFollower:
         self.faulty = False
 
     def follow(self, count: int | None, raises: bool) -> None:
-        """Take the next sample, ``None`` where the coil gave none; ``raises``: a press raises the count, or lowers it."""
+        """Take the next sample, ``None`` where the coil gave none.
+
+        ``raises``: a press raises the count, or lowers it.
+        """
         if (count is None) == self.faulty:
             self._odd = 0
         else:
@@ -43,7 +48,7 @@ class CoilFollower:
             if self._odd == TRIES:
                 self._odd = 0
                 self.faulty = count is None
-                # What it measured before says nothing about the coil that is there now.
+                # Earlier values do not apply to the coil that is there now.
                 self._rest = None
                 self.pressed = False
         if count is not None and not self.faulty:
@@ -81,7 +86,7 @@ class CoilFollower:
         self._noise += (difference - self._noise) >> NOISE_SHIFT
 
     def _begin(self, value: int) -> None:
-        """Take ``value`` for the rest."""
+        """Take ``value`` as the rest value."""
         self._rest = self._before = value
         self._held = 0
         self._turned = 0

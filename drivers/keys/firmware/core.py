@@ -1,6 +1,6 @@
-"""Owns when the pad reports and what: each change as the coils see it, and four times a second.
+"""The reports of the keypad: each change as the coils see it, and four times a second.
 
-Knows no pin: everything electrical is behind ``hardware.PadHardware``. Source: ``docs/protocols/keys.md``.
+It knows no pin: all electronics are behind ``hardware.PadHardware``. Source: ``docs/protocols/keys.md``.
 """
 
 from drivers.keys.firmware.coils import CoilFollower
@@ -14,7 +14,7 @@ PERIOD_MS = 250
 
 
 class PadCore:
-    """The pad's mind: call ``step`` at least every few ms."""
+    """The keypad's logic: call ``step`` at least every few ms."""
 
     def __init__(self, hardware: PadHardware) -> None:
         self._hardware = hardware
@@ -28,19 +28,19 @@ class PadCore:
         self._unsaid = False
 
     def step(self) -> None:
-        """Look at the coils when they have something new, and report what is to be reported."""
+        """Sample the coils when that is due, and send the reports."""
         hardware = self._hardware
         hardware.feed()
         now_ms = hardware.now_ms()
         if now_ms >= self._sample_ms:
-            # From now, not from the last one: samples that nobody took in time are not made up for.
+            # From now, not from the last sample: late samples are not made up for.
             self._sample_ms = now_ms + SAMPLE_MS
             self._sample()
         if now_ms >= self._report_ms:
             self._report_ms += PERIOD_MS
             self._unsaid = True
         if self._unsaid and hardware.send(report(self._pressed, self._counter, self._faulty, now_ms)):
-            # Only what USB has taken counts: a gap in the numbers means a report that was lost behind it.
+            # Only reports that USB has taken count: a gap in the numbers means a report that was lost later.
             self._counter = self._counter + 1 & 0xFF
             self._unsaid = False
 

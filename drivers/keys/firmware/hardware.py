@@ -1,6 +1,6 @@
-"""Owns what the pad's core asks of the electronics: clock, coils, USB, watchdog and light behind one small door.
+"""The interface between the keypad's core and its electronics: clock, coils, USB, watchdog and light.
 
-``chip.py`` is that door on the microcontroller; tests put a model of coils and fingers there.
+``chip.py`` implements it on the microcontroller; tests implement it with a model of coils and fingers.
 """
 
 
@@ -12,15 +12,18 @@ class PadHardware:
         raise NotImplementedError
 
     def counts(self) -> list[int | None]:
-        """Return the latest count of each coil, in the order of ``pins.COILS``; ``None`` where a coil gives none."""
+        """Return the latest count of each coil, in the order of ``pins.COILS``.
+
+        ``None`` where a coil gives none.
+        """
         raise NotImplementedError
 
     def raises(self) -> bool:
-        """Tell whether a press raises the counts of this chip or lowers them."""
+        """Return True if a press raises the counts of this chip, False if it lowers them."""
         raise NotImplementedError
 
     def send(self, report: bytes) -> bool:
-        """Hand a report to USB; ``False`` if the one before has not been fetched yet, or nobody is there."""
+        """Hand a report to USB; return False if the earlier one was not fetched yet, or no host is there."""
         raise NotImplementedError
 
     def show(self, pressed: bool) -> None:

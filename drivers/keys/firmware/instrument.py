@@ -1,6 +1,6 @@
-"""Owns what one instrument's rig file says to its key pad: the USB identity.
+"""The value of one instrument's rig file for its keypad: the USB identity.
 
-In the source tree it is what the packaged rig file says; ``kingfisher setup firmware keys`` writes it for any other.
+In the source tree it is that of the packaged rig file; ``kingfisher setup firmware keys`` writes it for any other.
 """
 
 VENDOR = 0x1209

@@ -1,4 +1,4 @@
-"""Owns the registers of the two coil chips: identity, set-up and counts, over any bus of MicroPython's shape.
+"""The registers of the two coil chips: identity, set-up and counts, on any bus like MicroPython's.
 
 Sources: LDC3114 datasheet SNOSDB4, section 8.6; LDC1614 datasheet SNOSCY9, section 7.6. Both lie at address 0x2A.
 """
@@ -8,7 +8,7 @@ MANUFACTURER = 0x5449
 
 
 class RegisterBus:
-    """The part of ``machine.I2C`` that is needed here; all of it raises OSError where no chip answers."""
+    """The part of ``machine.I2C`` that is needed here; its methods raise OSError where no chip answers."""
 
     def readfrom_mem(self, address: int, register: int, count: int) -> bytes:
         """Return ``count`` bytes from ``register`` on."""
@@ -29,11 +29,11 @@ class CoilChip:
         self._address = address
 
     def present(self) -> bool:
-        """Tell whether this chip is on the bus; nothing is raised."""
+        """Return True if this chip is on the bus; never raises."""
         raise NotImplementedError
 
     def set_up(self) -> None:
-        """Make it convert all coils for ever. Raises OSError where it does not do as it is told."""
+        """Set the chip to convert all coils for ever. Raises OSError where it does not accept that."""
         raise NotImplementedError
 
     def counts(self) -> list[int | None]:
@@ -44,8 +44,9 @@ class CoilChip:
 class Ldc3114(CoilChip):
     """Four channels with raw data of 24 bit, 80 times a second, at 1.8 V.
 
-    Its own baseline and button logic are off: they forget a key that is held, and this firmware tells drift from fingers itself.
-    A count is the reference clocks of so many oscillations: a press, which makes them faster, lowers it.
+    Its own baseline and button logic are off: they forget a key that is held, and this firmware separates drift from
+    fingers itself. A count is the reference clocks of so many oscillations: a press, which makes them faster, lowers
+    it.
     """
 
     raises = False
@@ -57,7 +58,7 @@ class Ldc3114(CoilChip):
     FULL = 0xFFFFFF
 
     def present(self) -> bool:
-        """Tell whether maker and device are those of an LDC3114."""
+        """Return True if maker and device are those of an LDC3114."""
         try:
             raw = self._bus.readfrom_mem(self._address, self.IDENTITY, 4)
         except OSError:
@@ -65,7 +66,7 @@ class Ldc3114(CoilChip):
         return raw[0] | raw[1] << 8 == MANUFACTURER and raw[2] | raw[3] << 8 == self.DEVICE
 
     def set_up(self) -> None:
-        """Enter configuration, write, leave it. Outside of it the chip ignores what is written."""
+        """Write the set-up in configuration mode, outside of which the chip ignores it."""
         self._write(self.RESET, self.CONFIGURE)
         for _ in range(self.TRIES):
             if self._read(self.STATUS) & self.READY_TO_WRITE:
@@ -82,11 +83,11 @@ class Ldc3114(CoilChip):
     def counts(self) -> list[int | None]:
         """Return 24-bit counts, the low byte first on the bus; all bits alike is no oscillation."""
         raw = self._bus.readfrom_mem(self._address, self.RAW, 3 * COILS)
-        found: list[int | None] = []
+        counts: list[int | None] = []
         for i in range(COILS):
             count = raw[3 * i] | raw[3 * i + 1] << 8 | raw[3 * i + 2] << 16
-            found.append(None if count in (0, self.FULL) else count)
-        return found
+            counts.append(None if count in (0, self.FULL) else count)
+        return counts
 
     def _read(self, register: int) -> int:
         return self._bus.readfrom_mem(self._address, register, 1)[0]
@@ -115,14 +116,14 @@ class Ldc1614(CoilChip):
     """AWAKE: reference from the pin, no automatic amplitude."""
 
     def present(self) -> bool:
-        """Tell whether maker and device are those of an LDC1614."""
+        """Return True if maker and device are those of an LDC1614."""
         try:
             return self._read(self.IDENTITY) == MANUFACTURER and self._read(self.IDENTITY + 1) == self.DEVICE
         except OSError:
             return False
 
     def set_up(self) -> None:
-        """Put it to sleep, write, wake it. Awake it ignores what is written."""
+        """Write the set-up in sleep mode, outside of which the chip ignores it."""
         self._write(self.CONFIG, self.ASLEEP)
         for i in range(COILS):
             self._write(self.RCOUNT + i, self.REFERENCE_COUNTS)
@@ -137,12 +138,12 @@ class Ldc1614(CoilChip):
 
     def counts(self) -> list[int | None]:
         """Return 28-bit counts; the four bits above them are the coil's errors."""
-        found: list[int | None] = []
+        counts: list[int | None] = []
         for i in range(COILS):
             high = self._read(self.DATA + 2 * i)
             count = (high & 0x0FFF) << 16 | self._read(self.DATA + 2 * i + 1)
-            found.append(None if high & 0xF000 or count == 0 else count)
-        return found
+            counts.append(None if high & 0xF000 or count == 0 else count)
+        return counts
 
     def _read(self, register: int) -> int:
         raw = self._bus.readfrom_mem(self._address, register, 2)

@@ -1,6 +1,7 @@
-"""Owns the pad's start: MicroPython runs this file after each reset, and it does not return.
+"""The keypad's start: MicroPython runs this file after each reset, and it does not return.
 
-A jumper from SERVICE to ground keeps it from starting; then MicroPython's prompt is on the USB port, as on a bare module.
+A jumper from SERVICE to ground keeps it from starting; then MicroPython's prompt is on the USB port, as on a bare
+module.
 """
 
 import gc
@@ -16,15 +17,15 @@ COLLECT_EVERY = 256
 
 
 def run() -> None:
-    """Be the key pad until power goes."""
+    """Run the keypad until power-off."""
     if not machine.Pin(pins.gpio("SERVICE"), machine.Pin.IN, machine.Pin.PULL_UP).value():
         return
     core = PadCore(ChipPad("KF-KEY-" + machine.unique_id().hex().upper()[-8:]))
-    turn = 0
+    turn_count = 0
     while True:
         core.step()
-        turn += 1
-        if turn % COLLECT_EVERY == 0:
+        turn_count += 1
+        if turn_count % COLLECT_EVERY == 0:
             gc.collect()
 
 

@@ -1,4 +1,4 @@
-"""Owns the key pad's pin assignment: every wire between the microcontroller, the coil chip and the coils, as data.
+"""The keypad's pin assignment: every wire between microcontroller, coil chip and coils, as data.
 
 The module is a Raspberry Pi Pico (RP2040). Read by MicroPython on the pad and by CPython where wiring is drawn.
 """
@@ -44,7 +44,7 @@ I2C_NUMBER, I2C_HZ, I2C_TIMEOUT_US = 0, 400_000, 2000
 
 
 def gpio(name: str) -> int:
-    """Return the chip's number of the line ``name``. Raises ValueError for a line that there is not."""
+    """Return the chip's number of the line ``name``. Raises ValueError for an unknown line."""
     for line in LINES:
         if line.name == name:
             return int(line.gpio)

@@ -1,4 +1,4 @@
-"""Owns the pad's input report and its HID descriptor. Source: ``docs/protocols/keys.md``."""
+"""The keypad's input report and its HID descriptor. Source: ``docs/protocols/keys.md``."""
 
 REPORT_NUMBER, FIRMWARE, SEED = 0x01, 16, 0xA5
 REPORT_BYTES = 8
@@ -19,7 +19,7 @@ DESCRIPTOR = (
 
 
 def report(pressed: int, counter: int, faulty: int, time_ms: int) -> bytes:
-    """Return the eight bytes of a report: two masks of keys, the report's counter, and the pad's clock in ms."""
+    """Return the eight bytes of a report: two masks of keys, its counter, and the pad's clock in ms."""
     data = bytearray(REPORT_BYTES)
     data[0] = REPORT_NUMBER
     data[1] = pressed
