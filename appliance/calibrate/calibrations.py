@@ -1,15 +1,15 @@
-"""Owns ``<root>/calibration``: the file in use, those of before, and the session of the calibration under way.
+"""Files below ``<root>/calibration``: the calibration in use, earlier ones, and the running session.
 
-    current.json                in use
-    air.json                    of the calibration in air, with covariance, where there is one
-    beams.json                  what the laser dots have taught, for the calibration in use (``appliance.instrument.service.remembered``)
-    kept/0001-2026-11-21.json   what was in use before, byte for byte; numbers only grow, the date may be wrong
-    session/session.json        which scans the steps recorded, and what came of them
-    session/solved.json         the calibration that was solved from them, and report.html and .json about it
-    sessions/0001/              sessions put away, the oldest first
+    current.json                the calibration in use
+    air.json                    the air calibration with covariance, where there is one
+    beams.json                  laser pointers, learnt with the one in use (``instrument.service.remembered``)
+    kept/0001-2026-11-21.json   an earlier calibration, byte for byte; numbers only grow, the date may be wrong
+    session/session.json        the scans of each step, and how they were judged
+    session/solved.json         the calibration solved from them; report.html and report.json belong to it
+    sessions/0001/              earlier sessions, the oldest first
 
-Whether the solved calibration is in use is not written down: the files say so, also after a loss of power between two
-of them. Nothing in here deletes anything. One process writes, from one thread at a time.
+Whether the solved calibration is in use follows from a comparison of the files, so that it is right after a loss of
+power between two writes. No method deletes a file. Only one process writes, from one thread at a time.
 """
 
 from __future__ import annotations
@@ -38,60 +38,59 @@ SESSIONS = SealedFile(Session, schema=1, max_bytes=1024 * 1024)
 
 
 class SessionError(Exception):
-    """A request does not go with the session as it is; the text says why and what to do."""
+    """Error of a request that does not fit the state of the session; the text says why and the remedy."""
 
 
 class Calibrations:
-    """The calibrations of one instrument. Raises StorageError for whatever the disk refuses."""
+    """The calibration files of one instrument. Methods raise StorageError for errors of the disk."""
 
     def __init__(self, root: Path, rig_serial: str, fs: FileSystem | None = None) -> None:
-        """Remember where to store; nothing is touched until a method is called."""
+        """Prepare the paths; no file is touched before a method is called."""
         self.folder = (root / CALIBRATION_FILE).parent
         self._of: Mapping[str, str] = {"rig_serial": rig_serial}
         self._fs: FileSystem = fs or LocalFileSystem()
 
     @property
     def current(self) -> Path:
-        """The file in use."""
+        """Path of the calibration in use."""
         return self.folder / CALIBRATION_FILE.name
 
     @property
     def air(self) -> Path:
-        """The calibration in air, from which every adjustment in water starts; there may be none."""
+        """Path of the air calibration, from which every adjustment in water starts; the file may be missing."""
         return self.folder / AIR_FILE.name
 
     @property
     def solved(self) -> Path:
-        """The calibration that the session's recordings gave."""
+        """Path of the calibration that was solved from the session's recordings."""
         return self.folder / "session" / SOLVED
 
     @property
     def in_use(self) -> str | None:
-        """Hash of the calibration in use; ``None`` where the drawing is."""
+        """Hash of the calibration in use; ``None`` where the nominal one is."""
         return _hash_of(self.current)
 
     # ------------------------------------------------------------------------------------- reading
 
     def session(self) -> Session:
-        """Return the session as it lies on the disk; a new one where there is none of this instrument that can be
-        read.
+        """Return the stored session; a new one where none of this instrument can be read.
 
-        A damaged one stays where it is until the next is begun or written.
+        A damaged file stays until the next session is begun or written.
         """
         session = self._read()
         solved = _hash_of(self.solved)
         if session.solved is not None and session.solved.calibration_hash != solved:
             session = replace(session, solved=None, verified=None)  # power was lost between the two files
-        # Compared, not remembered: a flag could be lost between the two files, and would be wrong after a file was
-        # copied in by hand.
+        # Compared instead of stored: a stored flag could be lost between two writes, and would be wrong after somebody
+        # copied a file.
         in_use = session.solved is not None and _bytes(self.current) == _bytes(self.solved)
-        named = session.kept is not None and is_kept_calibration(session.kept)
-        checked = session.verified
-        if checked is not None and not in_use and checked.checked != self.in_use:
-            # Another calibration was put in use since: what is known of the one of then says nothing.
-            session = replace(session, verified=None if checked.after is None else replace(checked, before=None))
-        kept = session.kept if named and (self.folder / "kept" / str(session.kept)).is_file() else None
-        return replace(session, in_use=in_use, kept=kept)
+        is_name_valid = session.kept is not None and is_kept_calibration(session.kept)
+        verified = session.verified
+        if verified is not None and not in_use and verified.checked != self.in_use:
+            # Another calibration was put in use since the length check, which therefore says nothing about it.
+            session = replace(session, verified=None if verified.after is None else replace(verified, before=None))
+        kept_name = session.kept if is_name_valid and (self.folder / "kept" / str(session.kept)).is_file() else None
+        return replace(session, in_use=in_use, kept=kept_name)
 
     def _read(self) -> Session:
         try:
@@ -100,7 +99,7 @@ class Calibrations:
             return Session()
 
     def kept(self, session: Session) -> Calibration | None:
-        """Return the calibration that was in use before; ``None`` where none is kept that can be read."""
+        """Return the calibration that was in use before; ``None`` where none is kept or it cannot be read."""
         if session.kept is None:
             return None
         try:
@@ -111,25 +110,25 @@ class Calibrations:
     # ------------------------------------------------------------------------------------- writing
 
     def write(self, session: Session) -> Session:
-        """Make the session durable; answers it as it lies on the disk now."""
+        """Write the session durably and return it as stored."""
         self._fs.make_folders(self.folder / "session")
-        kept = replace(session, in_use=False)  # never written down
-        self._fs.replace_file(self.folder / "session" / SESSION, SESSIONS.encode(kept, self._of))
+        stored = replace(session, in_use=False)  # derived from the files, never stored
+        self._fs.replace_file(self.folder / "session" / SESSION, SESSIONS.encode(stored, self._of))
         return self.session()
 
     def write_solved(
         self, calibration: Calibration, session: Session, report: Mapping[str, bytes] = MappingProxyType({})
     ) -> Session:
-        """Make a solved calibration durable with its ``report``'s files (by name), then the session that speaks of it."""
+        """Write a solved calibration, the files of its ``report`` by name, and then the session, all durable."""
         self._fs.make_folders(self.folder / "session")
         for name, data in report.items():
             self._fs.replace_file(self.folder / "session" / name, data)
-        # The session comes last: until it speaks of them, these files mean nothing, whenever the power goes.
+        # The session is written last: without it, as after a loss of power, these files have no effect.
         self._fs.replace_file(self.solved, encode_calibration(calibration))
         return self.write(session)
 
     def use_solved(self, date: str) -> Session:
-        """Put the solved calibration in use; the file of before is kept first, under ``date`` (ISO 8601, a day).
+        """Put the solved calibration in use; the former file is kept first, under ``date`` (ISO 8601, a day).
 
         Raises SessionError.
         """
@@ -141,7 +140,8 @@ class Calibrations:
             return session
         before = _bytes(self.current)
         if before is not None:
-            # Kept, and named, before it is replaced: after a loss of power at any point there is a way back (ADR 0020).
+            # Kept and named in the session before it is replaced, so that it can be restored after a loss of power at
+            # any moment (ADR 0020).
             session = self.write(replace(session, kept=self._keep(before, date)))
         self._fs.make_folders(self.folder)
         self._fs.replace_file(self.current, data)
@@ -161,37 +161,39 @@ class Calibrations:
         return self.session()
 
     def install(self, calibration: Calibration, date: str) -> Path | None:
-        """Put a calibration in use that no session made; answers where the file of before is kept, if there was one."""
+        """Put a calibration in use that no session made; return where the former file is kept, ``None`` without one."""
         before = _bytes(self.current)
-        kept = None if before is None else self._keep(before, date)
+        kept_name = None if before is None else self._keep(before, date)
         self._fs.make_folders(self.folder)
         self._fs.replace_file(self.current, encode_calibration(calibration))
-        return None if kept is None else self.folder / "kept" / kept
+        return None if kept_name is None else self.folder / "kept" / kept_name
 
     def bring_back(self, name: str | None, date: str) -> Path:
-        """Put a kept file in use again, byte for byte: ``name``, or the last one kept that is not in use.
+        """Put a kept file in use again, byte for byte: ``name``, or the last kept one that is not in use.
 
-        What was in use is kept, so that doing it twice changes nothing. Raises SessionError, CalibrationError for a
-        file that is damaged.
+        The file in use is kept before, so that a second call undoes the first. Raises SessionError, CalibrationError
+        for a damaged file.
         """
-        now = _bytes(self.current)
+        current = _bytes(self.current)
         files = sorted((self.folder / "kept").glob("*.json"), key=lambda path: (_leading(path.name), path.name))
-        others = [path for path in files if (path.name == name if name is not None else _bytes(path) != now)]
-        if not others:
-            there = ", ".join(path.name for path in files) or "none"
-            what = "no other calibration is kept" if name is None else f"no calibration {name} is kept"
-            raise SessionError(f"{what} in {self.folder / 'kept'} (there: {there}); calibrate, or give one of these")
-        path = others[-1]
+        candidates = [path for path in files if (path.name == name if name is not None else _bytes(path) != current)]
+        if not candidates:
+            available = ", ".join(path.name for path in files) or "none"
+            problem = "no other calibration is kept" if name is None else f"no calibration {name} is kept"
+            raise SessionError(
+                f"{problem} in {self.folder / 'kept'} (there: {available}); calibrate, or give one of these"
+            )
+        path = candidates[-1]
         load_calibration(path)
         data = path.read_bytes()
-        # What is in use now may be kept nowhere yet, as where somebody copied it in.
-        if now is not None:
-            self._keep(now, date)
+        # The file in use may not be kept yet, for instance if somebody copied it there.
+        if current is not None:
+            self._keep(current, date)
         self._fs.replace_file(self.current, data)
         return path
 
     def begin(self) -> Session:
-        """Put the session away and begin a new one."""
+        """Move the session to the earlier ones and begin a new one."""
         folder = self.folder / "session"
         if folder.is_dir():
             self._fs.make_folders(self.folder / "sessions")
@@ -199,7 +201,7 @@ class Calibrations:
         return self.session()
 
     def _keep(self, data: bytes, date: str) -> str:
-        """Name of the kept file with these bytes, which is written where there is none."""
+        """Return the name of the kept file with these bytes; write one if there is none."""
         folder = self.folder / "kept"
         self._fs.make_folders(folder)
         for path in sorted(folder.glob("*.json")):
@@ -213,16 +215,16 @@ class Calibrations:
 def _next(folder: Path) -> int:
     """Return the number after the largest in a folder."""
     try:
-        found = [_leading(path.name) for path in folder.iterdir()]
+        numbers = [_leading(path.name) for path in folder.iterdir()]
     except OSError as error:
         raise StorageError.of("cannot list", folder, error) from error
-    return max(found, default=0) + 1
+    return max(numbers, default=0) + 1
 
 
 def _leading(name: str) -> int:
-    """Return the number that a name begins with; 0 where it begins with none."""
-    found = re.match(r"\d{1,9}", name)
-    return 0 if found is None else int(found[0])
+    """Return the number at the start of a name; 0 without one."""
+    match = re.match(r"\d{1,9}", name)
+    return 0 if match is None else int(match[0])
 
 
 def _bytes(path: Path) -> bytes | None:

@@ -1,4 +1,4 @@
-"""Owns what a calibration file says, for people."""
+"""Description of a calibration file for people."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from appliance.measure import Calibration, of_side
 
 
 def describe_calibration(calibration: Calibration) -> dict[str, Any]:
-    """Return what a calibration says."""
+    """Return the content of a calibration file as names and values for people."""
     left, right = calibration.rig.left, calibration.rig.right
-    # A lens calibrated in water has swallowed its port: distance and tilt are numbers without a meaning then.
+    # A lens that was calibrated in water includes the effect of its port: distance and tilt have no meaning then.
     has_ports = not (left.lens_in_water or right.lens_in_water)
     return {
         "rig_serial": calibration.rig_serial,

@@ -1,4 +1,10 @@
-"""Owns the steps of the calibration in water: what is held at each, and how one recording of it was judged."""
+"""Steps of the guided calibration in water, and the progress of one session through them.
+
+Step, STEPS, HELD, USED           the steps, their order, and the artefact of each recording
+Refusal, UNITS, RecordingCheck    the judgement of one recording
+AdjustmentSummary, Verified       result of the adjustment, and the length check of VERIFY
+Session                           progress of one calibration
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ from appliance.calibrate.recordings import ArtefactKind
 
 
 class Step(Enum):
-    """Steps in their order: four recordings, the adjustment, a fifth recording that it has not seen, the decision."""
+    """Steps in their order: four recordings, the adjustment, a recording that it has not seen, the decision."""
 
     M1 = "M1"
     """Ball bar, lying, one end nearer."""
@@ -37,22 +43,22 @@ HELD: Mapping[Step, ArtefactKind] = MappingProxyType(
         Step.VERIFY: ArtefactKind.BALL_BAR,
     }
 )
-"""The steps with a recording, and what is held before the instrument."""
+"""Artefact of each step that records one."""
 USED = (Step.M1, Step.M2, Step.M3, Step.M4)
-"""The recordings that the adjustment uses."""
+"""Steps whose recordings the adjustment uses."""
 
 
 class Refusal(Enum):
-    """Reasons why a recording will not do."""
+    """Reasons why a recording is not accepted."""
 
     NOT_FOUND = "NOT_FOUND"
     """No ball bar or plane in the cloud."""
     FEW_POINTS = "FEW_POINTS"
-    """The artefact was found, but too little of it is fit to calibrate with: edges, glare, dirt."""
+    """The artefact was found, but too few pixels of it can be used: edges, glare, dirt."""
     BAD_FIT = "BAD_FIT"
-    """The points do not lie on balls or a plane: moved, damaged, or something else."""
+    """The points do not lie on balls or a plane: moved, damaged, or another object."""
     WRONG_SIZE = "WRONG_SIZE"
-    """The artefact was found, but not of the certificate's size: another artefact, or a wrong certificate."""
+    """The artefact was found, but its size is not that of the certificate."""
     LAY_DOWN = "LAY_DOWN"
     STAND_UP = "STAND_UP"
     TILT_MORE = "TILT_MORE"
@@ -60,9 +66,9 @@ class Refusal(Enum):
     TOO_NEAR = "TOO_NEAR"
     TOO_FAR = "TOO_FAR"
     NOT_FILLED = "NOT_FILLED"
-    """The plane covers too little of the picture."""
+    """The plane covers too little of the image."""
     MOVED = "MOVED"
-    """Instrument and artefact moved against each other while it was recorded."""
+    """Instrument and artefact moved relative to each other during the recording."""
     WRONG_PATTERN = "WRONG_PATTERN"
     """A frame does not show its pattern."""
 
@@ -84,28 +90,28 @@ UNITS: Mapping[Refusal, str] = MappingProxyType(
         Refusal.WRONG_PATTERN: "",
     }
 )
-"""Unit of the number that is shown with a refusal."""
+"""Unit of the number that is shown with each refusal."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingCheck:
-    """One recording of one step, judged. ``refusal`` ``None``: it will do."""
+    """Judgement of the recording of one step; accepted where ``refusal`` is ``None``."""
 
     step: Step
     refusal: Refusal | None
     number: float | None
-    """Measured number in the unit of the refusal (``UNITS``); for an accepted recording the RMS distance from its
-    surfaces in mm. ``None`` where nothing was measured."""
+    """Measured number in the unit of the refusal (``UNITS``); for an accepted recording the RMS residual of its
+    surfaces in mm. ``None`` without a measurement."""
     points: int = 0
     detail: str = ""
-    """A sentence with the numbers, for the log and the manifest."""
+    """Sentence with the numbers, for the log and the manifest."""
     scan_id: str | None = None
-    """The scan that holds its frames, once it is kept."""
+    """Scan with its frames, once it is stored."""
 
 
 @dataclass(frozen=True, slots=True)
 class AdjustmentSummary:
-    """Outcome of the adjustment, as it judges itself."""
+    """Result of the adjustment by its own numbers."""
 
     method: str
     residual_px: float
@@ -115,22 +121,23 @@ class AdjustmentSummary:
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """The length of a bar that the adjustment has not seen: relative error, (measured − calibrated)/calibrated."""
+    """Length check with a bar that the adjustment has not seen: (measured − calibrated)/calibrated."""
 
     before: float | None
-    """Error with the earlier calibration, or the one in use while nothing is solved; ``None`` where it finds no bar."""
+    """Error with the earlier calibration, or with the one in use before a solution; ``None`` where no bar is found."""
     after: float | None
-    """Error with the solved calibration; ``None``: nothing is solved, the bar only checks the one in use."""
+    """Error with the solved calibration; ``None`` before a solution, when the bar only checks the one in use."""
     sigma: float
-    """Standard uncertainty of ``after`` (of ``before`` without it) from the noise of the points and from the
-    certificate, relative as well."""
+    """Relative standard uncertainty of ``after`` (else of ``before``), from the points' noise and the certificate."""
     checked: str | None = None
-    """Hash of the calibration that ``before`` is of; ``None``: of the drawing."""
+    """Hash of the calibration of ``before``; ``None`` for the nominal one."""
 
     @property
     def better(self) -> bool | None:
-        """Tell whether the length came out better than before; ``None`` where the difference may be chance (two sigma),
-        or where there is nothing to compare."""
+        """True if the length error is smaller than before; ``None`` if the difference may be noise or there is none.
+
+        Noise is a change within two standard uncertainties.
+        """
         if self.after is None:
             return None
         if self.before is None:
@@ -140,28 +147,28 @@ class Verified:
 
 
 MOST_LENGTH_ERROR = 0.001
-"""Relative error of a length above which the calibration in use, or the water that was stated, is not to be trusted."""
+"""Relative length error above which the calibration in use, or the stated water, must not be trusted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """Progress of one calibration. Its recordings are stored scans; the whole of it survives the loss of power."""
+    """Progress of one calibration. Its recordings are stored scans; all of it survives a loss of power."""
 
     trials: tuple[RecordingCheck, ...] = ()
     """Accepted recordings, at most one for each step."""
     solved: AdjustmentSummary | None = None
     verified: Verified | None = None
     in_use: bool = False
-    """The instrument measures with what was solved."""
+    """The instrument measures with the solved calibration."""
     kept: str | None = None
-    """Name of the file with the calibration that was in use before; ``None`` where there was none."""
+    """File name of the calibration that was in use before; ``None`` without one."""
 
     def check(self, step: Step) -> RecordingCheck | None:
-        """Return the recording of a step."""
+        """Return the accepted recording of a step."""
         return next((check for check in self.trials if check.step is step), None)
 
     def done(self, step: Step) -> bool:
-        """Tell whether a step need not be done again."""
+        """Tell whether a step is done."""
         match step:
             case Step.SOLVE:
                 return self.solved is not None
@@ -173,8 +180,11 @@ class Session:
                 return self.check(step) is not None
 
     def open(self, step: Step) -> bool:
-        """Tell whether a step can be done now: recordings in any order, then one after the other. VERIFY checks the
-        solved calibration, or else the one in use."""
+        """Tell whether a step can be done now.
+
+        Recordings can be made in any order, SOLVE after all that it uses, RESULT after VERIFY. VERIFY checks the solved
+        calibration, or else the one in use.
+        """
         match step:
             case Step.SOLVE:
                 return all(self.check(used) is not None for used in USED)
@@ -187,39 +197,42 @@ class Session:
 
     @property
     def length_error(self) -> float | None:
-        """Relative error of the bar of VERIFY with the calibration in use; ``None``: nobody has checked it."""
+        """Relative error of the bar of VERIFY with the calibration in use; ``None`` before a check."""
         if self.verified is None:
             return None
         return self.verified.after if self.in_use else self.verified.before
 
     @property
     def wrong(self) -> bool:
-        """Tell whether lengths are surely wrong by more than is allowed."""
+        """True if length errors certainly exceed the limit."""
         error, verified = self.length_error, self.verified
         return error is not None and verified is not None and abs(error) - 2.0 * verified.sigma > MOST_LENGTH_ERROR
 
     @property
     def right(self) -> bool:
-        """Tell whether lengths are right within what is allowed, by a check that is exact enough to tell."""
+        """True if length errors are within the limit, by a check whose uncertainty is small enough."""
         error, verified = self.length_error, self.verified
         return error is not None and verified is not None and max(abs(error), 2.0 * verified.sigma) <= MOST_LENGTH_ERROR
 
     @property
     def next_step(self) -> Step:
-        """The first step that is not done; the result when all are."""
+        """First step that is not done; RESULT when all are."""
         return next((step for step in STEPS if not self.done(step)), Step.RESULT)
 
     def with_check(self, check: RecordingCheck) -> Session:
-        """Return the session with a recording in place of its step's older one. A solution that used the older one is
-        dropped."""
-        others = tuple(t for t in self.trials if t.step is not check.step)
-        changed = replace(self, trials=(*others, check))
+        """Return the session with ``check`` in place of an older recording of its step.
+
+        A solution that used the older one is dropped.
+        """
+        trials = tuple(t for t in self.trials if t.step is not check.step)
+        changed = replace(self, trials=(*trials, check))
         if check.step not in USED:
             return changed
         verified = self.verified
-        if verified is not None and verified.after is None:  # a check of before is no witness of what will be solved
+        # A check of the former calibration says nothing about the next solution.
+        if verified is not None and verified.after is None:
             changed = replace(changed, trials=tuple(t for t in changed.trials if t.step is not Step.VERIFY))
-        if verified is not None:  # what it says of the calibration in use still holds
+        if verified is not None:  # its error of the calibration in use is still true
             error = self.length_error
             checked = self.solved.calibration_hash if self.in_use and self.solved is not None else verified.checked
             verified = None if error is None else Verified(error, None, verified.sigma, checked)

@@ -1,31 +1,31 @@
-"""Owns the judgement whether a calibration still holds: each scan's ray gaps against those right after it, and their
-trend.
+"""Judgement whether a calibration still holds, from the ray gaps of its scans, and its memory on the disk.
 
-Pure values and functions. A scan gives four amplitudes (``gaps.MODES``), and is judged in three steps:
+A scan gives four amplitudes (``gaps.MODES``), and is judged in these steps:
 
-reference   the first scans of a calibration teach each patch what is usual there, so that what the calibration leaves over (a
-            lens that no formula has) does not count. Patches that no scan has shown yet count with the uncertainty of that
-            pattern. Reference and trend belong to a calibration: one that comes back brings its own.
-amplitudes  least squares over the patches seen, with their standard deviations in normal operation: noise, and a share of the
-            pattern left over, since objects show different parts of it, propagated as a smooth surface. A scan of a corner of
-            the image so has wide standard deviations instead of a wrong verdict. Where the stated water changes, the height
-            may change with it, as imperfect calibrations do. What backscatter may do wrongly has known shapes, and is
-            adjusted along with the amplitudes.
-third gaps  where the projector was learnt (``calibrate.third_eye``), its gaps are judged beside the ray gaps in the same way.
-overlaps    of many scans of one object tell of a depth error that all share, which gaps do not see; their word is kept beside, and
-            alarms where it is clear.
-sum         scores (amplitudes in standard deviations, with their direction) are added up by Crosier's multivariate CUSUM: a
-            big change alarms at once, a small one when it stays; scatter does not, and an offset of one standard deviation
-            hardly ever.
+    reference   the first scans of a calibration give each patch its usual gap, so that what the calibration leaves (a
+                lens beyond its model) does not count. Patches that no scan has shown yet count with the uncertainty of
+                that pattern. Reference and trend belong to one calibration, and come back with it.
+    amplitudes  least squares over the visible patches, with standard deviations in normal operation: noise, and a share
+                of the pattern that the calibration leaves, since objects show different parts of it, propagated as a
+                smooth surface. So a scan of a corner of the image has large standard deviations instead of a wrong
+                verdict. Where the stated water changes, the height may change with it. Errors from backscatter have
+                known shapes, and are adjusted with the amplitudes.
+    third gaps  once the projector is fitted (``calibrate.third_eye``), third gaps are judged in the same way beside the
+                ray gaps.
+    overlaps    of many scans of one object show a depth error that all share, which gaps do not show. Their score is
+                kept beside the trend, and raises an alarm above ``OVERLAP_LIMIT``.
+    sum         scores (amplitudes in standard deviations, as a vector) are added by Crosier's multivariate CUSUM. A
+                large change alarms at once, a small one when it stays; noise does not, and an offset of one standard
+                deviation hardly ever.
 
-``docs/calibration-health.md`` has which changes are seen so.
+``docs/calibration-health.md`` lists which changes are detected.
 
-It also owns what is remembered on the disk about how a calibration holds: one small checksummed file per calibration.
+The memory is one small checksummed file per calibration:
 
     <root>/calibration/health/<first 16 digits of the calibration's hash>.json
 
-Replaced as a whole after each scan, so that a loss of power costs the latest scan's entry at most. A file that cannot
-be read is put aside under another name: the trend begins anew, and a person can look at what there was.
+It is replaced as a whole after each scan, so that a loss of power costs the latest scan's entry at most. A file that
+cannot be read is renamed: the trend begins anew, and the old file can be examined.
 """
 
 from __future__ import annotations
@@ -49,247 +49,253 @@ Four = tuple[float, float, float, float]
 T = TypeVar("T")
 
 UNMEASURED = ("design", "air")
-"""Methods of calibrations whose ports nobody measured: their rays miss each other anyway."""
+"""Methods of calibrations whose ports are not measured, so that their ray gaps are always large."""
 LEARNT_SCANS = 10
-"""Scans that teach a patch its reference."""
+"""Scans from which each patch learns its reference."""
 FEWEST_PATCHES = 8
 SLACK = 2.0
-"""Score that every scan is forgiven: scatter alone never adds up to the limit."""
+"""Part of each score that is not added, so that noise alone does not add up to the limit."""
 LIMIT = 6.0
 """Limit of the sum: one score of 8, two of 5, three of 4."""
 TEACHES_UP_TO = 2.0
-"""A scan after which the sum is larger teaches nothing: a knock must not become the reference."""
+"""Largest sum with which a scan still enters the reference; a knock must not."""
 LEAST_UM = 0.3
-"""Scatter of an amplitude that remains with the best calibration."""
+"""Standard deviation of an amplitude that remains with the best calibration."""
 THIRD_MODES = ("even", "across", "down", "corners")
 """Patterns of the third gap (``calibrate.third_eye``)."""
 DRIFT_UM = (27.0, 3.6, 0.0, 0.0)
 """Standard deviation of amplitudes from mounts that turn with the temperature of the case: 0.003° about x (520 mm away)
-and about z (70 mm aside). Neither spoils a length, and so much leaves a knock of 0.02° to be found by the second scan.
-A turn about y spoils lengths, and is forgiven nothing."""
+and about z (70 mm aside). Such turns change no length, and the second scan still detects a knock of 0.02°. A turn about
+y changes lengths; none is allowed."""
 THIRD_DRIFT_UM = (14.0, 6.0, 3.0, 4.0)
-"""The same of the third gap: turns of a camera about y by 0.003°, or of the projector by half of that; of the other patterns
-what three scans leave open of the projector where they did not show it. A knock of 0.02° about y is 93 µm."""
+"""Standard deviation of the third gap's amplitudes: turns of a camera about y by 0.003°, or of the projector by half of
+that; in the other patterns the uncertainty of a projector fitted to three scans. A knock of 0.02° about y is 93 µm."""
 PATCH_UM = 0.5
-"""Scatter of a patch that remains with the best calibration."""
+"""Standard deviation of a patch that remains with the best calibration."""
 SHARE_KNOWN = 0.5
-"""Share of the pattern left over by the calibration that changes with the distance of the object; the reference takes
-the rest away. Where a patch has no reference yet, all of it is there."""
+"""Share of the pattern that the calibration leaves which changes with the distance of the object; the reference removes
+the other part. In a patch without a reference, all of it remains."""
 SMOOTH_OVER = 0.25
-"""Share of the image's width over which that pattern is alike."""
+"""Correlation length of that pattern, as a share of the image's width."""
 IMAGE_HEIGHT = 0.75
 """Height of an image in image widths."""
 HEIGHT_PER_INDEX_UM = 600.0
-"""Change of height per unit of the water's index that an imperfect calibration allows, with the index stated rightly: 4
-µm from fresh to salt."""
+"""Change of height per unit of the refractive index of an imperfect calibration, with the right index: 4 µm from fresh
+to salt water."""
 MOST_POINTS = 200
-"""Scans kept for looking back."""
+"""Number of latest scans in the trend."""
 MOST_ANSWERS = 20
 MOST_OBJECTS = 50
-"""Objects kept for looking back."""
+"""Number of latest objects in the trend."""
 OVERLAP_LIMIT = 4.0
-"""Score of an object's overlaps that alarms: calibrated rigs of the world ``outside`` have 0.4 to 1.6
-(docs/objects.md)."""
+"""Score of an object's overlaps above which an alarm is raised; calibrated rigs of the world ``outside`` have 0.4 to
+1.6 (docs/objects.md)."""
 OFFSET_SHARE = 0.05
-"""Uncertainty of an accepted change as a share of it: turns and shifts of the same amplitude differ a little with
-distance."""
+"""Relative uncertainty of an accepted change: turns and shifts of the same amplitude differ a little with distance."""
 MOST_VEIL_UM = 22.0
-"""Doubt about what backscatter does to the gaps, rms, beyond which a scan is not judged: a turn of 0.02° about z gives
-no more."""
+"""RMS uncertainty of the gaps from backscatter above which a scan is not judged; a turn of 0.02° about z gives as much.
+"""
 MATTERS_DEG = 0.02
-"""Turn of a camera that three scans should find; where they would not, the verdict says what they do find."""
+"""Turn of a camera that three scans should detect; otherwise the judgement states what they do detect."""
 SCANS_TO_FIND = 3
 LASTING = 2.5
-"""Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add
-them up. Chosen by the rate of false alarms: shapes of causes are only as good as the model of
-the water."""
+"""Factor on the standard deviations from backscatter. Its causes last over scans, and their sum must not reach the
+limit. Chosen by the rate of false alarms, because the model of the water is not exact.
+"""
 TAKEN_WRONGLY = 0.4
-"""Standard deviation of what is taken off an amplitude for backscatter, of it: as far as the model of the water is off
+"""Relative standard deviation of the correction of an amplitude for backscatter: errors of the model of the water
 beyond its causes."""
 _WIDE_UM = 1e3
-"""Standard deviation of an amplitude that the seen patches say nothing about."""
+"""Standard deviation of an amplitude that the visible patches do not determine."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrendPoint:
-    """One judged scan."""
+    """One judged scan in the trend."""
 
     scan: str | None
     """Number of the scan, where it has one."""
     amplitudes_um: Four
-    """Height, twist, scale, shear against the reference, RMS over the volume."""
+    """Height, twist, scale and shear against the reference, RMS over the volume."""
     sigma_um: Four
     """Standard deviations of the amplitudes in normal operation."""
     rest_um: float
-    """RMS of the pattern that the four leave over, without noise."""
+    """RMS of the gaps beyond the four patterns, without noise."""
     score: float
-    """Length of the amplitudes in standard deviations; 2 is usual."""
+    """Length of the vector of amplitudes in standard deviations; 2 is usual."""
     total: float
-    """The sum after this scan; the alarm is at ``LIMIT``."""
+    """Length of the sum after this scan; the alarm is at ``LIMIT``."""
     alarm: bool
     third_um: Four | None = field(default=None, metadata=LEFT_OUT)
-    """Even, across, down, corners of the third gap; ``None``, as the next one: no projector was learnt, or too little of
-    the image shows it."""
+    """Even, across, down and corners of the third gap. ``None``, like the next field, without a fitted projector, or if
+    too few patches show it."""
     third_sigma_um: Four | None = field(default=None, metadata=LEFT_OUT)
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Gaps of each patch of the left image in the first normal scans; zeros where no scan has shown the patch yet."""
+    """Gaps of each patch of the left image in the first normal scans; zeros in patches without a scan."""
 
     gap_um: tuple[float, ...] = (0.0,) * PatchGaps.COUNT
     variance_um2: tuple[float, ...] = (0.0,) * PatchGaps.COUNT
     scans: tuple[int, ...] = (0,) * PatchGaps.COUNT
     rests_um: tuple[float, ...] = ()
-    """RMS rests in µm of the scans that taught the reference."""
+    """RMS in µm of the gaps beyond the four patterns, in each scan of the reference."""
     water_index: float | None = None
-    """Mean refractive index of the scans that taught."""
+    """Mean refractive index of the scans of the reference."""
     offset_um: Four = (0.0, 0.0, 0.0, 0.0)
-    """Amplitudes that a length check found harmless: they are normal, too."""
+    """Amplitudes that a length check found harmless, so that they count as normal."""
     doubts_um: tuple[float, ...] = (0.0,) * (PatchGaps.COUNT * (PatchGaps.DOUBTS + 1))
-    """Standard deviations of what backscatter did to the gaps, patch after patch: mean of the scans that taught it of
-    ``PatchGaps.doubts_um`` and ``PatchGaps.shape_um``. The same causes are wrong in the same way in later scans."""
+    """Standard deviations of the gaps from backscatter, patch after patch: mean of ``PatchGaps.doubts_um`` and
+    ``PatchGaps.shape_um`` over the scans of the reference. The same causes have the same effect in later scans."""
 
 
 @dataclass(frozen=True, slots=True)
 class ThirdTrend:
-    """Memory of the third gaps of one fitted projector."""
+    """Trend of the third gaps of one fitted projector."""
 
     projector: str | None = None
-    """Hash of the fit; ``None``: there was none."""
+    """Hash of the fit; ``None`` without one."""
     reference: Reference = Reference()
     total: Four = (0.0, 0.0, 0.0, 0.0)
-    """Its share of the sum."""
+    """Its part of the sum."""
 
 
 @dataclass(frozen=True, slots=True)
 class OverlapNews:
-    """The word of one object's overlaps on the smooth depth error that all its scans share
-    (``calibration.depth_error``)."""
+    """Smooth depth error that the overlaps of one object show for all its scans (``calibration.depth_error``)."""
 
     object: str
     scans: int
     bend_um: float
-    """RMS over the view of the error found."""
+    """RMS of the depth error over the image."""
     sigma_um: float
-    """RMS over the view of what is left uncertain of it."""
+    """RMS of its standard deviation over the image."""
     score: float
-    """Distance from what the calibration states, in standard deviations; about 1 is usual."""
+    """Difference from the calibration's depth error, in standard deviations; about 1 is usual."""
 
     @property
     def alarm(self) -> bool:
-        """Tell whether the calibration is not what it was."""
+        """True if the depth error has changed since the calibration."""
         return self.score > OVERLAP_LIMIT
 
 
 @dataclass(frozen=True, slots=True)
 class HealthTrend:
-    """Everything remembered about one calibration."""
+    """Reference, sum and latest scans of one calibration."""
 
     reference: Reference = Reference()
     total: Four = (0.0, 0.0, 0.0, 0.0)
-    """The sum of scores, with its direction."""
+    """Sum of scores, as a vector."""
     judged: int = 0
     points: tuple[TrendPoint, ...] = ()
     """The latest scans, oldest first."""
     alarm: str | None = None
-    """Finding in words, until somebody answered it."""
+    """Alarm in words, until a length check answers it."""
     answers: tuple[str, ...] = ()
-    """Length checks after which an alarm was taken back."""
+    """Length checks that ended an alarm, in words."""
     overlaps: tuple[OverlapNews, ...] = ()
-    """Words of objects' overlaps, the latest of each object, oldest first."""
+    """Latest result of each object's overlaps, oldest first."""
     third: ThirdTrend = field(default=ThirdTrend(), metadata=LEFT_OUT)
 
     def named(self, scan: str) -> HealthTrend:
-        """Return the trend with the number that the latest scan gets on the disk."""
+        """Return the trend with ``scan`` as the number of the latest scan, known once it is stored."""
         return replace(self, points=(*self.points[:-1], replace(self.points[-1], scan=scan)))
 
 
 @dataclass(frozen=True, slots=True)
 class HealthJudgement:
-    """Findings of one scan about the calibration."""
+    """Judgement of a calibration by one scan."""
 
     point: TrendPoint | None
-    """Point of the trend; ``None``: not judged."""
+    """Point of the trend; ``None`` if not judged."""
     alarm: bool
     text: str
     numbers: Mapping[str, float | None]
     normal: bool = False
-    """The scan is beyond doubt: what is learnt may be learnt from it."""
+    """The scan is normal, and may enter the reference and the fit of the projector."""
 
 
 def judge_health(
     trend: HealthTrend, gaps: PatchGaps, scan: str | None = None, third: PatchGaps | None = None
 ) -> tuple[HealthTrend, HealthJudgement]:
-    """Return the trend after one more scan (its number, where it has one already), and what is to be said about it.
+    """Return trend and judgement after one more scan (``scan``: its number, where it has one already).
 
-    ``third``: its third gaps, where a projector was learnt.
+    ``third``: its third gaps, where the projector is fitted.
     """
     if len(gaps.patch) < FEWEST_PATCHES:
         text = f"not judged: {len(gaps.patch)} of {PatchGaps.COUNT} patches seen, {FEWEST_PATCHES} are needed"
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not _are_numbers(gaps):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
-    veil_um = _veil_doubt_um(gaps)
-    if veil_um > MOST_VEIL_UM:
-        text = f"not judged: backscatter may move the gaps by {veil_um:.0f} µm, allowed are {MOST_VEIL_UM:.0f}; scan in clearer water"
+    backscatter_um = _backscatter_rms_um(gaps)
+    if backscatter_um > MOST_VEIL_UM:
+        text = (
+            f"not judged: backscatter may move the gaps by {backscatter_um:.0f} µm, allowed are {MOST_VEIL_UM:.0f}; "
+            "scan in clearer water"
+        )
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
-    # The three steps of the module's head, for the ray gap and for the third: their scores add up side by side.
-    found = [_found(trend.reference, gaps, DRIFT_UM, HEIGHT_PER_INDEX_UM)]
+    # Reference, amplitudes and sum as in the module's head, for the ray gaps and the third gaps beside them.
+    fits = [_fit_gaps(trend.reference, gaps, DRIFT_UM, HEIGHT_PER_INDEX_UM)]
     if third is not None and len(third.patch) >= FEWEST_PATCHES and _are_numbers(third):
-        found.append(_found(trend.third.reference, third, THIRD_DRIFT_UM, 0.0))
-    z = np.concatenate([_whitened(one.amplitudes_um, one.covariance) for one in found])
-    before = np.array([*trend.total, *trend.third.total])
-    total = _summed(before, np.pad(z, (0, len(before) - len(z))))
-    size = float(np.linalg.norm(total))
-    least_deg = _found_from_deg(found)
-    # An alarm stays until somebody answers it: it is not raised twice, and the sum that caused it is kept.
-    raised = trend.alarm is None and size > LIMIT
-    amplitudes, sigmas = zip(*[(_four(one.amplitudes_um), _four(one.sigma_um)) for one in found], strict=True)
+        fits.append(_fit_gaps(trend.third.reference, third, THIRD_DRIFT_UM, 0.0))
+    z = np.concatenate([_whiten(fit.amplitudes_um, fit.covariance) for fit in fits])
+    old_sum = np.array([*trend.total, *trend.third.total])
+    new_sum = _next_sum(old_sum, np.pad(z, (0, len(old_sum) - len(z))))
+    length = float(np.linalg.norm(new_sum))
+    detectable_deg = _detectable_turns_deg(fits)
+    # An alarm lasts until it is answered: it is not raised twice, and the sum that caused it is kept.
+    is_new_alarm = trend.alarm is None and length > LIMIT
+    amplitudes, sigmas = zip(*[(_four(fit.amplitudes_um), _four(fit.sigma_um)) for fit in fits], strict=True)
     point = TrendPoint(
-        scan, amplitudes[0], sigmas[0], found[0].rest_um, float(np.linalg.norm(z)), size, raised or trend.alarm is not None,
-        *((amplitudes[1], sigmas[1]) if len(found) > 1 else ()),
+        scan, amplitudes[0], sigmas[0], fits[0].rest_um, float(np.linalg.norm(z)), length,
+        is_new_alarm or trend.alarm is not None,
+        *((amplitudes[1], sigmas[1]) if len(fits) > 1 else ()),
     )  # fmt: skip
-    # The reference learns from scans that are beyond doubt; else a slow drift would teach itself to be normal.
-    normal = not point.alarm and size <= TEACHES_UP_TO
+    # Only normal scans enter the reference, because a slow drift would otherwise become part of it.
+    is_normal = not point.alarm and length <= TEACHES_UP_TO
     references = [trend.reference, trend.third.reference]
-    if normal:
-        for k, one in enumerate(found):
-            references[k] = _taught(references[k], one.gaps, one.rest_um)
-    text = _said(point, references[0]) + (_explained(found) if point.alarm else "")
-    if least_deg is not None and max(least_deg) > MATTERS_DEG and not point.alarm:
-        text += f"; {_blind_to(least_deg)}{_veiled(gaps)}"
-    after = replace(
+    if is_normal:
+        for k, fit in enumerate(fits):
+            references[k] = _teach(references[k], fit.gaps, fit.rest_um)
+    text = _describe(point, references[0]) + (_likeliest_turn(fits) if point.alarm else "")
+    if detectable_deg is not None and max(detectable_deg) > MATTERS_DEG and not point.alarm:
+        text += f"; {_undetected_turns(detectable_deg)}{_backscatter_note(gaps)}"
+    new_trend = replace(
         trend,
         reference=references[0],
-        total=_four(total[: len(MODES)]),
+        total=_four(new_sum[: len(MODES)]),
         judged=trend.judged + 1,
         points=(*trend.points, point)[-MOST_POINTS:],
-        alarm=trend.alarm or (text if raised else None),
-        third=replace(trend.third, reference=references[1], total=_four(total[len(MODES) :])),
+        alarm=trend.alarm or (text if is_new_alarm else None),
+        third=replace(trend.third, reference=references[1], total=_four(new_sum[len(MODES) :])),
     )
-    return after, HealthJudgement(point, point.alarm, text, _numbers(point, found) | _turns(least_deg), normal)
+    return new_trend, HealthJudgement(
+        point, point.alarm, text, _numbers(point, fits) | _turns(detectable_deg), is_normal
+    )
 
 
-def answered(trend: HealthTrend, answer: str) -> HealthTrend:
-    """Return the trend after an accepted length check: the latest scan's state is normal from now on. ``answer`` says
-    what was found."""
-    nothing: Four = (0.0, 0.0, 0.0, 0.0)
+def accept_change(trend: HealthTrend, answer: str) -> HealthTrend:
+    """Return the trend after an accepted length check, with the state of the latest scan as normal.
+
+    ``answer`` is the result of the check in words.
+    """
+    zeros: Four = (0.0, 0.0, 0.0, 0.0)
     point = trend.points[-1] if trend.points else None
-    third_um = next((one.third_um for one in reversed(trend.points) if one.third_um is not None), nothing)
+    third_um = next((earlier.third_um for earlier in reversed(trend.points) if earlier.third_um is not None), zeros)
     return replace(
         trend,
-        reference=_moved(trend.reference, nothing if point is None else point.amplitudes_um),
-        total=nothing,
+        reference=_shift_reference(trend.reference, zeros if point is None else point.amplitudes_um),
+        total=zeros,
         alarm=None,
         answers=(*trend.answers, answer)[-MOST_ANSWERS:],
-        third=replace(trend.third, reference=_moved(trend.third.reference, third_um), total=nothing),
+        third=replace(trend.third, reference=_shift_reference(trend.third.reference, third_um), total=zeros),
     )
 
 
-def _moved(reference: Reference, latest_um: Four) -> Reference:
-    # The offset moves the expectation by whole patterns instead of patch by patch, and every patch keeps the weight of
-    # one scan at most, so that it follows what the next scans show.
+def _shift_reference(reference: Reference, latest_um: Four) -> Reference:
+    # The offset changes the expected gaps by entire patterns instead of patch by patch. Every patch keeps the weight of
+    # one scan at most, so that it follows the next scans.
     return replace(
         reference,
         offset_um=_four(np.array(reference.offset_um) + np.array(latest_um)),
@@ -297,9 +303,9 @@ def _moved(reference: Reference, latest_um: Four) -> Reference:
     )
 
 
-def told_by_overlaps(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
-    """Return the trend after an object was solved; what the same object told before is replaced."""
-    others = tuple(one for one in trend.overlaps if one.object != news.object)
+def add_overlap_news(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
+    """Return the trend after an object was solved, with ``news`` in place of that of the same object."""
+    overlaps = tuple(item for item in trend.overlaps if item.object != news.object)
     alarm = trend.alarm
     if alarm is None and news.alarm:
         alarm = (
@@ -307,12 +313,12 @@ def told_by_overlaps(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
             "µm: "
             f"{news.score:.1f} times what the calibration states"
         )
-    return replace(trend, alarm=alarm, overlaps=(*others, news)[-MOST_OBJECTS:])
+    return replace(trend, alarm=alarm, overlaps=(*overlaps, news)[-MOST_OBJECTS:])
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """One kind of gap of one scan against its reference."""
+class _GapFit:
+    """Amplitudes of one kind of gap of one scan against its reference."""
 
     gaps: PatchGaps
     amplitudes_um: Array
@@ -330,140 +336,143 @@ def _are_numbers(gaps: PatchGaps) -> bool:
     return all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes))
 
 
-def _found(reference: Reference, gaps: PatchGaps, drift_um: Four, per_index_um: float) -> _Found:
-    # The median with the taught scans keeps one odd scan from widening its own limits.
-    rest_um = _rest(gaps)
+def _fit_gaps(reference: Reference, gaps: PatchGaps, drift_um: Four, per_index_um: float) -> _GapFit:
+    # Median with the scans of the reference, so that an unusual scan does not widen its own limits.
+    rest_um = _unexplained_um(gaps)
     usual_um = float(np.median([*reference.rests_um, rest_um]))
-    return _Found(gaps, *_compared(reference, gaps, usual_um, drift_um, per_index_um), rest_um)
+    return _GapFit(gaps, *_amplitudes(reference, gaps, usual_um, drift_um, per_index_um), rest_um)
 
 
-def _found_from_deg(found: Sequence[_Found]) -> tuple[float, float, float] | None:
-    """Return the smallest turns of the right camera about x, y, z that ``SCANS_TO_FIND`` scans like this one alarm at,
-    in degrees; ``None``: how the amplitudes answer to turns was not asked."""
-    # As many equal scores reach the limit when each exceeds the slack by its share of the limit.
+def _detectable_turns_deg(fits: Sequence[_GapFit]) -> tuple[float, float, float] | None:
+    """Return the smallest turns of the right camera about x, y and z that are detected, in °.
+
+    ``SCANS_TO_FIND`` scans like this one raise an alarm then. ``None`` where the change of the amplitudes with turns
+    was not computed.
+    """
+    # So many equal scores reach the limit if each exceeds the slack by its share of the limit.
     score = SLACK + LIMIT / SCANS_TO_FIND
     per_deg = np.zeros(3)
-    for one in found:
-        if one.gaps.turns_um is None:
+    for fit in fits:
+        if fit.gaps.turns_um is None:
             return None
-        per_deg += [float(np.linalg.norm(_whitened(turn, one.covariance))) ** 2 for turn in one.gaps.turns_um]
-    x, y, z = (score / max(one, 1e-9) for one in np.sqrt(per_deg))
+        per_deg += [float(np.linalg.norm(_whiten(turn_um, fit.covariance))) ** 2 for turn_um in fit.gaps.turns_um]
+    x, y, z = (score / max(value, 1e-9) for value in np.sqrt(per_deg))
     return x, y, z
 
 
 def likeliest(amplitudes_um: Array, answers: Mapping[str, Array]) -> tuple[str, float, float]:
-    """Return the one change that explains amplitudes (n,) best: its name, its size, and the share (0..1) that it
-    explains.
+    """Return the single change that explains amplitudes (n,) best: name, size, and the explained share (0..1).
 
-    ``answers`` are the amplitudes (n,) per unit of each change in question.
+    ``answers`` are the amplitudes (n,) per unit of each possible change.
     """
     best = ("", 0.0, 0.0)
-    for name, one in answers.items():
-        size = float(one @ amplitudes_um / (one @ one))
-        left = float(np.sum((amplitudes_um - size * one) ** 2))
-        share = 1.0 - left / max(float(amplitudes_um @ amplitudes_um), 1e-12)
+    for name, answer_um in answers.items():
+        size = float(answer_um @ amplitudes_um / (answer_um @ answer_um))
+        unexplained = float(np.sum((amplitudes_um - size * answer_um) ** 2))
+        share = 1.0 - unexplained / max(float(amplitudes_um @ amplitudes_um), 1e-12)
         if share > best[2]:
             best = (name, size, share)
     return best
 
 
-def _explained(found: Sequence[_Found]) -> str:
-    """Return which single turn of the right camera would look most like it; it is one of many, so only in words for a
-    technician."""
-    per_rad = [None if one.gaps.turns_um is None else np.degrees(one.gaps.turns_um) for one in found]
-    known = [turns_um for turns_um in per_rad if turns_um is not None]
-    if len(known) < len(found):
+def _likeliest_turn(fits: Sequence[_GapFit]) -> str:
+    """Return the single turn of the right camera that explains an alarm best, in words for a technician."""
+    per_rad = [None if fit.gaps.turns_um is None else np.degrees(fit.gaps.turns_um) for fit in fits]
+    known_turns = [turns_um for turns_um in per_rad if turns_um is not None]
+    if len(known_turns) < len(fits):
         return ""
-    answers = dict(zip(TURNS, np.concatenate(known, axis=1), strict=True))
-    name, size, share = likeliest(np.concatenate([one.amplitudes_um for one in found]), answers)
+    answers = dict(zip(TURNS, np.concatenate(known_turns, axis=1), strict=True))
+    name, size, share = likeliest(np.concatenate([fit.amplitudes_um for fit in fits]), answers)
     return f"; most like {in_words(name, -size)} ({100.0 * share:.0f} %)" if name else ""
 
 
-def _rest(gaps: PatchGaps) -> float:
-    """Return the RMS of what the four patterns leave over, less what noise alone leaves."""
+def _unexplained_um(gaps: PatchGaps) -> float:
+    """Return the RMS of the gaps beyond the four patterns, without that of noise."""
     amplitudes = _solver(gaps.modes, np.diag(1.0 / (gaps.noise_um**2 + PATCH_UM**2))) @ gaps.gap_um
-    # Unbiased variance of the rest: squares over the degrees of freedom, less the mean variance of the noise.
-    left = gaps.gap_um - gaps.modes @ amplitudes
-    freedom = max(len(left) - len(MODES), 1)
-    return math.sqrt(max(float(np.sum(left**2)) / freedom - float(np.mean(gaps.noise_um**2)), 0.0))
+    # Unbiased variance of the residuals: squares over the degrees of freedom, less the mean variance of the noise.
+    residual_um = gaps.gap_um - gaps.modes @ amplitudes
+    freedom = max(len(residual_um) - len(MODES), 1)
+    return math.sqrt(max(float(np.sum(residual_um**2)) / freedom - float(np.mean(gaps.noise_um**2)), 0.0))
 
 
-def _compared(
+def _amplitudes(
     reference: Reference, gaps: PatchGaps, usual_um: float, drift_um: Four, per_index_um: float
 ) -> tuple[Array, Array]:
-    """Return amplitudes (4,) against the reference and their covariance in normal operation; ``per_index_um``: what the
-    first may change by per unit of the water's index."""
+    """Return the amplitudes (4,) against the reference and their covariance in normal operation.
+
+    ``per_index_um`` is the allowed change of the first per unit of the refractive index.
+    """
     offset = np.array(reference.offset_um)
-    # Model: gap = expected + modes · a + smooth rest + white noise. A patch without a reference has all of the rest,
-    # one with a reference the share that changes with distance.
+    # Model: gap = expected + modes · a + smooth pattern + white noise. A patch without a reference has all of the
+    # pattern, one with a reference only the share that changes with distance.
     expected = np.array(reference.gap_um)[gaps.patch] + gaps.modes @ offset
-    known = np.array(reference.scans)[gaps.patch] > 0
-    left_over = usual_um * np.where(known, SHARE_KNOWN, 1.0)
-    white = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
-    # What backscatter may do wrongly it does to the reference, too: only the difference counts.
-    causes, shape = _doubts(gaps)
-    known_causes = np.array(reference.doubts_um).reshape(PatchGaps.COUNT, PatchGaps.DOUBTS + 1)[gaps.patch]
-    doubted_um = _size(causes)
-    causes, shape = causes - known_causes[:, : PatchGaps.DOUBTS], shape - known_causes[:, PatchGaps.DOUBTS]
-    share_new = min(_size(causes) / max(doubted_um, 1e-9), 1.0)
-    # Generalised least squares: a cause moves all patches together, so that its pattern is told from that of a knock by
-    # the scan itself. What is left over counts as if patches were independent, and its covariance as they are: it is
-    # smooth, but how smooth is known too roughly to make use of it.
-    weight = np.linalg.inv(np.diag(white + left_over**2 + shape**2) + causes @ causes.T)
+    has_reference = np.array(reference.scans)[gaps.patch] > 0
+    pattern_um = usual_um * np.where(has_reference, SHARE_KNOWN, 1.0)
+    noise_um2 = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
+    # Errors from backscatter are in the reference, too: only the difference counts.
+    causes, shape = _backscatter_sd_um(gaps)
+    reference_causes = np.array(reference.doubts_um).reshape(PatchGaps.COUNT, PatchGaps.DOUBTS + 1)[gaps.patch]
+    backscatter_um = _rms_um(causes)
+    causes, shape = causes - reference_causes[:, : PatchGaps.DOUBTS], shape - reference_causes[:, PatchGaps.DOUBTS]
+    new_share = min(_rms_um(causes) / max(backscatter_um, 1e-9), 1.0)
+    # Generalised least squares. A cause changes all patches together, so that the scan itself separates its pattern
+    # from that of a knock. The smooth pattern enters the weights as if patches were independent, because its smoothness
+    # is not known well enough to use it; the covariance below has its correlation.
+    weight = np.linalg.inv(np.diag(noise_um2 + pattern_um**2 + shape**2) + causes @ causes.T)
     solve = _solver(gaps.modes, weight)
     amplitudes = solve @ (gaps.gap_um - expected)
-    # Propagation of the true covariance S through the estimator K: K S Kᵀ. What the patches do not determine, (I − K
-    # M), is as uncertain as before.
-    smooth = np.outer(left_over, left_over) + np.outer(shape, shape)
-    scatter = np.diag(white) + smooth * _alike(gaps.patch) + causes @ causes.T
-    unseen = np.eye(len(MODES)) - solve @ gaps.modes
+    # Propagation of the true covariance S through the estimator K: K S Kᵀ. The part that the patches do not determine,
+    # (I − K M), keeps its prior uncertainty.
+    smooth = np.outer(pattern_um, pattern_um) + np.outer(shape, shape)
+    noise_covariance = np.diag(noise_um2) + smooth * _patch_correlation(gaps.patch) + causes @ causes.T
+    unobserved = np.eye(len(MODES)) - solve @ gaps.modes
     covariance = (
-        _misfit(gaps, expected, amplitudes, weight) * (solve @ scatter @ solve.T) + unseen @ unseen.T * _WIDE_UM**2
+        _variance_ratio(gaps, expected, amplitudes, weight) * (solve @ noise_covariance @ solve.T)
+        + unobserved @ unobserved.T * _WIDE_UM**2
     )
-    # Floors that no number of patches takes away: the best calibration's scatter, mounts that follow the temperature,
-    # the part of an accepted change that varies with distance, for height the index times the change of the stated
-    # water, and of what backscatter did a share, as far as it did something else to the reference.
-    least = np.full(len(MODES), LEAST_UM**2) + np.square(drift_um) + (OFFSET_SHARE * offset) ** 2
+    # Variances that no number of patches reduces: of the best calibration, of mounts that follow the temperature, of
+    # the part of an accepted change that varies with distance, for the height of a change of the stated index, and a
+    # share of the correction for backscatter as far as it differs from that of the reference.
+    floor_um2 = np.full(len(MODES), LEAST_UM**2) + np.square(drift_um) + (OFFSET_SHARE * offset) ** 2
     if reference.water_index is not None:
-        least[0] += (per_index_um * (gaps.water_index - reference.water_index)) ** 2
+        floor_um2[0] += (per_index_um * (gaps.water_index - reference.water_index)) ** 2
     if gaps.veil_um is not None:
-        independent = _solver(gaps.modes, np.diag(1.0 / (white + left_over**2 + shape**2)))
-        least += (TAKEN_WRONGLY * share_new * (independent @ gaps.veil_um)) ** 2
-    return amplitudes, covariance + np.diag(least)
+        independent = _solver(gaps.modes, np.diag(1.0 / (noise_um2 + pattern_um**2 + shape**2)))
+        floor_um2 += (TAKEN_WRONGLY * new_share * (independent @ gaps.veil_um)) ** 2
+    return amplitudes, covariance + np.diag(floor_um2)
 
 
-def _misfit(gaps: PatchGaps, expected: Array, amplitudes: Array, weight: Array) -> float:
-    """Return how much larger the variance of what is left of the gaps is than expected, at least 1; 1 where backscatter
-    moves nothing."""
-    # Shapes of causes are only as good as the model of the water. Where amplitudes and causes leave more than they may,
-    # all is as much less certain; a knock leaves next to nothing. What a calibration leaves over is counted by itself
-    # (``rest_um``).
+def _variance_ratio(gaps: PatchGaps, expected: Array, amplitudes: Array, weight: Array) -> float:
+    """Return the variance of the residual gaps over the expected one, at least 1; 1 without backscatter."""
+    # The shapes of causes are only as good as the model of the water. Where amplitudes and causes leave larger
+    # residuals than expected, the covariance grows in proportion; a knock leaves next to none. The pattern that a
+    # calibration leaves is counted separately (``rest_um``).
     if gaps.doubts_um is None:
         return 1.0
-    left = gaps.gap_um - expected - gaps.modes @ amplitudes
-    return max(1.0, float(left @ weight @ left) / (len(left) - len(MODES)))
+    residual_um = gaps.gap_um - expected - gaps.modes @ amplitudes
+    return max(1.0, float(residual_um @ weight @ residual_um) / (len(residual_um) - len(MODES)))
 
 
-def _doubts(gaps: PatchGaps) -> tuple[Array, Array]:
-    """Return the standard deviations of what backscatter does wrongly: of each cause (k, DOUBTS), and smooth ones (k,)."""
+def _backscatter_sd_um(gaps: PatchGaps) -> tuple[Array, Array]:
+    """Return standard deviations of the gaps from backscatter: of each cause (k, DOUBTS), and of smooth ones (k,)."""
     if gaps.doubts_um is None or gaps.shape_um is None:
         return np.zeros((len(gaps.patch), PatchGaps.DOUBTS)), np.zeros(len(gaps.patch))
     return LASTING * gaps.doubts_um, LASTING * gaps.shape_um
 
 
-def _veil_doubt_um(gaps: PatchGaps) -> float:
-    """Return the standard deviation of what backscatter does wrongly, rms over the patches."""
+def _backscatter_rms_um(gaps: PatchGaps) -> float:
+    """Return the standard deviation of the gaps from backscatter, RMS over the patches."""
     if gaps.doubts_um is None or gaps.shape_um is None:
         return 0.0
     return float(np.sqrt(np.mean(np.sum(gaps.doubts_um**2, axis=1) + gaps.shape_um**2)))
 
 
-def _size(causes: Array) -> float:
+def _rms_um(causes: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(causes**2, axis=1))))
 
 
-def _alike(patch: NDArray[np.intp]) -> Array:
-    """Compute the correlation (k, k) between the rests of patches: lenses are smooth."""
+def _patch_correlation(patch: NDArray[np.intp]) -> Array:
+    """Return the correlation (k, k) of the smooth pattern between patches."""
     columns, rows = PatchGaps.GRID
     across, down = (patch % columns) / columns, (patch // columns) / rows * IMAGE_HEIGHT
     far2 = np.subtract.outer(across, across) ** 2 + np.subtract.outer(down, down) ** 2
@@ -471,100 +480,103 @@ def _alike(patch: NDArray[np.intp]) -> Array:
 
 
 def _solver(modes: Array, weight: Array) -> Array:
-    """Return the matrix (4, k) that makes amplitudes of gaps whose inverse covariance is ``weight`` (k, k); small where
-    the patches say nothing."""
-    # Least squares with a weak prior of _WIDE_UM: patterns that no patch shows stay near zero instead of exploding.
+    """Return the matrix (4, k) from gaps to amplitudes, for the inverse covariance ``weight`` (k, k) of the gaps."""
+    # Least squares with a weak prior of _WIDE_UM, so that patterns that no patch shows stay near zero.
     weighted = modes.T @ weight
     return np.asarray(np.linalg.solve(weighted @ modes + np.eye(len(MODES)) / _WIDE_UM**2, weighted))
 
 
-def _whitened(amplitudes: Array, covariance: Array) -> Array:
+def _whiten(amplitudes: Array, covariance: Array) -> Array:
     # C^(-1/2) a by the eigenvectors: symmetric, so that every score keeps the direction of its pattern and the sums of
     # scans with different covariances can be added.
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors @ ((vectors.T @ amplitudes) / np.sqrt(values)))
 
 
-def _summed(total: Array, z: Array) -> Array:
+def _next_sum(total: Array, z: Array) -> Array:
     """Return the next sum after Crosier 1988: add, then shrink by the slack."""
     # Crosier's multivariate CUSUM: s ← (s + z)(1 − k / |s + z|), and 0 where |s + z| ≤ k. It keeps the direction, so
-    # that scatter cancels and a constant shift adds up.
-    together = total + z
-    length = float(np.linalg.norm(together))
-    return np.zeros_like(total) if length <= SLACK else np.asarray(together * (1.0 - SLACK / length))
+    # that noise cancels and a constant shift adds up.
+    shifted = total + z
+    length = float(np.linalg.norm(shifted))
+    return np.zeros_like(total) if length <= SLACK else np.asarray(shifted * (1.0 - SLACK / length))
 
 
-def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
+def _teach(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
     mean, variance, scans = (
         np.array(values, float) for values in (reference.gap_um, reference.variance_um2, reference.scans)
     )
     learning = gaps.patch[scans[gaps.patch] < LEARNT_SCANS]
     if not len(learning):
         return reference
-    at = np.isin(gaps.patch, learning)
+    is_learning = np.isin(gaps.patch, learning)
     n = scans[learning]
-    seen = gaps.gap_um[at] - gaps.modes[at] @ np.array(reference.offset_um)
+    gap_um = gaps.gap_um[is_learning] - gaps.modes[is_learning] @ np.array(reference.offset_um)
     # Running mean of n + 1 scans, and the variance of that mean: (n² v + σ²) / (n + 1)².
-    mean[learning] = (n * mean[learning] + seen) / (n + 1.0)
-    variance[learning] = (n**2 * variance[learning] + gaps.noise_um[at] ** 2) / (n + 1.0) ** 2
+    mean[learning] = (n * mean[learning] + gap_um) / (n + 1.0)
+    variance[learning] = (n**2 * variance[learning] + gaps.noise_um[is_learning] ** 2) / (n + 1.0) ** 2
     doubts = np.array(reference.doubts_um).reshape(PatchGaps.COUNT, PatchGaps.DOUBTS + 1)
-    causes, shape = _doubts(gaps)
-    doubts[learning] = (n[:, None] * doubts[learning] + np.column_stack([causes, shape])[at]) / (n[:, None] + 1.0)
+    causes, shape = _backscatter_sd_um(gaps)
+    doubts[learning] = (n[:, None] * doubts[learning] + np.column_stack([causes, shape])[is_learning]) / (
+        n[:, None] + 1.0
+    )
     scans[learning] += 1.0
-    rests, index = reference.rests_um, reference.water_index
-    if len(rests) < LEARNT_SCANS:
-        index = gaps.water_index if index is None else (len(rests) * index + gaps.water_index) / (len(rests) + 1)
-        rests = (*rests, rest_um)
+    rests_um, index = reference.rests_um, reference.water_index
+    if len(rests_um) < LEARNT_SCANS:
+        index = gaps.water_index if index is None else (len(rests_um) * index + gaps.water_index) / (len(rests_um) + 1)
+        rests_um = (*rests_um, rest_um)
     return replace(
         reference,
         gap_um=tuple(float(v) for v in mean),
         variance_um2=tuple(float(v) for v in variance),
         scans=tuple(int(n) for n in scans),
         doubts_um=tuple(float(v) for v in doubts.ravel()),
-        rests_um=rests,
+        rests_um=rests_um,
         water_index=index,
     )
 
 
-def _said(point: TrendPoint, reference: Reference) -> str:
-    named = [*zip(MODES, point.amplitudes_um, strict=True)]
+def _describe(point: TrendPoint, reference: Reference) -> str:
+    amplitudes_um = [*zip(MODES, point.amplitudes_um, strict=True)]
     if point.third_um is not None:
-        named += zip(THIRD_MODES, point.third_um, strict=True)
-    parts = ", ".join(f"{name} {value:+.1f} µm" for name, value in named)
+        amplitudes_um += zip(THIRD_MODES, point.third_um, strict=True)
+    parts = ", ".join(f"{name} {value:+.1f} µm" for name, value in amplitudes_um)
     if point.alarm:
         return f"the ray gaps have changed since the calibration: {parts}; {point.score:.1f} standard deviations"
-    taught = len(reference.rests_um)
-    learning = f"; {taught} of {LEARNT_SCANS} scans of the reference" if taught < LEARNT_SCANS else ""
+    scans = len(reference.rests_um)
+    learning = f"; {scans} of {LEARNT_SCANS} scans of the reference" if scans < LEARNT_SCANS else ""
     return f"as since the calibration: {parts}{learning}"
 
 
-def _blind_to(least_deg: tuple[float, float, float]) -> str:
-    """Return which turns are found late, in words."""
-    late = [f"{axis} below {least:.2g}°" for axis, least in zip("xyz", least_deg, strict=True) if least > MATTERS_DEG]
-    return f"{SCANS_TO_FIND} such scans do not find turns of a camera about {', '.join(late)}"
+def _undetected_turns(detectable_deg: tuple[float, float, float]) -> str:
+    """Return in words which turns such scans detect late."""
+    limits = [f"{axis} below {deg:.2g}°" for axis, deg in zip("xyz", detectable_deg, strict=True) if deg > MATTERS_DEG]
+    return f"{SCANS_TO_FIND} such scans do not find turns of a camera about {', '.join(limits)}"
 
 
-def _veiled(gaps: PatchGaps) -> str:
-    doubt_um = _veil_doubt_um(gaps)
+def _backscatter_note(gaps: PatchGaps) -> str:
+    doubt_um = _backscatter_rms_um(gaps)
     return f" (backscatter may move the gaps by {doubt_um:.0f} µm)" if doubt_um >= 1.0 else ""
 
 
-def _turns(least_deg: tuple[float, float, float] | None) -> dict[str, float | None]:
+def _turns(detectable_deg: tuple[float, float, float] | None) -> dict[str, float | None]:
     return (
-        {} if least_deg is None else {f"found_{axis}_deg": least for axis, least in zip("xyz", least_deg, strict=True)}
+        {}
+        if detectable_deg is None
+        else {f"found_{axis}_deg": deg for axis, deg in zip("xyz", detectable_deg, strict=True)}
     )
 
 
-def _numbers(point: TrendPoint, found: Sequence[_Found]) -> dict[str, float | None]:
+def _numbers(point: TrendPoint, fits: Sequence[_GapFit]) -> dict[str, float | None]:
     numbers: dict[str, float | None] = {}
-    for names, one in zip((MODES, THIRD_MODES), found, strict=False):
-        for name, value, sigma in zip(names, one.amplitudes_um, one.sigma_um, strict=True):
+    for names, fit in zip((MODES, THIRD_MODES), fits, strict=False):
+        for name, value, sigma in zip(names, fit.amplitudes_um, fit.sigma_um, strict=True):
             numbers |= {f"{name}_um": float(value), f"{name}_sigma_um": float(sigma)}
-    if len(found) > 1:
-        numbers |= {"third_um": float(np.sqrt(np.mean(found[1].gaps.gap_um ** 2))), "third_rest_um": found[1].rest_um}
-    gaps = found[0].gaps
+    if len(fits) > 1:
+        numbers |= {"third_um": float(np.sqrt(np.mean(fits[1].gaps.gap_um ** 2))), "third_rest_um": fits[1].rest_um}
+    gaps = fits[0].gaps
     if gaps.veil_um is not None:
-        numbers |= {"veil_um": float(np.sqrt(np.mean(gaps.veil_um**2))), "veil_doubt_um": _veil_doubt_um(gaps)}
+        numbers |= {"veil_um": float(np.sqrt(np.mean(gaps.veil_um**2))), "veil_doubt_um": _backscatter_rms_um(gaps)}
     numbers |= {"rest_um": point.rest_um, "score": point.score, "sum": point.total, "limit": LIMIT}
     return numbers | _counts(gaps)
 
@@ -585,17 +597,19 @@ FOLDER = Path("calibration", "health")
 
 @dataclass(frozen=True, slots=True)
 class _StoredHealth:
-    """Content of the file."""
+    """Content of the file of one calibration."""
 
     trend: HealthTrend
 
 
 def _refuse_impossible(stored: _StoredHealth) -> None:
-    """Raises ValueError."""
+    """Raise ValueError for numbers that no trend can have."""
     if stored.trend.judged < 0:
         raise ValueError(f"trend.judged is {stored.trend.judged}; allowed: whole numbers from 0")
     for reference in (stored.trend.reference, stored.trend.third.reference):
-        if any(len(of) != PatchGaps.COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
+        if any(
+            len(values) != PatchGaps.COUNT for values in (reference.gap_um, reference.variance_um2, reference.scans)
+        ):
             raise ValueError(f"its reference has not {PatchGaps.COUNT} patches")
         if len(reference.doubts_um) != PatchGaps.COUNT * (PatchGaps.DOUBTS + 1):
             raise ValueError(f"its reference has not {PatchGaps.DOUBTS + 1} doubts of {PatchGaps.COUNT} patches")
@@ -604,34 +618,34 @@ def _refuse_impossible(stored: _StoredHealth) -> None:
 HEALTH = SealedFile(_StoredHealth, schema=1, max_bytes=1_000_000, indent=None, check=_refuse_impossible)
 
 
-class LearntFile(Generic[T]):
-    """One thing learnt about one calibration, in a file of its own. One process writes, any number may read."""
+class MemoryFile(Generic[T]):
+    """File of the learnt state of one calibration. One process writes, any number may read."""
 
     def __init__(
-        self, form: SealedFile[T], nothing: T, path: Path, calibration_hash: str, fs: FileSystem | None = None
+        self, form: SealedFile[T], empty: T, path: Path, calibration_hash: str, fs: FileSystem | None = None
     ) -> None:
-        self._form, self._nothing = form, nothing
+        self._form, self._empty = form, empty
         self._fs: FileSystem = fs or LocalFileSystem()
         self._of: Mapping[str, str] = {"calibration": calibration_hash}
         self.path = path
 
     def read(self) -> T:
-        """Read what is remembered; what nothing is known by where there is no file, or none that can be read."""
+        """Return the stored state; the empty one where there is no file or it cannot be read."""
         try:
-            found = self._form.load(self.path, self._of, name=str(self.path))
+            state = self._form.load(self.path, self._of, name=str(self.path))
         except ContentError as error:
             log.warning("%s; it begins anew", error)
-            found = None
-        return self._nothing if found is None else found
+            state = None
+        return self._empty if state is None else state
 
-    def write(self, learnt: T) -> None:
-        """Write it all down; it is durable on return. Raises StorageError."""
+    def write(self, state: T) -> None:
+        """Write the state; durable on return. Raises StorageError."""
         self._fs.make_folders(self.path.parent)
         self._set_aside()
-        self._fs.replace_file(self.path, self._form.encode(learnt, self._of))
+        self._fs.replace_file(self.path, self._form.encode(state, self._of))
 
     def _set_aside(self) -> None:
-        """Move a file that cannot be read aside, so that it is not overwritten."""
+        """Rename a file that cannot be read, so that it is not overwritten."""
         if not self.path.exists():
             return
         try:
@@ -644,16 +658,16 @@ class LearntFile(Generic[T]):
 
 
 class HealthFile:
-    """The memory of one calibration's trend."""
+    """File of one calibration's trend. One process writes, any number may read."""
 
     def __init__(self, root: Path, calibration_hash: str, fs: FileSystem | None = None) -> None:
         self.path = root / FOLDER / f"{calibration_hash[:16]}.json"
-        self._file = LearntFile(HEALTH, _StoredHealth(HealthTrend()), self.path, calibration_hash, fs)
+        self._file = MemoryFile(HEALTH, _StoredHealth(HealthTrend()), self.path, calibration_hash, fs)
 
     def read(self) -> HealthTrend:
-        """Read the remembered trend; an empty one where there is none, or none that can be read."""
+        """Return the stored trend; an empty one where there is no file or it cannot be read."""
         return self._file.read().trend
 
     def write(self, trend: HealthTrend) -> None:
-        """Write it all down; it is durable on return. Raises StorageError."""
+        """Write the trend; durable on return. Raises StorageError."""
         self._file.write(_StoredHealth(trend))

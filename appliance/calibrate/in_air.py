@@ -1,7 +1,8 @@
-"""Owns the calibration in air from a folder of pictures: looking at them, adjusting, writing what came out.
+"""Calibration in air from a folder of pictures: find the boards, adjust, write the result.
 
-Of the instrument's cameras a start for calibrating in water is written; of anybody's pair a calibration file as all are
-(``calibration.file``), and the same for OpenCV (``M1 D1 M2 D2 R T``). Beside either lie two pictures.
+For the instrument's cameras the result is a start for calibrating in water. For any other stereo pair it is a
+calibration file as all are (``calibration.file``), and one for OpenCV (``M1 D1 M2 D2 R T``). Two pictures lie beside
+either.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from appliance.base import Progress
 from appliance.calibrate.air.adjustment import BoardTolerance
-from appliance.calibrate.air.any_board import Wanted, search_board
+from appliance.calibrate.air.any_board import BoardDescription, search_board
 from appliance.calibrate.air.board import SMALL_SPREAD, BoardDesign, find_board, spread_of
 from appliance.calibrate.air.calibrate import (
     AirCalibration,
@@ -54,50 +55,53 @@ Image = NDArray[np.uint8]
 log = logging.getLogger(__name__)
 
 FLAT_MM = 1e-6
-"""Standard deviation of the shapes of a board that is known to be flat."""
+"""Standard deviation of the shapes of a board that is stated to be flat."""
 EXCHANGED = (
     "left and right are exchanged: the camera called right stands to the left of the other; name the pictures the "
     "other way round "
     "(--sides) before anything is measured with them"
 )
 CHECKED_AT = (8, 16, 32)
-"""Numbers of views after which a missing picture is asked for, since looking at all others takes longest."""
+"""Numbers of views after which missing pictures are searched for, because finding all boards takes longest."""
 MOST_NAMED = 4
-"""Most views that a warning names one by one."""
+"""Largest number of views that a warning names."""
 FRESH = Water(20.0, 0.0, 530.0)
-"""A file names a water; no window and no water takes part here."""
+"""Stated because a file needs a water; a calibration in air has neither ports nor water."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looked:
-    """Boards found in pictures, and why in some there was none."""
+class BoardSearch:
+    """Boards in a folder of pictures, and why some pictures have none."""
 
     views: tuple[BoardView, ...]
     rejected: tuple[str, ...]
     remarks: Mapping[str, tuple[str, ...]]
-    """Oddities of each view, by its name."""
+    """Remarks on each view, by its name."""
     made_from: Mapping[str, str]
-    """Each view with a checksum of its pixels."""
+    """Description of each view with a hash of its pixels, by its name."""
 
     def adjusted(self, size_px: tuple[int, int], tolerance: BoardTolerance, with_field: bool) -> AirCalibration:
-        """Return the calibration that follows. Raises AirCalibrationError with every reason in it."""
+        """Return the air calibration by these views.
+
+        Raises AirCalibrationError with the reasons of all rejected views.
+        """
         try:
             return calibrate_air(self.views, *size_px, tolerance, with_field)
         except AirCalibrationError as error:
             raise AirCalibrationError("; ".join((str(error), *self.rejected))) from error
 
 
-def look_at(
+def find_views(
     pairs: Sequence[Pair],
     read: Callable[[Pair], Mapping[str, Image]],
     design: BoardDesign,
     size_px: tuple[int, int],
     strict: bool,
     progress: Progress,
-) -> Looked:
-    """Find the board in the pictures that ``read`` gives by camera, as ``find_board`` does.
+) -> BoardSearch:
+    """Find the board in the pictures of each pair, which ``read`` returns by camera, as ``find_board`` does.
 
-    Raises AirCalibrationError as soon as a picture is missing, and what ``read`` does.
+    Raises AirCalibrationError as soon as a picture is missing, and the errors of ``read``.
     """
     views: list[BoardView] = []
     rejected: list[str] = []
@@ -122,114 +126,125 @@ def look_at(
         made_from[pair.name] = f"board {pair.name}, pixels {digest[:16]}"
         if len(views) in CHECKED_AT:
             check_pairs(views, *size_px)
-    return Looked(tuple(views), tuple(rejected), remarks, made_from)
+    return BoardSearch(tuple(views), tuple(rejected), remarks, made_from)
 
 
-def find_boards(folder: Path, design: BoardDesign, size_px: tuple[int, int], progress: Progress) -> Looked:
-    """Look at every pair of the instrument's folder. Raises PicturesError, ScanError, AirCalibrationError."""
+def find_boards(folder: Path, design: BoardDesign, size_px: tuple[int, int], progress: Progress) -> BoardSearch:
+    """Find the board in every pair of the instrument's folder.
+
+    Raises PicturesError, ScanError, AirCalibrationError.
+    """
 
     def read(pair: Pair) -> Mapping[str, Image]:
         return dict(zip(SIDES, read_pair(pair, *size_px), strict=True))
 
-    return look_at(pairs_of(folder), read, design, size_px, True, progress)
+    return find_views(pairs_of(folder), read, design, size_px, True, progress)
 
 
 def calibrate_folder(
     rig: Rig, folder: Path, design: BoardDesign, out: Path, made_at: datetime, progress: Progress
 ) -> dict[str, Any]:
-    """Calibrate in air from a folder, write ``out`` and beside it both pictures; what came out, JSON-ready.
+    """Calibrate in air from a folder, write ``out`` and both pictures, and return the result, JSON-ready.
 
-    Raises PicturesError, ScanError, AirCalibrationError (with every reason in it), StorageError.
+    Raises PicturesError, ScanError, AirCalibrationError (with all reasons), StorageError.
     """
     size_px = (rig.camera.left.width_px, rig.camera.left.height_px)
-    looked = find_boards(folder, design, size_px, progress)
+    search = find_boards(folder, design, size_px, progress)
     progress("adjusting", 1.0)
-    air = looked.adjusted(size_px, BoardTolerance(), with_field=True)
-    made_from = (f"board {design}, bent by {air.shapes_mm[0]:.4f} mm", *(looked.made_from[v.name] for v in air.views))
-    # Lenses and pose as measured, ports as the rig file draws them.
+    air = search.adjusted(size_px, BoardTolerance(), with_field=True)
+    made_from = (f"board {design}, bent by {air.shapes_mm[0]:.4f} mm", *(search.made_from[v.name] for v in air.views))
+    # Lenses and pose as measured, ports as nominal in the rig file.
     start = replace(
         start_from_air(air, Instrument(rig).design(), made_from),
         made_at=made_at.astimezone(UTC).isoformat(timespec="seconds"),
         camera_serials=(rig.camera.left.serial, rig.camera.right.serial),
     )
-    return _written(out, air, looked, design, start)
+    return _write_files(out, air, search, design, start)
 
 
 def calibrate_pictures(
     name: str,
     folder: Path,
     sides: tuple[str, str] | None,
-    wanted: Wanted,
+    description: BoardDescription,
     flat: bool,
     out: Path,
     made_at: datetime,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Calibrate the cameras ``name`` from a folder, write ``out`` and what goes beside it; what came out, JSON-ready.
+    """Calibrate the cameras ``name`` from a folder, write ``out`` and more, and return the result, JSON-ready.
 
-    ``sides``: as for ``named_pictures``. Raises PicturesError, AirCalibrationError (with every reason in it),
-    StorageError.
+    ``sides``: as for ``named_pictures``. The OpenCV file and both pictures lie beside ``out``. Raises PicturesError,
+    AirCalibrationError (with all reasons), StorageError.
     """
     pictures = named_pictures(folder, sides)
-    every = [path for pair in pictures.pairs for path in (pair.left, pair.right) if path is not None]
-    size_px, wrong = common_size(every)
-    for reason in wrong.values():
+    paths = [path for pair in pictures.pairs for path in (pair.left, pair.right) if path is not None]
+    size_px, unusable = common_size(paths)
+    for reason in unusable.values():
         log.warning("not used: %s", reason)
-    good = [path for path in every if path not in wrong]
-    design = search_board([(path.name, partial(read_grey, path)) for path in good], wanted, progress)
+    usable = [path for path in paths if path not in unusable]
+    design = search_board([(path.name, partial(read_grey, path)) for path in usable], description, progress)
 
     def read(pair: Pair) -> Mapping[str, Image]:
-        both = zip(SIDES, (pair.left, pair.right), strict=True)
-        return {side: read_grey(path) for side, path in both if path is not None and path not in wrong}
+        sources = zip(SIDES, (pair.left, pair.right), strict=True)
+        return {side: read_grey(path) for side, path in sources if path is not None and path not in unusable}
 
-    looked = look_at(pictures.pairs, read, design, size_px, False, progress)
-    looked = replace(looked, rejected=(*wrong.values(), *looked.rejected))
+    search = find_views(pictures.pairs, read, design, size_px, False, progress)
+    search = replace(search, rejected=(*unusable.values(), *search.rejected))
     progress("adjusting", 1.0)
-    air = looked.adjusted(size_px, BoardTolerance(bow_mm=FLAT_MM) if flat else BoardTolerance(), with_field=False)
+    air = search.adjusted(size_px, BoardTolerance(bow_mm=FLAT_MM) if flat else BoardTolerance(), with_field=False)
     symmetric = 0.5 * (air.covariance + air.covariance.T)
     start = Calibration(
         rig_serial=name,
         method=IN_AIR,
         made_at=made_at.astimezone(UTC).isoformat(timespec="seconds"),
-        made_from=(f"board {design.described()}", *(looked.made_from[view.name] for view in air.views)),
+        made_from=(f"board {design.described()}", *(search.made_from[view.name] for view in air.views)),
         water=FRESH,
         rig=air.rig,
         residual_px=air.residual_px,
         air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
     )
-    written = _written(out, air, looked, design, start)
+    written = _write_files(out, air, search, design, start)
     LocalFileSystem().replace_file(out.with_suffix(".yml"), opencv_file(air.rig))
     return {
         **written,
         "opencv_file": str(out.with_suffix(".yml")),
-        "told_by": pictures.told_by,
-        "unnamed": [path for path in pictures.unnamed if path not in {Path(one).name for one in written["pictures"]}],
+        "told_by": pictures.naming,
+        "unnamed": [
+            path
+            for path in pictures.unnamed
+            if path not in {Path(written_path).name for written_path in written["pictures"]}
+        ],
         "size_px": list(size_px),
     }
 
 
-def _written(out: Path, air: AirCalibration, looked: Looked, design: BoardDesign, start: Calibration) -> dict[str, Any]:
-    """Write ``out`` and beside it both pictures; return what came out."""
+def _write_files(
+    out: Path, air: AirCalibration, search: BoardSearch, design: BoardDesign, start: Calibration
+) -> dict[str, Any]:
+    """Write ``out`` and both pictures beside it; return the result, JSON-ready."""
     size_px = air.rig.left.width_px, air.rig.left.height_px
-    # Views that the adjustment left out do not count as coverage: that region is still missing.
-    seen = coverage(air.used, *size_px)
-    drawn = {
-        out.with_name(f"{out.stem}-coverage.png"): coverage_picture(air.views, seen, *size_px),
+    # Views that the adjustment left out do not count: their region is still missing.
+    covered = coverage(air.used, *size_px)
+    drawings = {
+        out.with_name(f"{out.stem}-coverage.png"): coverage_picture(air.views, covered, *size_px),
         out.with_name(f"{out.stem}-residuals.png"): residual_picture(air.views, *size_px),
     }
-    for path, data in (*drawn.items(), (out, encode_calibration(start))):
+    for path, data in (*drawings.items(), (out, encode_calibration(start))):
         LocalFileSystem().replace_file(path, data)
     return {
         "file": str(out),
         "hash": start.hash,
-        "pictures": [str(path) for path in drawn],
-        **_report(air, looked, design, seen),
+        "pictures": [str(path) for path in drawings],
+        **_report(air, search, design, covered),
     }
 
 
 def opencv_file(rig: StereoRig) -> bytes:
-    """Return the pair as OpenCV's programs read it (YAML): ``M1 D1 M2 D2``, and ``R``, ``T`` with x_right = R x_left +
-    T, mm."""
+    """Return the stereo pair as OpenCV's programs read it (YAML): ``M1 D1 M2 D2``, and ``R``, ``T``.
+
+    x_right = R x_left + T, in mm.
+    """
     store = cv2.FileStorage("pair.yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML)
     store.write("image_width", rig.left.width_px)
     store.write("image_height", rig.left.height_px)
@@ -249,9 +264,9 @@ def _opencv_pose(rig: StereoRig) -> tuple[Array, Array]:
 
 
 def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
-    """Make a calibration in air the instrument's: where it lies, and where the one before it now does.
+    """Put an air calibration in use, and return its path and that of the former one, ``None`` without one.
 
-    Raises CalibrationError for another instrument's, StorageError.
+    Raises CalibrationError for one of another instrument, StorageError.
     """
     start = load_calibration(file)
     if start.method != IN_AIR or start.rig_serial != rig.rig.serial:
@@ -265,27 +280,27 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
     if target.is_file():
         with StorageError.naming("cannot read", target):
             data = target.read_bytes()
-        # Named by its content: the same file is kept once, however often it is installed.
+        # Named by its content, so that the same file is kept once however often it is installed.
         before = target.with_name(f"air-{hashlib.sha256(data).hexdigest()[:8]}.json")
         LocalFileSystem().replace_file(before, data)
     LocalFileSystem().replace_file(target, encode_calibration(start))
     return target, before
 
 
-def _report(air: AirCalibration, looked: Looked, design: BoardDesign, seen: Coverage) -> dict[str, Any]:
+def _report(air: AirCalibration, search: BoardSearch, design: BoardDesign, covered: Coverage) -> dict[str, Any]:
     left, right = air.rig.left, air.rig.right
     sd = dict(zip(RIG_PARAMETERS.names[RIG_PARAMETERS.air], np.sqrt(np.diag(air.covariance)), strict=True))
     baseline = np.array(right.translation_mm)
     baseline_mm = float(np.linalg.norm(baseline))
     # Error of the length along the baseline alone: √(eᵀ Σ e), with its unit vector e.
-    way, shifts = baseline / baseline_mm, slice(19, 22)
+    unit_vector, shifts = baseline / baseline_mm, slice(19, 22)
     R, T = _opencv_pose(air.rig)
-    small = [view.name for view in air.views if looked.remarks[view.name]]
-    warnings = [*([EXCHANGED] if air.exchanged else []), *(f"coverage is poor: {text}" for text in seen.missing)]
-    if small:
+    small_views = [view.name for view in air.views if search.remarks[view.name]]
+    warnings = [*([EXCHANGED] if air.exchanged else []), *(f"coverage is poor: {text}" for text in covered.missing)]
+    if small_views:
         warnings.append(
-            f"the board is small in {len(small)} of {len(air.views)} views "
-            f"({', '.join(small[:MOST_NAMED])}{', …' if len(small) > MOST_NAMED else ''}): "
+            f"the board is small in {len(small_views)} of {len(air.views)} views "
+            f"({', '.join(small_views[:MOST_NAMED])}{', …' if len(small_views) > MOST_NAMED else ''}): "
             f"below {100 * SMALL_SPREAD:g} % of the picture a view counts by the little that it tells; bring the board "
             "nearer"
         )
@@ -297,9 +312,9 @@ def _report(air: AirCalibration, looked: Looked, design: BoardDesign, seen: Cove
         "dictionary_family": design.family,
         "legacy_layout": design.legacy,
         "board_shapes_mm": [float(v) for v in air.shapes_mm],
-        "views": [_view_report(view, looked) for view in air.views],
+        "views": [_view_report(view, search) for view in air.views],
         "pairs": list(air.pairs),
-        "left_out": [*looked.rejected, *air.left_out],
+        "left_out": [*search.rejected, *air.left_out],
         "warnings": warnings,
         "exchanged": air.exchanged,
         "residual_px": air.residual_px,
@@ -310,15 +325,15 @@ def _report(air: AirCalibration, looked: Looked, design: BoardDesign, seen: Cove
         "rotation": R.tolist(),
         "translation_mm": T.tolist(),
         "baseline_mm": baseline_mm,
-        "baseline_sd_mm": math.sqrt(float(way @ air.covariance[shifts, shifts] @ way)),
+        "baseline_sd_mm": math.sqrt(float(unit_vector @ air.covariance[shifts, shifts] @ unit_vector)),
     }
 
 
-def _view_report(view: FittedView, looked: Looked) -> dict[str, Any]:
+def _view_report(view: FittedView, search: BoardSearch) -> dict[str, Any]:
     return {
         "name": view.name,
         "corners": [len(view.left_px), len(view.right_px)],
         "residual_px": view.residual_px,
         "noise_px": list(view.noise_px),
-        "remarks": [*looked.remarks[view.name], *view.remarks],
+        "remarks": [*search.remarks[view.name], *view.remarks],
     }

@@ -1,9 +1,9 @@
-"""Owns how a camera's noise is found in a recorded scan: photon transfer, from the four sine images.
+"""A camera's noise from a recorded scan: photon transfer, from the four sine frames.
 
-I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever is painted there. Along a
-fringe the harmonics are smooth and noise is not: fourth differences keep the noise, and of the fringes of columns,
-which are taken down the image, that of whole rows, too. Its variance against the mean of the four images is a straight
-line; the slope is grey values per electron (EMVA 1288).
+I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever the albedo. Along a
+fringe the harmonics are smooth and noise is not: fourth differences keep only the noise. Along the fringes of columns,
+which run down the image, they also keep noise that whole rows share. The variance over the mean of the four images is a
+straight line; its slope is grey values per electron (EMVA 1288).
 """
 
 from __future__ import annotations
@@ -20,34 +20,33 @@ Array = NDArray[np.float64]
 
 DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 BRIGHTEST_DN = 235.0
-"""No image of a pixel may come near the end of the scale."""
+"""Largest grey value that a used pixel may have in any frame, well below saturation."""
 BIN_DN = 8.0
 FEWEST_IN_BIN = 2_000
 FEWEST_BINS = 3
 
 
 SHORTEST_FRINGE_PX = 5.0
-"""Shortest fringe in camera px; of shorter ones, which lean against the image, fourth differences keep harmonics, too.
-"""
+"""Shortest fringe in camera px. Shorter ones that are inclined in the image leave harmonics in fourth differences."""
 DARKEST_SHARE = 0.02
-"""Share of the dark frame's blocks that tell the grey value of no light."""
+"""Share of the dark frame's blocks that are taken as without light."""
 BLOCK_PX = 10
 
 
 class NoiseError(Exception):
-    """A scan does not tell the noise; the text says why and what to do."""
+    """Error of a scan that does not determine the noise; the text says why and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredNoise:
-    """One camera's noise as a scan shows it."""
+    """Noise of one camera, measured from one scan."""
 
     dn_per_e: float
     """Grey values per electron at the gain of the scan."""
     variance_at_dn2: tuple[float, float]
     """Mean light of the scan in grey values, and the variance of one grey value there."""
     darkest_dn: float
-    """Mean grey value of the darkest parts of the dark frame: black, and what ambient light they have."""
+    """Mean grey value of the darkest parts of the dark frame: black level plus ambient light."""
     pixels: int
 
     @property
@@ -56,13 +55,15 @@ class MeasuredNoise:
         return FULL_DN / self.dn_per_e
 
     def figures(self, serial: str, gain_db: float) -> CameraFigures:
-        """Return what the camera with this ``serial`` number has at 0 dB, as a data sheet says it; ``gain_db``: of the
-        scan."""
+        """Return the figures of camera ``serial`` at 0 dB, as a data sheet states them.
+
+        ``gain_db`` is the gain of the scan.
+        """
         return CameraFigures.of_line(serial, gain_db, self.dn_per_e, self.variance_at_dn2, self.darkest_dn)
 
 
 def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> MeasuredNoise:
-    """Return the noise of the camera that recorded ``frames`` (n, h, w) uint8, hands at rest. Raises NoiseError."""
+    """Return the noise of the camera that recorded ``frames`` (n, h, w) uint8 at rest. Raises NoiseError."""
     fringe_px = sequence.period_px * frames.shape[2] / sequence.width_px
     if fringe_px < SHORTEST_FRINGE_PX:
         raise NoiseError(
@@ -81,36 +82,35 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
         if direction is Direction.X:
             alternating, sines = alternating.T, sines.transpose(0, 2, 1)
         along = np.apply_along_axis(np.convolve, 1, alternating, DIFFERENCE, "valid")
-        mean, top = (np.asarray(f(sines, axis=0))[:, 2:-2] for f in (np.mean, np.max))
+        mean, brightest = (np.asarray(f(sines, axis=0))[:, 2:-2] for f in (np.mean, np.max))
         # Differences that share pixels are correlated and would make the bins look better filled than they are.
-        level = mean[:, :: len(DIFFERENCE)]  # each pixel is used once
-        good = top[:, :: len(DIFFERENCE)] <= BRIGHTEST_DN
-        light.append(level[good])
-        noise.append(along[:, :: len(DIFFERENCE)][good])
+        mean_once = mean[:, :: len(DIFFERENCE)]  # each pixel is used once
+        is_usable = brightest[:, :: len(DIFFERENCE)] <= BRIGHTEST_DN
+        light.append(mean_once[is_usable])
+        noise.append(along[:, :: len(DIFFERENCE)][is_usable])
     return _line(np.concatenate(light), np.concatenate(noise), _darkest_dn(frames[sequence.dark]))
 
 
 def _darkest_dn(dark: NDArray[np.uint8]) -> float:
-    """Return the mean grey value of the darkest blocks of the dark frame: of blocks, as single pixels have offsets of
-    their own."""
+    """Return the mean grey value of the darkest blocks of the dark frame; single pixels have offsets of their own."""
     rows, columns = (size // BLOCK_PX for size in dark.shape)
-    cut = dark[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX)
-    return float(np.quantile(cut.mean(axis=(1, 3)), DARKEST_SHARE))
+    blocks = dark[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX)
+    return float(np.quantile(blocks.mean(axis=(1, 3)), DARKEST_SHARE))
 
 
 def _line(light: Array, noise: Array, darkest_dn: float) -> MeasuredNoise:
-    """Return a line through robust variances in bins of light. Raises NoiseError."""
+    """Fit a line through robust variances in bins of light. Raises NoiseError."""
     centres, variances, weights = [], [], []
-    which = np.floor(light / BIN_DN).astype(np.intp)
-    for k in np.unique(which):
-        inside = noise[which == k]
+    bins = np.floor(light / BIN_DN).astype(np.intp)
+    for k in np.unique(bins):
+        inside = noise[bins == k]
         if len(inside) < FEWEST_IN_BIN:
             continue
         # Robust: edges of the scene leave large differences, and they are few.
         sigma = MAD_TO_SIGMA * float(np.median(np.abs(inside)))
         if sigma == 0.0:
             raise NoiseError("no noise at all, which no camera has; give a recorded scan")
-        centres.append(float(light[which == k].mean()))
+        centres.append(float(light[bins == k].mean()))
         variances.append(sigma**2 / (4.0 * float(DIFFERENCE @ DIFFERENCE)))
         weights.append(math.sqrt(len(inside)) / variances[-1])  # one over the variance's standard error
     if len(centres) < FEWEST_BINS:

@@ -1,18 +1,19 @@
-"""Owns a folder of pictures of a board: which pictures belong together, and reading them.
+"""Pictures of a board in folders: which belong together, reading them, and filling a folder of views.
 
-The instrument's folder holds pairs ``NAME_left.png`` and ``NAME_right.png`` (8 bit, grey; also tif, bmp, pgm), or
-folders: of scans, whose bright frames are taken, or ``NAME/left.png`` and ``NAME/right.png``. ``docs/air-calibration.md``
-says how to record them.
+    pairs_of, read_pair            the instrument's pictures: pairs ``NAME_left.png`` and ``NAME_right.png`` (8 bit,
+                                   grey; also tif, bmp, pgm), folders of scans, whose bright frames count, or
+                                   ``NAME/left.png`` and ``NAME/right.png`` (``docs/air-calibration.md``)
+    named_pictures, read_grey      pictures of any cameras: left and right by a word in the names of files or folders
+                                   (``left``, ``R``, ``cam1``, …) or by two patterns. The rest of a name says which
+                                   pictures belong together. Any picture becomes grey values.
+    ViewFolder                     a folder of views of a board while it is filled: each view is there as a whole and
+                                   durable, or not at all
 
-Somebody's pictures are told apart by a word in their names or in those of their folders (``left``, ``R``, ``cam1``, …),
-or by two patterns. What is left of a name without that word says which pictures belong together; any picture becomes
-grey values.
+A folder of views contains
 
-It also owns a folder of views of a board while it is being filled: each view durable and whole, or not there.
-
-board.json      which board, which instrument
-01/left.png     a view; its folder gets its name when both pictures are on the disk
-01/right.png
+    board.json      which board, which instrument
+    01/left.png     a view; its folder gets its name when both pictures are on the disk
+    01/right.png
 """
 
 from __future__ import annotations
@@ -42,16 +43,16 @@ LEFT, RIGHT = "left.png", "right.png"
 
 
 @dataclass(frozen=True, slots=True)
-class _Begun:
+class _FolderHead:
     """Content of ``board.json``."""
 
     rig_serial: str
     board: str
 
 
-BEGUN = SealedFile(
-    _Begun, schema=1, max_bytes=64 * 1024, indent=1, checksum=False, check=lambda begun: BoardDesign.parse(begun.board),
-    remedy="restore it, or remove it and give --board",
+FOLDER_HEAD = SealedFile(
+    _FolderHead, schema=1, max_bytes=64 * 1024, indent=1, checksum=False,
+    check=lambda head: BoardDesign.parse(head.board), remedy="restore it, or remove it and give --board",
 )  # fmt: skip
 
 
@@ -59,9 +60,10 @@ class ViewFolder:
     """A folder for views of one board by one instrument."""
 
     def __init__(self, folder: Path, rig_serial: str, design: BoardDesign | None) -> None:
-        """Make the folder, or go on with one. ``design`` ``None``: the folder's, else the usual board.
+        """Make the folder, or go on with an existing one.
 
-        Raises ContentError for a folder of another board or instrument, StorageError.
+        ``design`` ``None`` means that of the folder, else the default board. Raises ContentError for a folder of
+        another board or instrument, StorageError.
         """
         self.folder = folder
         self._fs = LocalFileSystem()
@@ -69,7 +71,7 @@ class ViewFolder:
         begun = self.session(folder)
         if begun is None:
             self.design = design or BoardDesign()
-            self._fs.replace_file(folder / SESSION, BEGUN.encode(_Begun(rig_serial, str(self.design))))
+            self._fs.replace_file(folder / SESSION, FOLDER_HEAD.encode(_FolderHead(rig_serial, str(self.design))))
         else:
             serial, self.design = begun
             if serial != rig_serial:
@@ -89,19 +91,18 @@ class ViewFolder:
         Raises ContentError.
         """
         path = folder / SESSION
-        begun = BEGUN.load(path, name=str(path))
+        begun = FOLDER_HEAD.load(path, name=str(path))
         return None if begun is None else (begun.rig_serial, BoardDesign.parse(begun.board))
 
     def next_name(self) -> str:
-        """Return the number of the next view: numbers only grow."""
-        # The number after the largest, not the first free one: a view that somebody took away must not come back as
-        # another.
+        """Return the number of the next view; numbers only grow."""
+        # The number after the largest, not the first free one: the number of a removed view must not be used again.
         numbers = [int(path.name) for path in self.folder.iterdir() if re.fullmatch(r"\d{2,6}", path.name)]
         return f"{max(numbers, default=0) + 1:02}"
 
     def save(self, name: str, left: Image, right: Image) -> None:
-        """Write a view; durable on return. Raises StorageError, and nothing of it is then there under ``name``."""
-        # Both pictures in a hidden folder first: a folder with a number has them both.
+        """Write a view, durable on return. Raises StorageError, and then leaves no view ``name``."""
+        # Both pictures are first written to a hidden folder, so that a numbered folder always has both.
         draft = self.folder / f".{name}"
         with StorageError.naming("cannot make", draft):
             self._fs.make_folder(draft)
@@ -113,7 +114,7 @@ class ViewFolder:
         self._fs.move_folder(draft, self.folder / name)
 
     def _tidy(self) -> None:
-        """Take away what a loss of power left of a view that was never there."""
+        """Remove the hidden folders of views that a loss of power interrupted."""
         for path in self.folder.iterdir():
             if re.fullmatch(r"\.\d{2,6}", path.name) and path.is_dir():
                 with StorageError.naming("cannot remove the unfinished", path):
@@ -122,10 +123,8 @@ class ViewFolder:
 
 KINDS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
 _LEAST_BYTES, _BYTES_PER_PIXEL = 1_000_000, 16
-"""Most bytes that a file may have: headers and notes, and four channels of 32 bits.
-
-The cameras' pictures have one byte a pixel.
-"""
+"""Largest size of a file: headers and notes, and four channels of 32 bits. The cameras' own pictures have one byte a
+pixel."""
 ANY_KINDS = (*KINDS, ".jpg", ".jpeg", ".ppm")
 WORDS = (
     ("left", "right"),
@@ -142,18 +141,20 @@ WORDS = (
     ("gauche", "droite"),
     ("l", "r"),
 )
-"""Words that tell left from right, likely ones first; capitals count as small letters."""
+"""Pairs of words for left and right, likely ones first; upper and lower case count as equal."""
 MOST_BYTES, MOST_PIXELS = 1 << 29, 200_000_000
-"""Largest file and picture that are read."""
+"""Largest file and largest picture that are read."""
 LEAST_SIDE_PX, MOST_SIDE_PX = 64, 16384
 WHITE_PERCENTILE = 99.9
-"""Percentile that becomes white in a picture of more than 8 bits, whatever part of its range is used."""
+"""Percentile that becomes white in a picture of more than 8 bits, as cameras use only a part of its range."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Pictures of one board that were taken together; ``None`` where a camera has none, the same folder where it is a
-    scan's."""
+    """Pictures of one board that were taken together.
+
+    ``None`` where a camera has no picture; twice the same folder for a scan.
+    """
 
     name: str
     left: Path | None
@@ -162,51 +163,51 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class NamedPictures:
-    """The pictures of a folder, told apart."""
+    """The pictures of a folder, assigned to left and right."""
 
     pairs: tuple[Pair, ...]
-    told_by: str
-    """Words or patterns that told left from right, in a phrase."""
+    naming: str
+    """Words or patterns by which left and right were assigned, as a phrase."""
     unnamed: tuple[str, ...]
-    """Pictures of which nothing says which camera took them."""
+    """Pictures that could not be assigned to a camera."""
 
 
 class PicturesError(Exception):
-    """A folder of pictures cannot be used; the text names the file, what is wrong and the remedy."""
+    """Error of a folder of pictures; the text names the file, the fault and the remedy."""
 
 
 def pairs_of(folder: Path) -> list[Pair]:
-    """Return the pairs of a folder, by name. Raises PicturesError: nothing there, or one picture of a pair is
-    missing."""
+    """Return the pairs of a folder, by name. Raises PicturesError for an empty folder or an incomplete pair."""
     if not folder.is_dir():
         raise PicturesError(f"FOLDER {folder}: no such folder; give the one that holds the pictures of the board")
     sides: dict[str, dict[str, Path]] = {}
-    found = []
+    pairs = []
     for path in sorted(folder.iterdir()):
         stem, _, side = path.stem.rpartition("_")
-        # A manifest makes a folder a scan, whatever else it holds.
+        # A folder with a manifest is a scan, even if it also has pictures.
         if path.is_dir() and (path / MANIFEST_FILE).is_file():
-            found.append(Pair(path.name, path, path))
+            pairs.append(Pair(path.name, path, path))
         elif (path / LEFT).is_file() and (path / RIGHT).is_file() and not path.name.startswith("."):
-            found.append(Pair(path.name, path / LEFT, path / RIGHT))
+            pairs.append(Pair(path.name, path / LEFT, path / RIGHT))
         elif path.suffix.lower() in KINDS and stem and side in SIDES and not path.name.startswith("."):
-            # left.png beside left.tif: nobody can say which of both belongs to the right picture.
+            # With left.png beside left.tif, it is not known which of them belongs to the right picture.
             if side in sides.setdefault(stem, {}):
                 raise PicturesError(f"FOLDER {folder}: {path.name} is there twice, with two endings; remove one")
             sides[stem][side] = path
-    for name, both in sides.items():
-        if len(both) == 1:
-            (one,) = both
-            other = "right" if one == "left" else "left"
+    for name, files in sides.items():
+        if len(files) == 1:
+            (present,) = files
+            absent = "right" if present == "left" else "left"
             raise PicturesError(
-                f"FOLDER {folder}: {both[one].name} has no {name}_{other}{both[one].suffix}; add it, or remove the one"
+                f"FOLDER {folder}: {files[present].name} has no {name}_{absent}{files[present].suffix}; "
+                "add it, or remove the one"
             )
-        found.append(Pair(name, both["left"], both["right"]))
-    if not found:
+        pairs.append(Pair(name, files["left"], files["right"]))
+    if not pairs:
         raise PicturesError(
             f"FOLDER {folder}: no pairs of pictures in it; they are called NAME_left.png and NAME_right.png"
         )
-    return sorted(found, key=lambda pair: pair.name)
+    return sorted(pairs, key=lambda pair: pair.name)
 
 
 def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
@@ -225,28 +226,28 @@ def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
 
 
 def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictures:
-    """Return the pictures in a folder and in the folders in it, told apart.
+    """Return the pictures in a folder and its subfolders, assigned to left and right.
 
-    ``patterns``: of the left and the right paths, with one ``*`` each, which stands for what both pictures of a pair
-    share. Raises PicturesError.
+    ``patterns`` are those of the left and of the right paths, each with one ``*`` for the part that both pictures of a
+    pair share. Raises PicturesError.
     """
     if not folder.is_dir():
         raise PicturesError(f"FOLDER {folder}: no such folder; give the one that holds the pictures of the board")
     with StorageError.naming("cannot read", folder):
-        found = sorted(
+        paths = sorted(
             p for p in (*folder.glob("*"), *folder.glob("*/*")) if p.suffix.lower() in ANY_KINDS and p.is_file()
         )
-    names = {p.relative_to(folder).as_posix(): p for p in found if not p.name.startswith(".")}
+    names = {p.relative_to(folder).as_posix(): p for p in paths if not p.name.startswith(".")}
     if not names:
         raise PicturesError(f"FOLDER {folder}: no pictures in it; read are {', '.join(ANY_KINDS)}")
     if patterns is not None:
         sides = _by_patterns(names, patterns)
-        told = f"--sides {','.join(patterns)}"
+        naming = f"--sides {','.join(patterns)}"
     else:
-        # The words that make most pairs: a name may have several ("l" and "left", or "cam1" of both numberings).
-        sides, words = max(((_by_words(names, w), w) for w in WORDS), key=lambda one: _complete(one[0]))
-        told = f"{words[0]} and {words[1]} in their names"
-    if not _complete(sides):
+        # The words that give most pairs: a name may contain several ("l" and "left", or "cam1" of both numberings).
+        sides, side_words = max(((_by_words(names, w), w) for w in WORDS), key=lambda hit: _count_pairs(hit[0]))
+        naming = f"{side_words[0]} and {side_words[1]} in their names"
+    if not _count_pairs(sides):
         listed = ", ".join(list(names)[:4])
         raise PicturesError(
             f"FOLDER {folder}: no name of a picture ({listed}, …) tells a left picture from the right one of its pair; "
@@ -255,32 +256,34 @@ def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictu
         )
     pairs: dict[str, dict[str, Path]] = {}
     for name, (side, key) in sides.items():
-        both = pairs.setdefault(key, {})
-        if side in both:
+        pair = pairs.setdefault(key, {})
+        if side in pair:
             raise PicturesError(
-                f"FOLDER {folder}: {both[side].name} and {names[name].name} are both the {side} picture of {key}"
+                f"FOLDER {folder}: {pair[side].name} and {names[name].name} are both the {side} picture of {key}"
             )
-        both[side] = names[name]
-    called = _called(pairs)
+        pair[side] = names[name]
+    called = _short_names(pairs)
     return NamedPictures(
         tuple(
-            Pair(called[key], both.get("left"), both.get("right"))
-            for key, both in ((key, pairs[key]) for key in sorted(pairs, key=_order))
+            Pair(called[key], pair.get("left"), pair.get("right"))
+            for key, pair in ((key, pairs[key]) for key in sorted(pairs, key=_natural_order))
         ),
-        told,
+        naming,
         tuple(name for name in names if name not in sides),
     )
 
 
 def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, str]]:
-    """Return the width and height that most pictures have, and of each other picture why it is not used: another size,
-    or damage, since each is decoded once. Raises PicturesError."""
+    """Return the width and height that most pictures have, and why each other picture is not used.
+
+    The reason is another size or damage; each picture is decoded once. Raises PicturesError.
+    """
     sizes: dict[Path, tuple[int, int]] = {}
     wrong: dict[Path, str] = {}
     for path in pictures:
         data = _bytes(path)
-        head = picture_head(data)
-        stated = head and head[:2]
+        header = picture_head(data)
+        stated = header and header[:2]
         if stated is None:
             wrong[path] = f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy"
         elif not (
@@ -289,7 +292,7 @@ def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, s
             wrong[path] = (
                 f"{path.name}: {stated[0]}x{stated[1]} px; {LEAST_SIDE_PX} to {MOST_SIDE_PX} px a side are read"
             )
-        elif _decoded(data) is None:
+        elif _decode(data) is None:
             wrong[path] = f"{path}: is damaged and cannot be decoded; bring it back from a copy"
         else:
             sizes[path] = stated
@@ -303,11 +306,11 @@ def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, s
 
 
 def read_grey(path: Path) -> Image:
-    """Return a picture (h, w) uint8: colours become grey, more than 8 bits become 8.
+    """Return a picture as (h, w) uint8: colours are converted to grey, more than 8 bits to 8.
 
     Raises PicturesError, StorageError.
     """
-    image = _decoded(_bytes(path))
+    image = _decode(_bytes(path))
     if image is None:
         raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy")
     if image.ndim == 3:
@@ -318,8 +321,8 @@ def read_grey(path: Path) -> Image:
     return np.ascontiguousarray(np.rint(image), np.uint8)
 
 
-def _decoded(data: bytes) -> NDArray[Any] | None:
-    """Return the picture that a file's bytes hold, as it is stored; ``None`` where it cannot be decoded."""
+def _decode(data: bytes) -> NDArray[Any] | None:
+    """Return the picture in a file's bytes as it is stored; ``None`` where it cannot be decoded."""
     with quiet_decoder():
         try:
             return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -337,24 +340,25 @@ def _bytes(path: Path) -> bytes:
 # ------------------------------------------------------------------------------------------ names
 
 _Sides = dict[str, tuple[str, str]]
-"""Map from a path to its side, and to what is left of the path without what says so."""
+"""Map from a path to its side, and to the key that both pictures of a pair share."""
 
 
-def _by_words(names: Iterable[str], words: tuple[str, str]) -> _Sides:
-    found: _Sides = {}
+def _by_words(names: Iterable[str], side_words: tuple[str, str]) -> _Sides:
+    sides: _Sides = {}
     for name in names:
         stem = str(Path(name).with_suffix("")).lower()
-        # A word ends where its kind of character ends: 01L and left01 say it, label01 and cam10 do not.
-        end = "[0-9]" if words[0][-1].isdigit() else "[a-z]"
-        keys = [re.sub(rf"(?<![a-z]){word}(?!{end})", "*", stem) for word in words]
+        # A word ends where its kind of character ends: L in 01L and left in left01 count, l in label01 and cam1 in
+        # cam10 do not.
+        end = "[0-9]" if side_words[0][-1].isdigit() else "[a-z]"
+        keys = [re.sub(rf"(?<![a-z]){word}(?!{end})", "*", stem) for word in side_words]
         hits = [(side, key) for side, key in zip(SIDES, keys, strict=True) if key != stem]
         if len(hits) == 1:
-            found[name] = hits[0]
-    return found
+            sides[name] = hits[0]
+    return sides
 
 
 def _by_patterns(names: Iterable[str], patterns: tuple[str, str]) -> _Sides:
-    found: _Sides = {}
+    sides: _Sides = {}
     for side, pattern in zip(SIDES, patterns, strict=True):
         if pattern.count("*") != 1:
             raise PicturesError(
@@ -364,55 +368,59 @@ def _by_patterns(names: Iterable[str], patterns: tuple[str, str]) -> _Sides:
         for name in names:
             shared = re.fullmatch(re.escape(before) + "(.+)" + re.escape(after), name)
             if shared is not None:
-                if name in found:
+                if name in sides:
                     raise PicturesError(f"{name} fits both sides of --sides {','.join(patterns)}")
-                found[name] = (side, shared[1])
-    return found
+                sides[name] = (side, shared[1])
+    return sides
 
 
-def _complete(sides: _Sides) -> int:
-    both = Counter(key for _, key in set(sides.values()))
-    return sum(count == 2 for count in both.values())
+def _count_pairs(sides: _Sides) -> int:
+    counts = Counter(key for _, key in set(sides.values()))
+    return sum(count == 2 for count in counts.values())
 
 
-def _called(keys: Iterable[str]) -> Mapping[str, str]:
-    """Return a short name for each key; the key itself where names would be the same."""
+def _short_names(keys: Iterable[str]) -> Mapping[str, str]:
+    """Return a short name for each key; the key itself where short names would be equal."""
     short = {key: re.sub(r"^[\W_]+|[\W_]+$", "", key.replace("*", "")) or key for key in keys}
-    twice = {name for name, count in Counter(short.values()).items() if count > 1}
-    return {key: key if name in twice else name for key, name in short.items()}
+    ambiguous = {name for name, count in Counter(short.values()).items() if count > 1}
+    return {key: key if name in ambiguous else name for key, name in short.items()}
 
 
-def _order(key: str) -> list[tuple[int, str]]:
-    """Return what sorts numbers in names by their value: v2 before v12."""
+def _natural_order(key: str) -> list[tuple[int, str]]:
+    """Return a sort key that orders numbers in names by value: v2 before v12."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", key)]
 
 
-def _check_size(path: Path, found_px: tuple[int, int], wanted_px: tuple[int, int]) -> None:
-    if found_px != wanted_px:
+def _check_size(path: Path, size_px: tuple[int, int], rig_size_px: tuple[int, int]) -> None:
+    if size_px != rig_size_px:
         raise PicturesError(
-            f"{path}: {found_px[0]}x{found_px[1]} px; the rig file has {wanted_px[0]}x{wanted_px[1]} px; "
+            f"{path}: {size_px[0]}x{size_px[1]} px; the rig file has {rig_size_px[0]}x{rig_size_px[1]} px; "
             f"give the rig file of the instrument that took it (--rig)"
         )
 
 
-def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
-    """Read a picture of the wanted size, or refuse it before it is decoded: a small file may promise more pixels than
-    there is memory."""
-    longest = _LEAST_BYTES + _BYTES_PER_PIXEL * wanted_px[0] * wanted_px[1]
+def _picture(path: Path, rig_size_px: tuple[int, int]) -> Image:
+    """Read a picture of the size in the rig file.
+
+    Another size is rejected before the picture is decoded, because a small file may promise more pixels than fit the
+    memory.
+    """
+    max_bytes = _LEAST_BYTES + _BYTES_PER_PIXEL * rig_size_px[0] * rig_size_px[1]
     try:
-        data = read_bounded(path, longest)
+        data = read_bounded(path, max_bytes)
     except OSError as error:
         raise PicturesError(
-            f"{path}: {error.strerror or error}; pictures of {wanted_px[0]}x{wanted_px[1]} px are wanted; give them as "
+            f"{path}: {error.strerror or error}; pictures of {rig_size_px[0]}x{rig_size_px[1]} px are wanted; give "
+            "them as "
             "recorded"
         ) from error
-    head = picture_head(data)
-    if head is None:
+    header = picture_head(data)
+    if header is None:
         raise PicturesError(
             f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy, or remove the pair"
         )
-    _check_size(path, head[:2], wanted_px)
-    # Unchanged, so that 16 bits or colours are refused by name instead of being turned into grey.
+    _check_size(path, header[:2], rig_size_px)
+    # Read unchanged, so that 16 bits or colours are rejected instead of converted to grey.
     with quiet_decoder():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
@@ -421,7 +429,7 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
         raise PicturesError(f"{path}: {image.dtype} pixels; allowed are 8 bits; save it with 8 bits")
     if image.ndim == 3:
         channels = list(_channels(image))
-        if any(not np.array_equal(channels[0], other) for other in channels[1:3]):
+        if any(not np.array_equal(channels[0], channel) for channel in channels[1:3]):
             raise PicturesError(f"{path}: is in colour; the cameras are grey; give the pictures as recorded")
         image = channels[0]
     return np.ascontiguousarray(image, np.uint8)
@@ -429,7 +437,7 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
 
 @contextmanager
 def quiet_decoder() -> Iterator[None]:
-    """Inside, OpenCV writes nothing of its own to stderr about a damaged file: we say it, once, with the file's name."""
+    """Suppress OpenCV's own lines on stderr about a damaged file inside the block; our error names the file."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:

@@ -1,4 +1,4 @@
-"""Owns the projector's response: how much light it makes of a code, as one scan of a smooth surface shows it."""
+"""The projector's response (light as a function of the code), measured from one scan of a smooth surface."""
 
 from __future__ import annotations
 
@@ -10,29 +10,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.determined import UndeterminedError, solved
+from appliance.calibrate.determined import UndeterminedError, solve_symmetric
 from appliance.measure import PHASE_STEPS, Direction, PatternSequence, Response, phase_error_rad
 
 ORDER = 9
-"""Highest harmonic: those beyond are below 1e-4 of the first in any response without kinks."""
+"""Highest harmonic; in a response without kinks, those beyond are below 1e-4 of the first."""
 SHORTEST_PERIOD_PX = 32
 """Blur takes 13 % of the third harmonic of fringes of 32 px, 40 % of those of 16 px."""
 FEWEST_PIXELS, MOST_PIXELS = 5_000, 100_000
-"""Needed, and used of each camera and direction: noise leaves 1e-5 of the light then."""
+"""Pixels needed in all, and most pixels used of each camera and direction; noise then leaves 1e-5 of the light."""
 MOST_RESIDUAL = 0.03
-"""RMS, as a fraction of the bright frame's light; noise makes 0.01."""
+"""Largest accepted RMS residual, as a fraction of the light of the bright frame; noise makes 0.01."""
 ACROSS_PX = 5
-"""Rows (of 1600 columns' size) over which coordinates are smoothed across their direction."""
+"""Rows over which coordinates are smoothed across their direction, in an image 1600 px wide."""
 
 
 class ResponseError(Exception):
-    """A scan does not tell the response; the text says why and what to do."""
+    """Error of a scan that does not determine the response; the text says why and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraImages:
-    """Images of one camera: frames (n, h, w) uint8 of the whole sequence, and its decoded coordinates (h, w), NaN:
-    none."""
+    """Frames (n, h, w) uint8 of one camera, and pattern coordinates (h, w), NaN where masked."""
 
     frames: NDArray[np.uint8]
     p_px: NDArray[np.float32]
@@ -41,27 +40,27 @@ class CameraImages:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredResponse:
-    """Projector response as one scan shows it."""
+    """The projector's response as measured from one scan."""
 
     response: Response
     fringe_harmonics: tuple[float, ...]
-    """Harmonics of the light of the fringes as they were drawn; those of the response where nothing was compensated."""
+    """Harmonics of the light of the fringes as displayed; those of the response if the patterns were not corrected."""
     residual: float
-    """RMS of what was seen against the response, as a fraction of the bright frame's light."""
+    """RMS residual of the observed light, as a fraction of the light of the bright frame."""
     pixels: int
 
     @property
     def phase_error_rad(self) -> float:
-        """Largest error of the phase in that scan."""
+        """Largest phase error in that scan."""
         return phase_error_rad(self.fringe_harmonics)
 
 
 def measure_response(
-    sequence: PatternSequence, seen: Sequence[CameraImages], drawn_for: Response | None = None
+    sequence: PatternSequence, images: Sequence[CameraImages], drawn_for: Response | None = None
 ) -> MeasuredResponse:
     """Return the response of the projector that lit a scan of a smooth surface, for example a plane.
 
-    ``drawn_for``: the response for which the patterns of that scan were drawn. Raises ResponseError.
+    ``drawn_for`` is the response for which the patterns of that scan were corrected. Raises ResponseError.
     """
     if sequence.period_px < SHORTEST_PERIOD_PX:
         raise ResponseError(
@@ -71,24 +70,24 @@ def measure_response(
         )
     codes = _Sums(ORDER)
     phases = _Sums(ORDER)
-    for one in seen:
-        for direction, coordinate in ((Direction.X, one.p_px), (Direction.Y, one.q_px)):
-            # The phase error of the harmonics has period 90° of phase and mean zero over a whole fringe: the mean over
-            # one period is the true coordinate of a smooth surface.
-            smooth = _smooth(coordinate, direction, sequence.period_px)
-            for step, light, at in _lights(sequence, one, direction, smooth):
+    for image in images:
+        for direction, coordinate in ((Direction.X, image.p_px), (Direction.Y, image.q_px)):
+            # The phase error from harmonics repeats every 90° of phase and has mean zero over a fringe. So the mean
+            # over one fringe period is the true coordinate of a smooth surface.
+            smooth = _period_mean(coordinate, direction, sequence.period_px)
+            for step, light, coordinate_px in _sine_samples(sequence, image, direction, smooth):
                 pixels = np.arange(sequence.axis(direction).size_px)
-                # Without rounding, where nothing was compensated.
+                # Patterns without correction: the exact sine, without rounding to codes.
                 drawn = (
                     np.cos(_phase_rad(pixels, sequence, step))
                     if drawn_for is None
                     else drawn_for.drawn(len(pixels), sequence.period_px, step)
                 )
-                x = np.interp(at, pixels, drawn)
+                x = np.interp(coordinate_px, pixels, drawn)
                 codes.add(np.arccos(np.clip(x, -1.0, 1.0)), light)
-                # The same light against the phase as it was drawn: where the patterns were compensated, these are the
-                # harmonics that remain.
-                phases.add(_phase_rad(at, sequence, step), light)
+                # The same light against the displayed phase: with corrected patterns, these are the harmonics that
+                # remain.
+                phases.add(_phase_rad(coordinate_px, sequence, step), light)
     if codes.count < FEWEST_PIXELS * PHASE_STEPS:
         raise ResponseError(
             f"{codes.count // PHASE_STEPS} pixels see a smooth surface over a whole fringe period; needed are "
@@ -102,50 +101,52 @@ def measure_response(
             "record a still plane without glare"
         )
     try:
-        response = Response(_normalised(harmonics))
+        response = Response(_normalise(harmonics))
     except ValueError as error:
         raise ResponseError(f"{error}; record a still plane without glare") from error
     return MeasuredResponse(response, tuple(float(b) for b in phases.solve()[0]), residual, codes.count // PHASE_STEPS)
 
 
-def _smooth(coordinate: NDArray[np.float32], direction: Direction, period_px: int) -> NDArray[np.float64]:
-    """Return the mean over one period along the direction, NaN where a pixel of the window has no coordinate."""
+def _period_mean(coordinate: NDArray[np.float32], direction: Direction, period_px: int) -> NDArray[np.float64]:
+    """Return the mean over one fringe period along the direction; NaN where a coordinate is missing."""
     valid = np.isfinite(coordinate)
     filled = np.where(valid, coordinate, 0.0).astype(np.float64)
     slope = np.abs(np.diff(coordinate, axis=1 if direction is Direction.X else 0))
-    typical = float(np.nanmedian(slope)) if np.isfinite(slope).any() else 1.0
-    along = 2 * round(0.5 * period_px / max(typical, 1e-3)) + 1
+    px_per_px = float(np.nanmedian(slope)) if np.isfinite(slope).any() else 1.0
+    along = 2 * round(0.5 * period_px / max(px_per_px, 1e-3)) + 1
     across = max(3, 2 * round(0.5 * ACROSS_PX * coordinate.shape[1] / 1600.0) + 1)
     size = (along, across) if direction is Direction.X else (across, along)
     if size[0] >= coordinate.shape[1] or size[1] >= coordinate.shape[0]:
         return np.full(coordinate.shape, np.nan)
     mean = cv2.boxFilter(filled, -1, size, borderType=cv2.BORDER_CONSTANT)
-    whole = cv2.erode(valid.astype(np.uint8), np.ones(size[::-1], np.uint8), borderValue=0) > 0
-    return np.where(whole, mean, np.nan)
+    is_complete = cv2.erode(valid.astype(np.uint8), np.ones(size[::-1], np.uint8), borderValue=0) > 0
+    return np.where(is_complete, mean, np.nan)
 
 
-def _lights(
-    sequence: PatternSequence, seen: CameraImages, direction: Direction, smooth: NDArray[np.float64]
+def _sine_samples(
+    sequence: PatternSequence, images: CameraImages, direction: Direction, smooth: NDArray[np.float64]
 ) -> list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
-    """Step, light and coordinate of the usable pixels in each of the four sine images."""
-    bright, dark = (seen.frames[k].astype(np.float64) for k in (sequence.bright, sequence.dark))
-    use = np.flatnonzero(np.isfinite(smooth) & (bright < 250.0) & (bright - dark >= 40.0))
-    use = use[:: max(1, use.size // MOST_PIXELS)]
-    black = dark.reshape(-1)[use]
-    at, span = smooth.reshape(-1)[use], bright.reshape(-1)[use] - black
+    """Return step, light and coordinate of the usable pixels in each of the four sine frames."""
+    bright, dark = (images.frames[k].astype(np.float64) for k in (sequence.bright, sequence.dark))
+    pixels = np.flatnonzero(np.isfinite(smooth) & (bright < 250.0) & (bright - dark >= 40.0))
+    pixels = pixels[:: max(1, pixels.size // MOST_PIXELS)]
+    black = dark.reshape(-1)[pixels]
+    coordinate_px, span = smooth.reshape(-1)[pixels], bright.reshape(-1)[pixels] - black
     sines = sequence.axis(direction).sine
-    return [(step, (seen.frames[k].reshape(-1)[use] - black) / span, at) for step, k in enumerate(sines)]
+    return [
+        (step, (images.frames[k].reshape(-1)[pixels] - black) / span, coordinate_px) for step, k in enumerate(sines)
+    ]
 
 
 def _phase_rad(
     at_px: NDArray[np.floating] | NDArray[np.integer], sequence: PatternSequence, step: int
 ) -> NDArray[np.float64]:
-    """Return the phase that a sine image draws at pattern coordinates."""
+    """Return the phase of a sine pattern at pattern coordinates."""
     return np.asarray(2.0 * np.pi * (at_px + 0.5) / sequence.period_px + step * np.pi / 2.0)
 
 
-def _normalised(harmonics: NDArray[np.float64]) -> tuple[float, ...]:
-    """Return light 0 at the first and 1 at the last code of fringes."""
+def _normalise(harmonics: NDArray[np.float64]) -> tuple[float, ...]:
+    """Scale harmonics to light 0 at the first and 1 at the last code of the fringes."""
     ends = np.polynomial.chebyshev.chebval([-1.0, 1.0], harmonics)
     scaled = harmonics / (ends[1] - ends[0])
     scaled[0] -= ends[0] / (ends[1] - ends[0])
@@ -169,10 +170,10 @@ class _Sums:
         self.count += light.size
 
     def solve(self) -> tuple[NDArray[np.float64], float]:
-        """Return the coefficients and the RMS residual. Raises ResponseError where the angles do not tell them."""
+        """Return the coefficients and the RMS residual. Raises ResponseError where the angles do not determine them."""
         names = [f"harmonic {k}" for k in range(len(self._vector))]
         try:
-            b = solved(self._matrix, self._vector, names)
+            b = solve_symmetric(self._matrix, self._vector, names)
         except UndeterminedError as error:
             raise ResponseError(
                 f"the scan does not show enough codes of its fringes to tell {', '.join(error.names)}; fill the image "

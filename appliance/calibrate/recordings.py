@@ -1,4 +1,4 @@
-"""Owns what the solvers are fed: matched pixels of both cameras on an artefact whose size a certificate states."""
+"""Observations that the solvers take: correspondences on one artefact of certified dimensions."""
 
 from __future__ import annotations
 
@@ -27,17 +27,19 @@ class ArtefactKind(Enum):
 
 
 class RecordingError(Exception):
-    """Recordings cannot be used for a calibration; the text says which, why and what to do."""
+    """Error of recordings that cannot be used for a calibration.
 
-    def __init__(self, text: str, about: str = "") -> None:
-        """Remember what the error is ``about``: the step of the calibration, or the recording, as the screen names
-        it."""
+    The text says which, why and what to do.
+    """
+
+    def __init__(self, text: str, subject: str = "") -> None:
+        """Keep ``subject``: the step of the calibration, or the recording, as the screen names it."""
         super().__init__(text)
-        self.about = about
+        self.about = subject
 
 
 class CertificateMissing(RecordingError):
-    """The artefact's certificate, or a number of it, is not stated."""
+    """Error of an artefact without a certificate, or of a certificate without one of its numbers."""
 
 
 class CamerasDiffer(RecordingError):
@@ -45,12 +47,12 @@ class CamerasDiffer(RecordingError):
 
 
 class NotConverged(RecordingError):
-    """The recordings can be used one by one, and no calibration fits all of them."""
+    """Error of recordings each of which can be used, but which no calibration fits together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One scan of one artefact: correspondences of pixels, and what the artefact's certificate says.
+    """Correspondences of one scan of one artefact, and the certified dimensions of the artefact.
 
     Raises RecordingError for shapes that do not fit, numbers that are not finite or a missing length.
     """
@@ -58,12 +60,12 @@ class Recording:
     name: str
     kind: ArtefactKind
     left_px: Array
-    """(n, 2); taken as exact: the correspondence is looked up at these pixels."""
+    """(n, 2); exact, as the correspondence is searched for at these pixels."""
     right_px: Array
-    """(n, 2), subpixel; carries the noise of the correspondence."""
+    """(n, 2), subpixel, with the noise of the correspondence."""
     water: Water
     sphere: Labels
-    """(n,): 0 or 1, the sphere of the bar that each point lies on; all 0 for a plane."""
+    """(n,): number of the bar's sphere, 0 or 1, on which each point lies; all 0 for a plane."""
     length_mm: float | None = None
     """Distance of the sphere centres by the certificate; ``None`` for a plane."""
     length_sd_mm: float = 0.003
@@ -95,12 +97,12 @@ class Recording:
             )
 
     def select(self, keep: NDArray[np.bool_] | Labels) -> Recording:
-        """Return the same recording with some of its points."""
+        """Return the recording with the points that ``keep`` selects."""
         return replace(self, left_px=self.left_px[keep], right_px=self.right_px[keep], sphere=self.sphere[keep])
 
 
 def thinned(recording: Recording, at_most: int) -> Recording:
-    """Return at most ``at_most`` points, evenly spread over the recording's order (rows of the image as a rule)."""
+    """Return the recording with ``at_most`` points or fewer, evenly spread over their order."""
     n = len(recording.left_px)
     if n <= at_most:
         return recording

@@ -1,4 +1,4 @@
-"""Owns the way from a stored scan of an artefact to a recording that calibrates."""
+"""Extraction of a recording for a calibration from a stored scan of an artefact."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from appliance.store import RIG_FILE, ConfigError, Instrument, Rig, ScanError, S
 
 
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
-    """Return the serial numbers of the left and right camera that recorded these scans; ``None``: of no scan.
+    """Return the serial numbers of the left and right camera that recorded these scans; ``None`` for no scan.
 
     Raises CamerasDiffer where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError
     for a scan whose rig file cannot be read.
     """
-    known: tuple[str, str] | None = None
-    of: Path | None = None
+    serials: tuple[str, str] | None = None
+    earlier: Path | None = None
     for folder in folders:
-        found = _cameras(folder)
-        if known is not None and of is not None and (other := exchanged(known, found)) is not None:
+        current = _cameras(folder)
+        if serials is not None and earlier is not None and (conflict := exchanged(serials, current)) is not None:
             raise CamerasDiffer(
-                f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of "
+                f"scans {earlier.name} and {folder.name} are of different cameras ({conflict.reason}); calibrate "
+                "with scans of "
                 "the same"
             )
-        known, of = found, folder
-    # Last, so that scans that disagree among themselves are named first: that is the nearer cause.
-    wrong = exchanged(start.camera_serials, known)
-    if wrong is not None:
+        serials, earlier = current, folder
+    # Checked last, so that scans that disagree with each other are named first: that is the more likely cause.
+    mismatch = exchanged(start.camera_serials, serials)
+    if mismatch is not None:
         raise CamerasDiffer(
-            f"the scans are of other cameras than what they start from ({wrong.reason}); calibrate in air again"
+            f"the scans are of other cameras than what they start from ({mismatch.reason}); calibrate in air again"
         )
-    return known
+    return serials
 
 
 def _cameras(folder: Path) -> tuple[str, str]:
@@ -51,13 +52,13 @@ def recording_of_scan(
 ) -> Recording | NotFound:
     """Return the recording of a stored scan: of a ball bar with its certificate, of a plane with ``None``.
 
-    ``start`` has the lenses and pose of the calibration in air and the ports as drawn. The water is the scan's. The
-    answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
+    ``start`` has lenses and pose of the air calibration and nominal ports. The water is that of the scan. Returns
+    ``NotFound`` with the reason in words where too little of the artefact is visible. Raises ScanError.
     """
     scan = StoredScan.load(folder, only_raw=True)
     settings = Instrument(rig).settings_of_scan(scan.manifest.record)
-    # The ports are still as drawn: within the instrument's limit of the gap, just the pixels that could correct them
-    # would be lacking.
+    # The ports are still nominal. The instrument's own limit of the ray gap would remove just those pixels that can
+    # correct them.
     reprocessed = reprocess_scan(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
     if reprocessed.unfit is not None:
         return NotFound(f"{reprocessed.unfit.code.value}: {reprocessed.unfit.detail}; record it again")

@@ -123,10 +123,10 @@ class CalibrateAir(WithRoot):
         if self.sides is not None and not comma:
             raise UsageError(f"--sides {self.sides}: give two with a comma between them, for example 'a/*.png,b/*.png'")
         existing("FOLDER", self.folder, "the pictures of the board")
-        from appliance.calibrate import Wanted, calibrate_pictures
+        from appliance.calibrate import BoardDescription, calibrate_pictures
 
         across, down, square_mm, marker_mm = sizes_mm
-        wanted = Wanted(square_mm, across, down, marker_mm)
+        wanted = BoardDescription(square_mm, across, down, marker_mm)
         target = self.out or self.folder / "pair.json"
         sides = (left, right) if comma else None
         with ProgressLine() as progress, writing(target):

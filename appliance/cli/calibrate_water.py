@@ -66,12 +66,12 @@ class CalibrateWater(WithRoot):
             check_list(scans)
 
         with opened_scans(wish, places, SCANS_CHECKED, check) as (sources, progress):
-            from appliance.calibrate import Calibrations, refuse_drawing, run_water_calibration, start_of
+            from appliance.calibrate import Calibrations, reject_nominal_start, run_water_calibration, start_of
             from appliance.measure import encode_calibration
             from appliance.store import SourceScan
 
             rig = SourceScan.instrument_of(sources, wish)
-            refuse_drawing(rig, self.calibration)
+            reject_nominal_start(rig, self.calibration)
             start = start_of(rig, self.calibration)
             for source in sources:
                 source.refuse_misfit(start, f"start {self.calibration or rig.storage.root}", foreign=False, start=True)

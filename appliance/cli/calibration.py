@@ -145,7 +145,7 @@ class AcceptHealth(WithRoot):
                 f"REPORT {self.report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {at_most:g} %: "
                 "calibrate again, or state another limit after REPORT"
             )
-        from appliance.calibrate import HealthFile, answered
+        from appliance.calibrate import HealthFile, accept_change
 
         # The running service keeps the trend in memory and would write it over this answer.
         with hold_lock(root):
@@ -156,7 +156,7 @@ class AcceptHealth(WithRoot):
             # Under the lock: the alarm that is answered is the one that stands now.
             _recorded_since(self.report, content, trend)
             said = f"{self.report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
-            file.write(answered(trend, said))
+            file.write(accept_change(trend, said))
         self.tell({"accepted": said}, [f"accepted: {said}"])
         return Exit.OK
 

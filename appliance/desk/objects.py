@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance import __version__
 from appliance.base import Progress, part_of, silent
-from appliance.calibrate import HealthFile, OverlapNews, told_by_overlaps
+from appliance.calibrate import HealthFile, OverlapNews, add_overlap_news
 from appliance.desk import object_store as objects
 from appliance.desk.export.content import OBJECT_FRAME, Metadata
 from appliance.desk.object_errors import errors_of, pack, with_sigma_in_frame
@@ -353,7 +353,7 @@ def tell_health(root: Path, solved: StoredObject) -> None:
     # The running service keeps the trend in memory and would write it over this.
     with hold_lock(root):
         file = HealthFile(root, calibration_hash)
-        file.write(told_by_overlaps(file.read(), news))
+        file.write(add_overlap_news(file.read(), news))
 
 
 def _overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:

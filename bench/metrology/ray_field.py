@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from appliance.calibrate.recordings import Recording
-from appliance.calibrate.water.artefact import Place
+from appliance.calibrate.water.artefact import ArtefactPose
 from appliance.calibrate.water.bundle import (
     BundleSettings,
     NodeBasis,
-    NodeSlopes,
+    NodeJacobian,
     Problem,
-    Slopes,
-    adjusted,
+    RecordingJacobian,
     smoothness,
+    solve_problem,
 )
 from appliance.calibrate.water.method import Method
 from appliance.measure.calibration.file import Calibration
@@ -34,36 +34,37 @@ STEP_MM = 1e-3
 
 
 def calibrate_ray_field(recordings: Sequence[Recording], start: Calibration) -> Calibration:
-    """Adjust it to ten recordings or more: from fewer it follows them and nothing else. Raises RecordingError."""
-    return adjusted(FieldProblem(recordings, start, Method.SPLINE, BundleSettings())).calibration
+    """Calibrate with ray shifts from ten recordings or more; with fewer the model fits only those. Raises
+    RecordingError."""
+    return solve_problem(FieldProblem(recordings, start, Method.SPLINE, BundleSettings())).calibration
 
 
 class FieldProblem(Problem):
-    """The spline's normal equations; after its unknowns come the nodes of the left and of the right camera's ray shift."""
+    """Normal equations of SPLINE with the nodes of both cameras' ray shifts after its parameters, left first."""
 
     def __init__(
         self, recordings: Sequence[Recording], start: Calibration, method: Method, settings: BundleSettings
     ) -> None:
         super().__init__(recordings, start, method, settings)
-        held = smoothness(INTERVALS, SHIFT_SD_MM, BEND_SD_MM)
-        first, count = self.size, len(held)
+        information = smoothness(INTERVALS, SHIFT_SD_MM, BEND_SD_MM)
+        first, count = self.size, len(information)
         self.shifts = slice(first, first + count), slice(first + count, first + 2 * count)
-        """Places of the left and of the right nodes among the unknowns."""
+        """Columns of the left and the right nodes among the parameters."""
         self.size += 2 * count
         self.mean = np.concatenate([self.mean, np.zeros(2 * count)])
-        self.prior = block_diag(self.prior, held, held)
+        self.prior = block_diag(self.prior, information, information)
 
     @property
     def names(self) -> list[str]:
-        """Names of all unknowns, in order."""
-        known = super().names
-        return known + ["a ray shift"] * (self.size - len(known))
+        """Names of all parameters, in order."""
+        names = super().names
+        return names + ["a ray shift"] * (self.size - len(names))
 
     def rig(self, x: Array) -> StereoRig:
         """Return the rig at ``x``, with its corrections and ray shifts."""
         rig = super().rig(x)
         left, right = (
-            _with_shift(camera, x[at]) for camera, at in zip((rig.left, rig.right), self.shifts, strict=True)
+            _with_shift(camera, x[part]) for camera, part in zip((rig.left, rig.right), self.shifts, strict=True)
         )
         return replace(rig, left=left, right=right)
 
@@ -73,38 +74,43 @@ class FieldProblem(Problem):
         rig: StereoRig,
         changed: Sequence[tuple[StereoRig, float]],
         recording: Recording,
-        place: Place,
-        at: slice,
-        index_more: float,
-    ) -> Slopes:
-        """Return one recording's residuals and their slopes by all unknowns."""
+        pose: ArtefactPose,
+        part: slice,
+        index_change: float,
+    ) -> RecordingJacobian:
+        """Return the residuals of one recording and their Jacobian by all parameters."""
         grid = SplineGrid((rig.left.width_px, rig.left.height_px), INTERVALS)
         bases = [NodeBasis.at(uv, grid) for uv in (recording.left_px, recording.right_px)]
-        # The right shift is looked up at the matched pixel, not where the point falls: they are coarse.
-        left_mm, right_mm = (basis.surface(x[where]) for basis, where in zip(bases, self.shifts, strict=True))
+        # The right shift is evaluated at the matched pixel instead of the projected point, as the shifts are smooth.
+        left_mm, right_mm = (basis.surface(x[part_nodes]) for basis, part_nodes in zip(bases, self.shifts, strict=True))
 
         def shifted(rig: StereoRig, left_mm: Array = left_mm, right_mm: Array = right_mm) -> StereoRig:
             return replace(rig, left=_shifted(rig.left, left_mm), right=_shifted(rig.right, right_mm))
 
         steps = STEP_MM * np.eye(2)
-        moved = [shifted(rig, left_mm=left_mm + e) for e in steps] + [
+        shifted_rigs = [shifted(rig, left_mm=left_mm + e) for e in steps] + [
             shifted(rig, right_mm=right_mm + e) for e in steps
         ]
-        rigs = [*((shifted(one), step) for one, step in changed), *((one, STEP_MM) for one in moved)]
-        found = super().slopes(x, shifted(rig), rigs, recording, place, at, index_more)
-        first = len(changed)
-        by_shift = [found.dense[:, :, k] for k in range(first, len(rigs))]
-        nodes = [
-            NodeSlopes(where, basis, slopes)
-            for where, basis, slopes in zip(self.shifts, bases, (by_shift[:2], by_shift[2:]), strict=True)
+        rigs = [
+            *((shifted(changed_rig), step) for changed_rig, step in changed),
+            *((rig_shift, STEP_MM) for rig_shift in shifted_rigs),
         ]
-        others = np.r_[:first, len(rigs) : found.dense.shape[2]]
-        return Slopes(found.residual, found.dense[:, :, others], found.columns[others], [*found.nodes, *nodes])
+        jacobian = super().slopes(x, shifted(rig), rigs, recording, pose, part, index_change)
+        first = len(changed)
+        by_shift = [jacobian.dense[:, :, k] for k in range(first, len(rigs))]
+        nodes = [
+            NodeJacobian(part_nodes, basis, slopes)
+            for part_nodes, basis, slopes in zip(self.shifts, bases, (by_shift[:2], by_shift[2:]), strict=True)
+        ]
+        columns = np.r_[:first, len(rigs) : jacobian.dense.shape[2]]
+        return RecordingJacobian(
+            jacobian.residual, jacobian.dense[:, :, columns], jacobian.columns[columns], [*jacobian.nodes, *nodes]
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class _ShiftedCamera(HousedCamera):
-    """A camera for the pixels of one recording: the rays of each are shifted by so much."""
+    """Camera for the pixels of one recording, with a shift of each ray."""
 
     by_mm: Array = field(default_factory=lambda: np.zeros(3))
     """(n, 3), left camera frame."""

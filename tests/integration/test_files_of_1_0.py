@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.calibrator import start_of
 from appliance.calibrate.guide import Step
 from appliance.calibrate.health import HealthFile
+from appliance.calibrate.water_steps import start_of
 from appliance.cli import main
 from appliance.desk import object_store as objects
 from appliance.desk.object_errors import errors_of

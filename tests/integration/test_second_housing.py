@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from appliance.base import silent
 from appliance.calibrate.air.calibrate import AirCalibration, calibrate_air
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.calibrator import Solution, examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, RecordingCheck, Refusal, Session, Step
 from appliance.calibrate.water.start import start_from_air
+from appliance.calibrate.water_steps import Solution, examine_recording, solve_calibration
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.instrument.service.app import run

@@ -12,9 +12,9 @@ import pytest
 
 from appliance.base import silent
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.calibrator import examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, RecordingCheck, Session, Step
 from appliance.calibrate.water.start import start_from_air
+from appliance.calibrate.water_steps import examine_recording, solve_calibration
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig

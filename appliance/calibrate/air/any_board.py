@@ -1,7 +1,7 @@
-"""Owns the search for a board that nobody described: its dictionary, layout, squares and markers, and its corners.
+"""Search for an undescribed board in pictures: dictionary, layout, squares and markers.
 
-What a picture shows is found by trying: every predefined dictionary of OpenCV, and every number of squares that puts
-the markers seen, in the order of their numbers, on a plane. Only the size of a square cannot be seen.
+Every predefined dictionary of OpenCV is tried, and every number of squares that puts the visible markers, in the order
+of their numbers, on a plane. Only the size of a square cannot be seen.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from appliance.calibrate.air.board import (
     dictionary_name,
     dictionary_number,
     find_markers,
-    flipped,
+    mirror,
 )
 from appliance.calibrate.air.calibrate import AirCalibrationError
 
@@ -33,60 +33,65 @@ Image = NDArray[np.uint8]
 
 SQUARES = (3, 60)
 SEARCHED = 250
-"""Markers of each dictionary that are looked for until it is known which it is: time grows with their number."""
+"""Markers of each dictionary that are searched for until the right one is known; time grows with their number."""
 BELONG = 0.6
-"""Least share of the markers seen that the layout must put on one plane."""
+"""Least share of the visible markers that the layout puts on one plane."""
 LOOKED_AT = 4
-"""Pictures in which a board is searched for, spread over the folder."""
+"""Number of pictures in which a board is searched for, spread over the folder."""
 OFF_SQUARES = 0.25
-"""A marker that is further off the plane than this is none of the board's. The bend of a lens stays below it."""
+"""Distance from the plane, in squares, above which a marker does not belong to the board. Distortion causes less."""
 TRIES = 200
-"""Sets of four markers through which a plane is laid: one without a mistaken marker is among so many even if half are
-mistaken."""
+"""Number of sets of four markers that RANSAC tries: one is without a mistaken marker even if half are mistaken."""
 LIKELY = 3
-"""Numbers of squares across that are tried."""
+"""Count of the likeliest numbers of squares across that are tried."""
 STRAIGHT = 0.25
-"""Largest part of the way down by which a marker may be off to the side and still be the one below."""
+"""Largest offset to the side, as a share of the distance down, of a marker that counts as the one below."""
 ALONG = 0.9
-"""Least cosine between a marker's edges and the squares': without it, a board of which one corner is seen fits sheared.
+"""Least cosine between the edges of markers and squares: without it, one visible corner of a board fits a sheared one.
 """
 SIZE_OFF = 0.1
-"""Largest difference between the markers' size as told and as seen, in parts of a square."""
+"""Largest difference between the stated and the visible size of the markers, in squares."""
 
 
 class BoardNotFoundError(AirCalibrationError):
-    """No picture shows a board of a kind that is known; the text says what was tried, what was seen and what to do."""
+    """Error of pictures none of which shows a known kind of board.
+
+    The text says what was tried, what was visible and the remedy.
+    """
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """The owner's description of a board; ``None`` where it is to be found."""
+class BoardDescription:
+    """Description of a board by its owner; ``None`` for each number that is to be found."""
 
     square_mm: float
     across: int | None = None
-    """Squares across. ``across`` and ``down`` may be exchanged: people differ in which they say first."""
+    """Squares across. ``across`` and ``down`` may be exchanged, because owners differ in which they name first."""
     down: int | None = None
     marker_mm: float | None = None
 
 
 def search_board(
     pictures: Sequence[tuple[str, Callable[[], Image]]],
-    wanted: Wanted,
+    description: BoardDescription,
     progress: Progress,
 ) -> BoardDesign:
-    """Find the board that pictures show, each a name and how to read it. Raises BoardNotFoundError."""
+    """Return the board that pictures show, each given by its name and a function that reads it.
+
+    Raises BoardNotFoundError.
+    """
     step = max(1, len(pictures) // LOOKED_AT)
     chosen = [(name, read()) for name, read in pictures[::step][:LOOKED_AT]]
-    most: dict[str, int] = {}
-    # Upright in all pictures first: to look for mirrored ones takes as long again.
+    most_markers: dict[str, int] = {}
+    # All pictures as they are first, because a search for mirrored ones takes the same time again.
     for mirrored in (False, True):
         for k, (name, image) in enumerate(chosen):
-            shown = flipped(image) if mirrored else image
+            shown = mirror(image) if mirrored else image
             for family in FAMILIES:
                 progress(f"looking for {family} in {name}", k / len(chosen))
                 first = find_markers(shown, family, SEARCHED)
                 if not mirrored:
-                    most[family] = max(most.get(family, 0), len(first.ids))
+                    most_markers[family] = max(most_markers.get(family, 0), len(first.ids))
                 if len(first.ids) < LEAST_MARKERS or _best_grid([first]) is None:
                     continue
                 if mirrored:
@@ -95,15 +100,15 @@ def search_board(
                         "pictures as the "
                         f"cameras saw them"
                     )
-                every = [first, *(find_markers(other, family) for n, other in chosen if n != name)]
-                return _described(every, family, wanted)
-    seen = ", ".join(f"{count} of {family}" for family, count in most.items() if count) or "no marker of any"
+                markers = [first, *(find_markers(other_image, family) for n, other_image in chosen if n != name)]
+                return _design_of(markers, family, description)
+    counts = ", ".join(f"{count} of {family}" for family, count in most_markers.items() if count) or "no marker of any"
     where = f"{len(chosen)} pictures"
     if len(chosen) < len(pictures):
         where = f"the {len(chosen)} of {len(pictures)} pictures that were looked at ({', '.join(name for name, _ in chosen)})"
     raise BoardNotFoundError(
         f"no ChArUco board in {where}; tried were the dictionaries {', '.join(FAMILIES)}, each in the layout "
-        f"of before and since OpenCV 4.6, and {SQUARES[0]} to {SQUARES[1]} squares across; seen were {seen}; give "
+        f"of before and since OpenCV 4.6, and {SQUARES[0]} to {SQUARES[1]} squares across; seen were {counts}; give "
         "sharp, "
         f"evenly lit pictures of a ChArUco board whose markers count from 0 (chessboards without markers are not read)"
     )
@@ -114,33 +119,34 @@ def search_board(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Squares across, and whether the first square is a marker's, with what that puts on planes."""
+    """Candidate layout: squares across, and whether the first square has a marker, with the markers that fit it."""
 
     across: int
     white_first: bool
-    belong: int
-    """Markers on their picture's plane, over all pictures."""
-    of: int
-    """Markers seen."""
+    on_plane: int
+    """Number of markers on the plane of their picture, over all pictures."""
+    visible: int
+    """Number of visible markers."""
     rows: int
     """Rows of squares down to the last one with a marker."""
     marker: float
-    """The markers' side in squares."""
+    """Side of a marker in squares."""
 
 
-def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> BoardDesign:
-    told = {n for n in (wanted.across, wanted.down) if n is not None}
-    best = _best_grid(every)
+def _design_of(markers: Sequence[Markers], family: str, description: BoardDescription) -> BoardDesign:
+    stated = {n for n in (description.across, description.down) if n is not None}
+    best = _best_grid(markers)
     if best is None:
-        count = max(len(m.ids) for m in every)
+        count = max(len(m.ids) for m in markers)
         raise BoardNotFoundError(
             f"{count} markers of {family} in one picture, but no ChArUco board of {SQUARES[0]} to {SQUARES[1]} squares "
             "across "
             f"has them on one plane in that order; its markers must count from 0, row by row"
         )
-    if told and best.across not in told:
+    if stated and best.across not in stated:
         raise BoardNotFoundError(
-            f"--board {wanted.across}x{wanted.down}: the markers seen ({family}) lie as on a board of {best.across} "
+            f"--board {description.across}x{description.down}: the markers seen ({family}) lie as on a board of "
+            f"{best.across} "
             "squares "
             f"across and {best.rows} or more down; give that, or leave --board out"
         )
@@ -148,100 +154,105 @@ def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> BoardDe
     # The first square is a marker's only in the old layout with an even number of rows: the last then was out of view.
     if best.white_first and down % 2:
         down += 1
-    if wanted.across is not None and wanted.down is not None:
-        other = wanted.down if best.across == wanted.across else wanted.across
-        if other < best.rows or (best.white_first and other % 2):
+    if description.across is not None and description.down is not None:
+        stated_down = description.down if best.across == description.across else description.across
+        if stated_down < best.rows or (best.white_first and stated_down % 2):
             raise BoardNotFoundError(
-                f"--board {wanted.across}x{wanted.down}: the markers seen ({family}) lie as on a board of "
+                f"--board {description.across}x{description.down}: the markers seen ({family}) lie as on a board of "
                 f"{best.across} squares "
                 f"across and {down} or more down; give that, or leave --board out"
             )
-        down = other
-    size = best.marker if wanted.marker_mm is None else wanted.marker_mm / wanted.square_mm
+        down = stated_down
+    size = best.marker if description.marker_mm is None else description.marker_mm / description.square_mm
     if abs(size - best.marker) > SIZE_OFF:
         raise BoardNotFoundError(
-            f"--board: markers of {wanted.marker_mm:g} mm: in the pictures a marker's side is {best.marker:.3f} of a "
+            f"--board: markers of {description.marker_mm:g} mm: in the pictures a marker's side is {best.marker:.3f} "
+            "of a "
             "square's, which are "
-            f"{best.marker * wanted.square_mm:.3g} mm of {wanted.square_mm:g} mm; measure the board, or leave it out"
+            f"{best.marker * description.square_mm:.3g} mm of {description.square_mm:g} mm; measure the board, or "
+            "leave it out"
         )
-    plain = BoardDesign(best.across, max(down, SQUARES[0]), wanted.square_mm, size * wanted.square_mm)
+    plain = BoardDesign(best.across, max(down, SQUARES[0]), description.square_mm, size * description.square_mm)
     return replace(plain, dictionary=dictionary_number(dictionary_name(family, plain)), legacy=best.white_first)
 
 
-def _best_grid(every: Sequence[Markers]) -> _Grid | None:
-    """Return the number of squares across that puts most markers on planes; ``None`` where none puts enough."""
-    enough = [m for m in every if len(m.ids) >= LEAST_MARKERS]
-    # Two rows of squares have as many markers as a row has squares: so much larger is the number of the marker two
-    # squares below another, whatever the layout.
-    votes = Counter(int(step) for markers in enough for step in _steps_down(markers))
+def _best_grid(markers_by_picture: Sequence[Markers]) -> _Grid | None:
+    """Return the layout that puts most markers on planes; ``None`` where none puts enough."""
+    usable = [m for m in markers_by_picture if len(m.ids) >= LEAST_MARKERS]
+    # Two rows of squares have as many markers as a row has squares. By so much the number grows from a marker to the
+    # one two squares below, in either layout.
+    votes = Counter(int(step) for markers in usable for step in _number_steps_down(markers))
     likely = [across for across, _ in votes.most_common(LIKELY)]
-    grids = [_grid(enough, across, white) for across in likely for white in (False, True)]
-    best = max(grids, key=lambda grid: grid.belong, default=None)
-    if best is None or best.belong < LEAST_MARKERS or best.belong < BELONG * best.of:
+    grids = [_grid(usable, across, white) for across in likely for white in (False, True)]
+    best = max(grids, key=lambda grid: grid.on_plane, default=None)
+    if best is None or best.on_plane < LEAST_MARKERS or best.on_plane < BELONG * best.visible:
         return None
     return best
 
 
-def _steps_down(markers: Markers) -> Numbers:
-    """Return by how much the number grows from each marker to the next one straight below it, where that may be."""
+def _number_steps_down(markers: Markers) -> Numbers:
+    """Return how much the number grows from each marker to the next one straight below it.
+
+    Only steps in the allowed range of squares across are returned.
+    """
     edges = np.stack(
         [markers.outlines_px[:, 1] - markers.outlines_px[:, 0], markers.outlines_px[:, 3] - markers.outlines_px[:, 0]],
         2,
     )
-    sound = np.abs(np.linalg.det(edges)) > 1.0
-    apart = markers.centres_px[None, sound] - markers.centres_px[sound, None]
+    is_regular = np.abs(np.linalg.det(edges)) > 1.0
+    offset_px = markers.centres_px[None, is_regular] - markers.centres_px[is_regular, None]
     # From marker i to marker j, in sides of i: a along its upper edge, b along its left one.
-    a, b = np.moveaxis(np.einsum("ikl,ijl->ijk", np.linalg.inv(edges[sound]), apart), 2, 0)
+    a, b = np.moveaxis(np.einsum("ikl,ijl->ijk", np.linalg.inv(edges[is_regular]), offset_px), 2, 0)
     b = np.where((b > 1.0) & (np.abs(a) < STRAIGHT * b), b, np.inf)
     if not b.size:
         return np.empty(0, np.intp)
-    below, ids = b.argmin(axis=1), markers.ids[sound]
+    below, ids = b.argmin(axis=1), markers.ids[is_regular]
     steps = (ids[below] - ids)[np.isfinite(b.min(axis=1))]
     return np.asarray(steps[(steps >= SQUARES[0]) & (steps <= SQUARES[1])], np.intp)
 
 
-def _grid(every: Sequence[Markers], across: int, white_first: bool) -> _Grid:
-    belong = of = rows = 0
+def _grid(markers_by_picture: Sequence[Markers], across: int, white_first: bool) -> _Grid:
+    on_plane = visible = rows = 0
     sides: list[float] = []
-    for markers in every:
+    for markers in markers_by_picture:
         squares = _squares(int(markers.ids.max()) + 1, across, white_first)[markers.ids]
-        on, size = _on_plane(markers, squares)
-        of += len(on)
-        if np.count_nonzero(on) < LEAST_MARKERS:
+        is_on_plane, size = _on_plane(markers, squares)
+        visible += len(is_on_plane)
+        if np.count_nonzero(is_on_plane) < LEAST_MARKERS:
             continue
-        belong += int(np.count_nonzero(on))
-        rows = max(rows, int(squares[on, 1].max()) + 1)
+        on_plane += int(np.count_nonzero(is_on_plane))
+        rows = max(rows, int(squares[is_on_plane, 1].max()) + 1)
         sides.append(size)
-    return _Grid(across, white_first, belong, of, rows, float(np.median(sides)) if sides else 0.0)
+    return _Grid(across, white_first, on_plane, visible, rows, float(np.median(sides)) if sides else 0.0)
 
 
 def _squares(count: int, across: int, white_first: bool) -> Numbers:
-    """Return the squares (count, 2), column and row, that the first markers lie in: row by row, every second square."""
+    """Return column and row (count, 2) of the squares of the first markers: row by row, every second square."""
     rows = 2 * count // across + 3
     row, column = np.mgrid[0:rows, 0:across]
-    lit = (row + column) % 2 == (0 if white_first else 1)
-    return np.stack([column[lit], row[lit]], 1)[:count].astype(np.intp)
+    has_marker = (row + column) % 2 == (0 if white_first else 1)
+    return np.stack([column[has_marker], row[has_marker]], 1)[:count].astype(np.intp)
 
 
 def _on_plane(markers: Markers, squares: Numbers) -> tuple[NDArray[np.bool_], float]:
-    """Return which markers lie on one plane in these squares (n, 2), and their median side in squares."""
-    none = np.zeros(len(squares), np.bool_), 0.0
+    """Return which markers lie on one plane if they are in these squares (n, 2), and their median side in squares."""
+    nothing = np.zeros(len(squares), np.bool_), 0.0
     # With one row, every number of squares across would fit.
     if np.ptp(squares[:, 0]) == 0 or np.ptp(squares[:, 1]) == 0:
-        return none
+        return nothing
     side_px = float(np.median(np.linalg.norm(markers.outlines_px[:, 1] - markers.outlines_px[:, 0], axis=1)))
     middles = squares + 0.5
     to_px, _ = cv2.findHomography(middles, markers.centres_px, cv2.RANSAC, max(OFF_SQUARES * side_px, 1.0), None, TRIES)
     if to_px is None or abs(np.linalg.det(to_px)) < 1e-12:
-        return none
+        return nothing
     outlines = cv2.perspectiveTransform(
         markers.outlines_px.reshape(-1, 1, 2), np.asarray(np.linalg.inv(to_px), np.float64)
     ).reshape(-1, 4, 2)
-    near = np.linalg.norm(outlines.mean(axis=1) - middles, axis=1) < OFF_SQUARES
+    is_near = np.linalg.norm(outlines.mean(axis=1) - middles, axis=1) < OFF_SQUARES
     # As the board has it, a marker's upper edge runs along x and its left one along y.
     upper, left = outlines[:, 1] - outlines[:, 0], outlines[:, 3] - outlines[:, 0]
     lengths = np.linalg.norm(upper, axis=1), np.linalg.norm(left, axis=1)
-    near &= (upper[:, 0] > ALONG * lengths[0]) & (left[:, 1] > ALONG * lengths[1])
-    if not near.any():
-        return none
-    return near, float(np.median(np.concatenate([length[near] for length in lengths])))
+    is_near &= (upper[:, 0] > ALONG * lengths[0]) & (left[:, 1] > ALONG * lengths[1])
+    if not is_near.any():
+        return nothing
+    return is_near, float(np.median(np.concatenate([length[is_near] for length in lengths])))

@@ -1,4 +1,4 @@
-"""Owns the board of the calibration in air: a ChArUco pattern, and its corners in a pair of images."""
+"""The ChArUco board of the air calibration, and the search for its corners in a pair of images."""
 
 from __future__ import annotations
 
@@ -31,46 +31,42 @@ FAMILIES: Mapping[str, tuple[tuple[int, str], ...]] = {
 }
 """OpenCV's predefined dictionaries, the likely ones first.
 
-Those of one family begin alike: only how many markers they have differs.
+Those of one family begin with the same markers and differ in their number.
 """
 
 MAX_SATURATED_SHARE = 0.05
 DARK_DN, BRIGHT_PERCENTILE = 40.0, 99.0
-"""An image is dark when so much of it is below so many grey values: its noise then moves the corners."""
+"""An image is dark if this percentile is below this grey value; noise then displaces the corners."""
 LEAST_MARKERS = 8
-"""Fewer markers on a plane may be chance."""
+"""Least number of markers that count as a board; fewer may lie on a plane by chance."""
 LEAST_SQUARES = 4
-"""Fewest markers of which anything is made."""
+"""Least number of markers between which corners are searched."""
 LEAST_SPREAD = 0.005
-"""Least part of the image inside the corners' bounding box, below which they are too near together to tell anything."""
+"""Least share of the image inside the corners' bounding box: nearer together, they determine nothing."""
 SMALL_SPREAD = 0.15
-"""Part of the image inside the corners' bounding box below which somebody is told: a board that fills an eighth of the
-picture is used, by what it tells, and tells a third as much of the lens as one that fills it."""
+"""Share of the image inside the corners' bounding box below which there is a warning. A board that fills an eighth of
+the image is used with its weight, and determines the lens a third as well as one that fills it."""
 MIN_SPREAD = 0.1
-"""Least part of the image inside the corners' bounding box: a far board tells little and hides much.
-
-Of whoever holds the board it can be asked.
-"""
+"""Least share of the image inside the corners' bounding box while somebody holds the board and can bring it nearer."""
 THRESHOLD_WINDOWS = (300, 32)
-"""Smallest and largest window for thresholds, as parts of the image's width: four between them find markers of any
-size."""
+"""Image widths over the smallest and the largest window of the thresholds; four sizes find markers of any size."""
 CLEAR_OF_MARKERS = 0.8
-"""Part of the way from a corner to the next marker that the window of its refinement may fill."""
+"""Share of the distance from a corner to the next marker that the window of its refinement may fill."""
 LEAST_WINDOW_PX, LARGEST_WINDOW_PX = 2, 10
-"""Half sizes of that window."""
+"""Limits of the half size of that window."""
 SOFTENING = 0.125
-"""Gaussian sigma, as a part of the window, by which the image is softened before: it halves what noise does."""
+"""Sigma of the Gaussian that smooths the image before, as a share of the window; it halves the effect of noise."""
 REFINEMENT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-3)
 SIZES = {"squares": (3, 60), "millimetres": (1.0, 200.0)}
 
 
 class BoardError(ValueError):
-    """A board cannot be described that way; the text says how it is done."""
+    """Error of a board description that cannot be read; the text says how it is written."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoardDesign:
-    """A ChArUco board: squares across and down, and the printed sizes."""
+    """ChArUco board: squares across and down, and the printed sizes."""
 
     across: int = 15
     down: int = 12
@@ -78,21 +74,28 @@ class BoardDesign:
     marker_mm: float = 13.5
     dictionary: int = cv2.aruco.DICT_5X5_250
     legacy: bool = False
-    """The layout of OpenCV before 4.6: with an even number of squares down, the first square is a marker's, not a dark
-    one."""
+    """Layout of OpenCV before 4.6: with an even number of squares down, the first square has a marker and is not dark.
+    """
 
     @classmethod
     def parse(cls, text: str) -> BoardDesign:
-        """Read ``15x12x18.0x13.5``: squares across and down, their size and the markers' in mm. Raises BoardError."""
-        found = re.fullmatch(r"(\d+)x(\d+)x(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)", text)
+        """Read squares across and down, their size and that of the markers in mm from ``15x12x18.0x13.5``.
+
+        Raises BoardError.
+        """
+        match = re.fullmatch(r"(\d+)x(\d+)x(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)", text)
         remedy = (
             "give ACROSSxDOWNxSQUARExMARKER, squares 3..60, sizes 1..200 mm, markers smaller; for example 15x12x18x13.5"
         )
-        if found is None:
+        if match is None:
             raise BoardError(f"board {text}: not understood; {remedy}")
-        across, down, square_mm, marker_mm = int(found[1]), int(found[2]), float(found[3]), float(found[4])
-        (fewest, most), (least, largest) = SIZES["squares"], SIZES["millimetres"]
-        if not (fewest <= across <= most and fewest <= down <= most and least <= marker_mm < square_mm <= largest):
+        across, down, square_mm, marker_mm = int(match[1]), int(match[2]), float(match[3]), float(match[4])
+        (fewest_squares, most_squares), (least_mm, largest_mm) = SIZES["squares"], SIZES["millimetres"]
+        if not (
+            fewest_squares <= across <= most_squares
+            and fewest_squares <= down <= most_squares
+            and least_mm <= marker_mm < square_mm <= largest_mm
+        ):
             raise BoardError(f"board {text}: impossible; {remedy}")
         if across * down // 2 > 250:
             raise BoardError(f"board {text}: {across * down // 2} markers, the dictionary has 250; take fewer squares")
@@ -104,7 +107,7 @@ class BoardDesign:
 
     @property
     def family(self) -> str:
-        """Name in ``FAMILIES``."""
+        """Name of the dictionary family in ``FAMILIES``."""
         return next(
             name for name, sizes in FAMILIES.items() if self.dictionary in [dictionary_number(n) for _, n in sizes]
         )
@@ -115,7 +118,7 @@ class BoardDesign:
         return self.across * self.down // 2
 
     def described(self) -> str:
-        """Say in words what board it is."""
+        """Describe the board in words."""
         layout = "before OpenCV 4.6" if self.legacy else "since OpenCV 4.6"
         if self.down % 2:
             layout = "the same before and since OpenCV 4.6"
@@ -132,7 +135,7 @@ class BoardDesign:
 
 @dataclass(frozen=True, slots=True)
 class NoBoard:
-    """Reason why a pair of images was not used, in a sentence for the person who holds the board."""
+    """Reason why a pair of images was not used, as a sentence for the holder of the board."""
 
     reason: str
 
@@ -160,12 +163,16 @@ def dictionary_name(family: str, design: BoardDesign) -> str:
 
 def find_markers(image: Image, family: str, first: int | None = None) -> Markers:
     """Return the markers of a family in a picture (h, w) uint8; ``first``: only those with numbers below it."""
-    small, large = (max(low, image.shape[1] // part) for part, low in zip(THRESHOLD_WINDOWS, (3, 23), strict=True))
+    smallest_px, largest_px = (
+        max(low, image.shape[1] // part) for part, low in zip(THRESHOLD_WINDOWS, (3, 23), strict=True)
+    )
     settings = cv2.aruco.DetectorParameters()
-    settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = small, large
-    settings.adaptiveThreshWinSizeStep = max((large - small) // 3, 1)
-    whole = cv2.aruco.getPredefinedDictionary(dictionary_number(FAMILIES[family][-1][1]))
-    dictionary = cv2.aruco.Dictionary(whole.bytesList[:first], whole.markerSize, whole.maxCorrectionBits)
+    settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = smallest_px, largest_px
+    settings.adaptiveThreshWinSizeStep = max((largest_px - smallest_px) // 3, 1)
+    family_dictionary = cv2.aruco.getPredefinedDictionary(dictionary_number(FAMILIES[family][-1][1]))
+    dictionary = cv2.aruco.Dictionary(
+        family_dictionary.bytesList[:first], family_dictionary.markerSize, family_dictionary.maxCorrectionBits
+    )
     outlines, ids, _ = cv2.aruco.ArucoDetector(dictionary, settings).detectMarkers(image)
     if ids is None or len(ids) == 0:
         return Markers(np.empty(0, np.intp), np.empty((0, 4, 2)))
@@ -175,37 +182,35 @@ def find_markers(image: Image, family: str, first: int | None = None) -> Markers
 def find_board(
     name: str, images: Mapping[str, Image], design: BoardDesign, strict: bool
 ) -> tuple[BoardView, list[str]]:
-    """Return the corners that each image (h, w) uint8 shows of the board, by camera; and why one shows none, in
-    sentences.
+    """Return the corners of the board in each image (h, w) uint8, and the reasons for images without a board.
 
-    ``strict``: as for ``find_corners``.
+    ``images`` are by camera. ``strict``: as for ``find_corners``.
     """
-    seen: dict[str, dict[int, Array]] = {}
+    corners: dict[str, dict[int, Array]] = {}
     reasons = []
     for side, image in images.items():
-        found = find_corners(image, design, strict)
-        if isinstance(found, NoBoard):
-            reasons.append(f"{name}: {found.reason.format(side=side)}")
+        result = find_corners(image, design, strict)
+        if isinstance(result, NoBoard):
+            reasons.append(f"{name}: {result.reason.format(side=side)}")
         else:
-            seen[side] = found
+            corners[side] = result
     board_mm = np.asarray(design.pattern().getChessboardCorners(), np.float64)
-    return BoardView.of(name, board_mm, seen.get("left"), seen.get("right")), reasons
+    return BoardView.of(name, board_mm, corners.get("left"), corners.get("right")), reasons
 
 
 def find_corners(image: Image, design: BoardDesign, strict: bool) -> dict[int, Array] | NoBoard:
-    """Return the board's corners in one image (h, w) uint8: pixels (2,) by the corner's number in ``design``, refined
-    to subpixels.
+    """Return the subpixel positions (2,) of the board's corners in one image (h, w) uint8, by their number.
 
-    ``strict``: glare and far boards are refused, since whoever holds the board can be told to hold it better; else a
-    board of any size will do, as each corner counts as much as it tells. A reason has ``{side}`` where the camera's
-    name belongs.
+    ``strict`` rejects glare and far boards, for use while somebody holds the board and can hold it better. Otherwise a
+    board of any size is used, because the adjustment weights each corner. A reason has ``{side}`` in place of the
+    camera's name.
     """
     if strict and float(np.mean(image >= FULL_DN)) > MAX_SATURATED_SHARE:
         return NoBoard("the {side} image is overexposed; less light, or turn the board out of the glare")
     markers = find_markers(image, design.family, design.markers)
-    at, numbers = _between(image, design, markers)
+    corners_px, numbers = _corners_between(image, design, markers)
     if len(numbers) < MIN_CORNERS:
-        if len(find_markers(flipped(image), design.family, design.markers).ids) >= max(LEAST_MARKERS, len(markers.ids)):
+        if len(find_markers(mirror(image), design.family, design.markers).ids) >= max(LEAST_MARKERS, len(markers.ids)):
             return NoBoard("the {side} image is mirrored; give it as the camera saw it")
         if float(np.percentile(image, BRIGHT_PERCENTILE)) < DARK_DN:
             return NoBoard("the {side} image is dark; more light, or a longer exposure")
@@ -214,27 +219,27 @@ def find_corners(image: Image, design: BoardDesign, strict: bool) -> dict[int, A
             "seen; "
             f"bring the whole board into view, sharp and evenly lit"
         )
-    if (spread := spread_of(at, image.shape)) < (MIN_SPREAD if strict else LEAST_SPREAD):
+    if (spread := spread_of(corners_px, image.shape)) < (MIN_SPREAD if strict else LEAST_SPREAD):
         return NoBoard(f"the board is small in the {{side}} image, {100 * spread:.2g} % of it; bring it nearer")
-    return refined(image, design, at, numbers)
+    return refine_corners(image, design, corners_px, numbers)
 
 
-def _between(image: Image, design: BoardDesign, markers: Markers) -> tuple[Array, Numbers]:
+def _corners_between(image: Image, design: BoardDesign, markers: Markers) -> tuple[Array, Numbers]:
     """Return corners (n, 2) between markers, good to some tenths of a pixel, and their numbers (n,)."""
-    none = np.empty((0, 2)), np.empty(0, np.intp)
+    nothing = np.empty((0, 2)), np.empty(0, np.intp)
     if len(markers.ids) < LEAST_SQUARES:
-        return none
+        return nothing
     outlines = [np.asarray(o, np.float32)[None] for o in markers.outlines_px]
     ids = np.asarray(markers.ids, np.int32)[:, None]
     detector = cv2.aruco.CharucoDetector(design.pattern())
     corners, numbers, _, _ = detector.detectBoard(image, markerCorners=outlines, markerIds=ids)
     if numbers is None or len(numbers) == 0:
-        return none
+        return nothing
     return np.asarray(corners, np.float64).reshape(-1, 2), np.ravel(np.asarray(numbers, np.intp))
 
 
 def spread_of(corners_px: Array, shape: tuple[int, ...]) -> float:
-    """Return the part of an image (h, w) inside the bounding box of corners (n, 2)."""
+    """Return the share of an image (h, w) inside the bounding box of corners (n, 2)."""
     extent = np.ptp(corners_px, axis=0)
     return float(extent[0] * extent[1]) / (shape[0] * shape[1])
 
@@ -243,37 +248,44 @@ def dictionary_number(name: str) -> int:
     return int(getattr(cv2.aruco, name))
 
 
-def flipped(image: Image) -> Image:
+def mirror(image: Image) -> Image:
     return np.ascontiguousarray(image[:, ::-1])
 
 
-def refined(image: Image, design: BoardDesign, corners: Array, ids: NDArray[np.intp]) -> dict[int, Array] | NoBoard:
-    """Return each corner (n, 2) once more, by its number, with a window as large as the markers around it leave room
-    for; those whose window would leave the image (h, w) are left out."""
+def refine_corners(
+    image: Image, design: BoardDesign, corners: Array, ids: NDArray[np.intp]
+) -> dict[int, Array] | NoBoard:
+    """Return each corner (n, 2) refined, by its number, in a window as large as the markers around it allow.
+
+    Corners whose window would leave the image (h, w) are left out.
+    """
     flat_mm = np.asarray(design.pattern().getChessboardCorners(), np.float64)[ids, :2]
     to_px = np.asarray(cv2.findHomography(flat_mm, corners)[0], np.float64)
     if to_px.shape != (3, 3):
         return NoBoard("the corners in the {side} image lie in one row; bring the whole board into view")
     room_px = 0.5 * (design.square_mm - design.marker_mm) * _least_scale(to_px, flat_mm)
-    half = np.clip((CLEAR_OF_MARKERS * room_px).astype(np.intp), LEAST_WINDOW_PX, LARGEST_WINDOW_PX)
+    half_px = np.clip((CLEAR_OF_MARKERS * room_px).astype(np.intp), LEAST_WINDOW_PX, LARGEST_WINDOW_PX)
     limit = np.array([image.shape[1] - 1, image.shape[0] - 1])
-    inside = np.all((corners > half[:, None] + 2) & (corners < limit - half[:, None] - 2), axis=1)
-    sigma_px = SOFTENING * float(np.median(half))
-    soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma_px)
-    found: dict[int, Array] = {}
-    for size in np.unique(half[inside]):
-        these = np.flatnonzero(inside & (half == size))
-        start = corners[these].astype(np.float32).reshape(-1, 1, 2)
-        fine = cv2.cornerSubPix(soft, start, (int(size), int(size)), (-1, -1), REFINEMENT)
-        for number, point in zip(ids[these], np.asarray(fine, np.float64).reshape(-1, 2), strict=True):
-            found[int(number)] = point
-    return found
+    inside = np.all((corners > half_px[:, None] + 2) & (corners < limit - half_px[:, None] - 2), axis=1)
+    sigma_px = SOFTENING * float(np.median(half_px))
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma_px)
+    refined: dict[int, Array] = {}
+    for size in np.unique(half_px[inside]):
+        rows = np.flatnonzero(inside & (half_px == size))
+        start = corners[rows].astype(np.float32).reshape(-1, 1, 2)
+        refined_px = cv2.cornerSubPix(smooth, start, (int(size), int(size)), (-1, -1), REFINEMENT)
+        for number, point in zip(ids[rows], np.asarray(refined_px, np.float64).reshape(-1, 2), strict=True):
+            refined[int(number)] = point
+    return refined
 
 
-def _least_scale(to_px: Array, at_mm: Array) -> Array:
-    """Return the fewest pixels per mm in any direction (n,) at places (n, 2) of the board, whose homography is given."""
-    ones = np.concatenate([at_mm, np.ones((len(at_mm), 1))], 1)
-    u, v, w = (ones @ to_px.T).T
+def _least_scale(to_px: Array, position_mm: Array) -> Array:
+    """Return the fewest pixels per mm in any direction (n,) at positions (n, 2) on the board.
+
+    ``to_px`` (3, 3) is the homography from mm to px.
+    """
+    homogeneous = np.concatenate([position_mm, np.ones((len(position_mm), 1))], 1)
+    u, v, w = (homogeneous @ to_px.T).T
     slopes = np.stack(
         [
             np.stack([to_px[0, k] / w - u / w**2 * to_px[2, k] for k in (0, 1)], -1),

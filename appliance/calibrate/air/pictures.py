@@ -1,4 +1,4 @@
-"""Owns the pictures of a calibration in air: where corners were seen, and what was left of them. PNG, in memory."""
+"""Pictures of an air calibration as PNG in memory: corners by view, and their residuals."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ USUAL_ARROW_PX = 14.0
 _PAPER, _LINES, _TEXT, _LACKING = (250, 250, 250), (200, 200, 200), (40, 40, 40), (205, 215, 255)
 
 
-def coverage_picture(views: Sequence[FittedView], seen: Coverage, width_px: int, height_px: int) -> bytes:
-    """Return both images side by side with every corner that was used, one colour per view; regions that lack corners
-    tinted."""
+def coverage_picture(views: Sequence[FittedView], covered: Coverage, width_px: int, height_px: int) -> bytes:
+    """Return both images side by side with every used corner, one colour per view.
+
+    Regions with too few corners are tinted.
+    """
     panels = []
     for side in ("left", "right"):
         panel, scale = _panel(width_px, height_px)
-        for (row, column), count in np.ndenumerate(seen.corners[side]):
+        for (row, column), count in np.ndenumerate(covered.corners[side]):
             if count < ENOUGH_CORNERS:
                 (x0, x1), (y0, y1) = (
                     (k * full // 3, (k + 1) * full // 3)
@@ -36,7 +38,7 @@ def coverage_picture(views: Sequence[FittedView], seen: Coverage, width_px: int,
         for k, view in enumerate(views):
             for u, v in (view.left_px if side == "left" else view.right_px) * scale:
                 cv2.circle(panel, (round(u), round(v)), 2, _colour(k, len(views)), cv2.FILLED, cv2.LINE_AA)
-        panels.append(_titled(panel, f"{side}: {int(seen.corners[side].sum())} corners in {len(views)} views"))
+        panels.append(_titled(panel, f"{side}: {int(covered.corners[side].sum())} corners in {len(views)} views"))
     return _png(np.concatenate([panels[0], np.full((panels[0].shape[0], GAP_PX, 3), 255, np.uint8), panels[1]], 1))
 
 
@@ -48,12 +50,12 @@ def residual_picture(views: Sequence[FittedView], width_px: int, height_px: int)
     for side in ("left", "right"):
         panel, scale = _panel(width_px, height_px)
         _lines(panel)
-        times = USUAL_ARROW_PX / max(rms_px, 1e-9)
+        px_per_px = USUAL_ARROW_PX / max(rms_px, 1e-9)
         for k, view in enumerate(views):
-            at, off = (
+            corners_px, residuals_px = (
                 (view.left_px, view.left_residual_px) if side == "left" else (view.right_px, view.right_residual_px)
             )
-            for begin, end in zip(at * scale, at * scale + off * times, strict=True):
+            for begin, end in zip(corners_px * scale, corners_px * scale + residuals_px * px_per_px, strict=True):
                 points = [(round(float(p[0])), round(float(p[1]))) for p in (begin, end)]
                 cv2.line(panel, points[0], points[1], _colour(k, len(views)), 1, cv2.LINE_AA)
         panels.append(_titled(panel, f"{side}: {rms_px:.3f} px rms is drawn {USUAL_ARROW_PX:.0f} px long"))

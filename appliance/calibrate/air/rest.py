@@ -1,4 +1,4 @@
-"""Owns the questions whether a board rested while it was recorded, and whether it is somewhere new."""
+"""Checks of a live view: whether the board rested during the pictures, and whether its pose is new."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 REST_PX = 0.1
-"""RMS motion of the corners from the first picture to the last; noise alone makes a third of it."""
+"""Largest RMS motion of the corners from the first picture to the last; noise alone causes a third of it."""
 NEW_PLACE = 1 / 40
-"""Share of the image's width that a board must have moved since an earlier view: after less, it tells nothing new."""
+"""Least motion of a board since each earlier view, as a share of the image's width; a smaller one adds nothing."""
 
 
 def view_of(
-    name: str, left: Image, right: Image, known: Sequence[BoardView], design: BoardDesign
+    name: str, left: Image, right: Image, earlier_views: Sequence[BoardView], design: BoardDesign
 ) -> BoardView | NoBoard:
-    """Return the board in pictures (n, h, w) uint8 that both cameras took one after the other, if it rested somewhere
-    new.
+    """Return the view of a board in pictures (n, h, w) uint8 that both cameras took one after the other.
 
-    Corners are those of the pictures' mean.
+    Corners are those of the pictures' mean. Returns ``NoBoard`` unless the board rested in a pose that differs from
+    ``earlier_views``.
     """
     view, reasons = find_board(name, {"left": mean_of(left), "right": mean_of(right)}, design, strict=True)
     if reasons:
         return NoBoard(reasons[0])
-    if (both := np.count_nonzero(view.has("left") & view.has("right"))) < MIN_CORNERS:
+    if (common := np.count_nonzero(view.has("left") & view.has("right"))) < MIN_CORNERS:
         return NoBoard(
-            f"{name}: only {both} corners are seen by both cameras, {MIN_CORNERS} are needed; "
+            f"{name}: only {common} corners are seen by both cameras, {MIN_CORNERS} are needed; "
             f"hold the board in the middle between them, with nothing before it"
         )
     for side, pictures in (("left", left), ("right", right)):
@@ -41,32 +41,36 @@ def view_of(
             return NoBoard(f"{name}: the board went out of the {side} image while it was recorded; let it rest")
         moved_px = _moved_px(first, last)
         if moved_px is None or moved_px > REST_PX:
-            by = "far" if moved_px is None else f"{moved_px:.2f} px"
-            return NoBoard(f"{name}: the board moved by {by} in the {side} image while it was recorded; let it rest")
-    for other in known:
-        apart = _apart_px(view, other)
+            distance = "far" if moved_px is None else f"{moved_px:.2f} px"
+            return NoBoard(
+                f"{name}: the board moved by {distance} in the {side} image while it was recorded; let it rest"
+            )
+    for view_before in earlier_views:
+        apart = _apart_px(view, view_before)
         if apart is not None and apart < NEW_PLACE * left.shape[2]:
-            return NoBoard(f"{name}: the board is where it was in view {other.name}; hold it elsewhere, or lean it")
+            return NoBoard(
+                f"{name}: the board is where it was in view {view_before.name}; hold it elsewhere, or lean it"
+            )
     return view
 
 
 def mean_of(pictures: Image) -> Image:
-    """Return the mean (h, w) uint8 of pictures (n, h, w), rounded: less noise than each has."""
+    """Return the rounded mean (h, w) uint8 of pictures (n, h, w), which has less noise than each."""
     return np.asarray(np.rint(pictures.mean(axis=0, dtype=np.float32)), np.uint8)
 
 
 def _moved_px(first: Mapping[int, Array], last: Mapping[int, Array]) -> float | None:
-    both = sorted(first.keys() & last.keys())
-    if not both:
+    numbers = sorted(first.keys() & last.keys())
+    if not numbers:
         return None
-    return float(np.sqrt(np.mean([(last[i] - first[i]) ** 2 for i in both])))
+    return float(np.sqrt(np.mean([(last[i] - first[i]) ** 2 for i in numbers])))
 
 
-def _apart_px(one: BoardView, other: BoardView) -> float | None:
-    """Return the RMS distance of the left image's common corners; ``None`` where there are none."""
-    mine, theirs = (
+def _apart_px(view: BoardView, earlier: BoardView) -> float | None:
+    """Return the RMS distance of the left image's corners that both views have; ``None`` without any."""
+    view_px, earlier_px = (
         {tuple(corner): px for corner, px in zip(corners_mm.tolist(), seen_px, strict=True)}
-        for corners_mm, seen_px in (one.sighting("left"), other.sighting("left"))
+        for corners_mm, seen_px in (view.sighting("left"), earlier.sighting("left"))
     )
-    apart = [mine[corner] - theirs[corner] for corner in mine.keys() & theirs.keys()]
-    return float(np.sqrt(np.mean(np.sum(np.square(apart), axis=1)))) if apart else None
+    offsets_px = [view_px[corner] - earlier_px[corner] for corner in view_px.keys() & earlier_px.keys()]
+    return float(np.sqrt(np.mean(np.sum(np.square(offsets_px), axis=1)))) if offsets_px else None

@@ -1,4 +1,4 @@
-"""Owns the calibration in water: every method behind one function, its result judged by one measure."""
+"""Water calibration by any method, with residuals and warnings that are comparable between methods."""
 
 from __future__ import annotations
 
@@ -24,33 +24,37 @@ def calibrate(
     start: Calibration,
     progress: Progress = silent,
 ) -> WaterResult:
-    """Calibrate in water, from ``start``: lenses and pose from air, ports as drawn (``start_from_air``).
+    """Calibrate in water from ``start``: lenses and extrinsics from air, nominal ports (``start_from_air``).
 
-    Raises RecordingError for recordings that cannot be used or do not suffice, and for a start that is none. Seconds;
-    deterministic.
+    Takes seconds; deterministic. Raises RecordingError for recordings that cannot be used or do not suffice, and for a
+    start that cannot be one.
     """
     check_start(start)
     progress(f"calibrating: {method.value}")
-    published = method is Method.PAPER
-    result = calibrate_as_published(recordings, start) if published else adjust(recordings, start, method)
-    # One measure for every method, also for the one that minimises something else: only so they can be compared.
+    is_published = method is Method.PAPER
+    result = calibrate_as_published(recordings, start) if is_published else adjust(recordings, start, method)
+    # The same residuals for every method, also for PAPER, which minimises another sum: only so they can be compared.
     progress("looking at what is left")
     calibration, residuals = _measured(result.calibration, recordings)
-    at, miss = (np.concatenate(parts) for parts in zip(*((r.left_px, r.miss_px) for r in residuals), strict=True))
-    rest, found = warnings_about(at, miss, BundleSettings().noise_px, start.rig.left, (), (), may_be_refined=True)
+    left_px, residual_px = (
+        np.concatenate(parts) for parts in zip(*((r.left_px, r.residual_px) for r in residuals), strict=True)
+    )
+    systematic_px, warnings = warnings_about(
+        left_px, residual_px, BundleSettings().noise_px, start.rig.left, (), (), is_refinable=True
+    )
     return replace(
         result,
         calibration=calibration,
-        # The bundle has warned already, with the priors that only it knows.
-        warnings=result.warnings + found if published else result.warnings,
+        # The bundle adjustment has its own warnings, which use its priors.
+        warnings=result.warnings + warnings if is_published else result.warnings,
         residuals=residuals,
-        systematic_px=rest,
-        before={name: _measured(one, recordings)[0] for name, one in result.before.items()},
+        systematic_px=systematic_px,
+        before={name: _measured(model, recordings)[0] for name, model in result.before.items()},
     )
 
 
 def _measured(calibration: Calibration, recordings: Sequence[Recording]) -> tuple[Calibration, tuple[Residuals, ...]]:
-    """Return the calibration with the residual that it leaves of all recordings, and those of each."""
+    """Return the calibration with the RMS of its residuals, and the residuals of each recording."""
     residuals = tuple(residuals_of(recording, calibration.rig) for recording in recordings)
-    rms_px = float(np.sqrt(np.mean(np.concatenate([r.miss_px for r in residuals]) ** 2)))
+    rms_px = float(np.sqrt(np.mean(np.concatenate([r.residual_px for r in residuals]) ** 2)))
     return replace(calibration, residual_px=rms_px), residuals

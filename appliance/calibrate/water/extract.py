@@ -1,15 +1,14 @@
-"""Owns how a scanned artefact becomes a recording: which pixels are fit to calibrate with, and their matches.
+"""Extraction of a recording from a scan of an artefact: usable pixels and their correspondences.
 
-The artefact is found in the cloud as evaluation finds it; then each pixel's match is looked up anew in the phase maps
-of both cameras, because a cloud has forgotten by how much the two rays missed each other. Left out is what would bend
-a calibration without being noticed: neighbours of edges and of masked (dark, saturated) pixels, grazing views, and
-pixels where the albedo changes, which shifts the phase of a blurred fringe.
+The artefact is found in the cloud as evaluation finds it. Then the correspondence of each pixel is searched again in
+the pattern coordinate maps of both cameras, because a cloud does not keep the ray gaps. Pixels that would falsify a
+calibration without a sign are left out: neighbours of depth discontinuities and of masked pixels, grazing incidence,
+and pixels where the albedo changes, which shifts the phase of a blurred fringe.
 
-It also owns the subpixel correspondence that a calibration needs: both directions, averaged over small windows.
-
-A cloud keeps one point where two rays come nearest and thereby forgets by how much they missed each other, which is
-what tells a tilted port. Here the matched right pixel itself is found again, in phase maps, with less noise than a
-single pixel has: a quadratic through a window on either side.
+    matched_right_px    subpixel correspondences in both directions, by a quadratic through a window in each camera.
+                        A point of a cloud lies where two rays come nearest; it does not keep the ray gap, which shows a
+                        tilted port. A window has less noise than a single pixel.
+    extract             the recording of a scan
 """
 
 from __future__ import annotations
@@ -37,29 +36,29 @@ Map = NDArray[np.float32]
 
 HALF_WINDOW_PX = 2
 MAX_ROUGHNESS = 0.5
-"""RMS of a window's phases about their quadratic, in projector px; more is an edge."""
+"""Largest RMS residual of a window's pattern coordinates from their quadratic, in projector px; more is an edge."""
 ROUNDS = 3
 APPROACHES = 3
 FARTHEST_PX = 40.0
-"""Ports that nobody has measured yet put the start some twenty pixels beside the match."""
+"""Largest step. Uncalibrated ports put the start some twenty pixels beside the correspondence."""
 BLOCK = 4096
 
 
 def matched_right_px(
     left_pq: tuple[Map, Map], right_pq: tuple[Map, Map], left_px: NDArray[np.intp], right_start_px: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the right pixels (n, 2) that show what left pixels (n, 2) show, and which of them were found.
+    """Return the right pixels (n, 2) that correspond to left pixels (n, 2), and which of them were found.
 
-    ``left_pq`` and ``right_pq`` are the pattern coordinates (p, q) of every pixel, NaN where unknown;
-    ``right_start_px`` says within some twenty pixels where to look. Points whose windows are not complete or not smooth
-    are not found.
+    ``left_pq`` and ``right_pq`` are the pattern coordinates (p, q) of every pixel, NaN where masked; ``right_start_px``
+    is within some twenty pixels of the correspondence. Points whose windows are not complete or not smooth are not
+    found.
     """
-    found_px = np.full((len(left_px), 2), np.nan)
-    good = np.zeros(len(left_px), bool)
+    right_px = np.full((len(left_px), 2), np.nan)
+    is_found = np.zeros(len(left_px), bool)
     for start in range(0, len(left_px), BLOCK):
         part = slice(start, start + BLOCK)
-        found_px[part], good[part] = _match(left_pq, right_pq, left_px[part], right_start_px[part])
-    return found_px, good
+        right_px[part], is_found[part] = _match(left_pq, right_pq, left_px[part], right_start_px[part])
+    return right_px, is_found
 
 
 def _match(
@@ -71,53 +70,59 @@ def _match(
     # Least squares of the six terms over a fixed window is one matrix for all pixels: coefficients = pinv · values. Row
     # 0 is the value at the middle.
     fit = np.asarray(np.linalg.pinv(terms), np.float64)
-    mine, good = _window(left_pq, left_px, u, v)
-    wanted = np.einsum("t,ntk->nk", fit[0], mine)
-    good &= _smooth(terms, fit, mine)
-    at = np.where(np.isfinite(start_px).all(axis=1, keepdims=True), start_px, -1e6)
-    at = _approached(right_pq, wanted, at, u, v)
-    middle = np.rint(at).astype(np.intp)
+    left_values, is_good = _window(left_pq, left_px, u, v)
+    target_pq = np.einsum("t,ntk->nk", fit[0], left_values)
+    is_good &= _smooth(terms, fit, left_values)
+    right_px = np.where(np.isfinite(start_px).all(axis=1, keepdims=True), start_px, -1e6)
+    right_px = _approach(right_pq, target_pq, right_px, u, v)
+    middle = np.rint(right_px).astype(np.intp)
     for _ in range(ROUNDS):
-        # Where the surface through the window around the nearest pixel has the wanted coordinates: Newton.
-        middle = np.rint(at).astype(np.intp)
-        other, complete = _window(right_pq, middle, u, v)
-        surface = np.einsum("st,ntk->nsk", fit, other)
-        x = (at - middle) / HALF_WINDOW_PX
+        # Newton: find where the surface through the window around the nearest pixel has the target coordinates.
+        middle = np.rint(right_px).astype(np.intp)
+        right_values, complete = _window(right_pq, middle, u, v)
+        surface = np.einsum("st,ntk->nsk", fit, right_values)
+        x = (right_px - middle) / HALF_WINDOW_PX
         for _ in range(ROUNDS):
             slope = _slopes(x)
-            miss = wanted - np.einsum("ns,nsk->nk", _terms(x[:, 0], x[:, 1]), surface)
+            residual = target_pq - np.einsum("ns,nsk->nk", _terms(x[:, 0], x[:, 1]), surface)
             J = np.einsum("nsd,nsk->nkd", slope, surface)
-            step, solvable = _solved(J, miss, complete)
-            # Beyond the window the quadratic is extrapolation; without the bound Newton leaves the image where the
+            step, solvable = _solve_2x2(J, residual, complete)
+            # Beyond the window the quadratic is extrapolated; without the limit, Newton leaves the image where the
             # slope vanishes.
             x = np.clip(x + step, -5.0, 5.0)
-        at = np.where(solvable[:, None], middle + x * HALF_WINDOW_PX, at)
-        smooth = _smooth(terms, fit, other)
-    good &= solvable & smooth & (np.abs(at - middle).max(axis=1) <= 1.0)
-    return np.where(good[:, None], at, np.nan), good
+        right_px = np.where(solvable[:, None], middle + x * HALF_WINDOW_PX, right_px)
+        smooth = _smooth(terms, fit, right_values)
+    is_good &= solvable & smooth & (np.abs(right_px - middle).max(axis=1) <= 1.0)
+    return np.where(is_good[:, None], right_px, np.nan), is_good
 
 
-def _approached(right_pq: tuple[Map, Map], wanted: Array, at: Array, u: NDArray[np.intp], v: NDArray[np.intp]) -> Array:
-    """Return starts moved near to where the wanted coordinates are. Far away a window's bend means nothing: its slope
-    does."""
+def _approach(
+    right_pq: tuple[Map, Map], target_pq: Array, right_px: Array, u: NDArray[np.intp], v: NDArray[np.intp]
+) -> Array:
+    """Return starts moved near to the target coordinates, by planes through windows.
+
+    Far from the solution the curvature of a window has no meaning, only its slope.
+    """
     flat = np.asarray(np.linalg.pinv(np.stack([np.ones(len(u)), u, v], -1)), np.float64)
     for _ in range(APPROACHES):
-        middle = np.rint(at).astype(np.intp)
-        other, complete = _window(right_pq, middle, u, v)
-        surface = np.einsum("st,ntk->nsk", flat, other)
-        step, solvable = _solved(np.swapaxes(surface[:, 1:], 1, 2), wanted - surface[:, 0], complete)
-        at = np.where(solvable[:, None], middle + np.clip(step, -FARTHEST_PX, FARTHEST_PX), at)
-    return at
+        middle = np.rint(right_px).astype(np.intp)
+        right_values, complete = _window(right_pq, middle, u, v)
+        surface = np.einsum("st,ntk->nsk", flat, right_values)
+        step, solvable = _solve_2x2(np.swapaxes(surface[:, 1:], 1, 2), target_pq - surface[:, 0], complete)
+        right_px = np.where(solvable[:, None], middle + np.clip(step, -FARTHEST_PX, FARTHEST_PX), right_px)
+    return right_px
 
 
-def _solved(J: Array, miss: Array, complete: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return steps (n, 2) that J (n, 2, 2: coordinate, axis) maps to ``miss`` (n, 2), and where there is one;
-    elsewhere zero."""
+def _solve_2x2(J: Array, residual: Array, complete: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the steps (n, 2) that solve J step = ``residual`` (n, 2), and where they exist; elsewhere zero.
+
+    J is (n, 2, 2: coordinate, axis).
+    """
     # Cramer's rule for all pixels at once.
     det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
     solvable = complete & (np.abs(det) > 1e-6)
-    across = J[:, 1, 1] * miss[:, 0] - J[:, 0, 1] * miss[:, 1]
-    down = J[:, 0, 0] * miss[:, 1] - J[:, 1, 0] * miss[:, 0]
+    across = J[:, 1, 1] * residual[:, 0] - J[:, 0, 1] * residual[:, 1]
+    down = J[:, 0, 0] * residual[:, 1] - J[:, 1, 0] * residual[:, 0]
     step = np.stack([across, down], -1) / np.where(solvable, det, 1.0)[:, None]
     return np.where(solvable[:, None], step, 0.0), solvable
 
@@ -125,7 +130,7 @@ def _solved(J: Array, miss: Array, complete: NDArray[np.bool_]) -> tuple[Array, 
 def _window(
     pq: tuple[Map, Map], middle: NDArray[np.intp], u: NDArray[np.intp], v: NDArray[np.intp]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return coordinates (n, window, 2) around pixels, and which windows are complete; zeros in those that are not."""
+    """Return coordinates (n, window, 2) around pixels, and which windows are complete; zeros in incomplete ones."""
     height, width = pq[0].shape
     h = HALF_WINDOW_PX
     within = np.all((middle >= h) & (middle < [width - h, height - h]), axis=1)
@@ -138,8 +143,8 @@ def _window(
 
 
 def _smooth(terms: Array, fit: Array, values: Array) -> NDArray[np.bool_]:
-    rest = values - np.einsum("ts,nsk->ntk", terms @ fit, values)
-    return np.asarray(np.sqrt(np.mean(rest**2, axis=(1, 2))) < MAX_ROUGHNESS)
+    residual = values - np.einsum("ts,nsk->ntk", terms @ fit, values)
+    return np.asarray(np.sqrt(np.mean(residual**2, axis=(1, 2))) < MAX_ROUGHNESS)
 
 
 def _terms(x: Array, y: Array) -> Array:
@@ -149,9 +154,9 @@ def _terms(x: Array, y: Array) -> Array:
 def _slopes(xy: Array) -> Array:
     """Return derivatives (n, 6, 2) of the terms by x and y."""
     x, y = xy[:, 0], xy[:, 1]
-    zero, one = np.zeros_like(x), np.ones_like(x)
+    zeros, ones = np.zeros_like(x), np.ones_like(x)
     return np.stack(
-        [np.stack([zero, one, zero, 2 * x, y, zero], -1), np.stack([zero, zero, one, zero, x, 2 * y], -1)], -1
+        [np.stack([zeros, ones, zeros, 2 * x, y, zeros], -1), np.stack([zeros, zeros, ones, zeros, x, 2 * y], -1)], -1
     )
 
 
@@ -159,26 +164,27 @@ Flags = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 
 CALIBRATING_GAP_MM = 15.0
-"""Limit of the ray gap for scans that calibrate: with ports that nobody has measured, true rays miss by millimetres.
+"""Limit of the ray gap for scans that calibrate: with uncalibrated ports, ray gaps of true correspondences are
+millimetres.
 
-Two ports tilted by 2° away from each other make 9 mm; 5 mm left an instrument like the paper's without a single point.
+Two ports tilted by 2° away from each other cause 9 mm; a limit of 5 mm left an instrument like that of the paper
+without a point.
 """
 GUARD_PX = HALF_WINDOW_PX + 2
-"""A pixel is used if all within this distance are measured: beside the window, what an edge's blur may reach."""
+"""A pixel is used if all within this distance are measured: the window, and beyond it the reach of a blurred edge."""
 MAX_CONTRAST = 0.08
-"""Relative RMS of the smoothed modulation in a window; more is a change of albedo."""
+"""Largest relative RMS of the modulation's gradient in a window; more is a change of albedo."""
 LARGEST_BOW_MM = 1.0
-"""RMS of a plane's points about it; ports as drawn bend a plane by some tenths. More is something else."""
+"""Largest RMS residual of a plane's points; nominal ports bend a plane by some tenths, and more is another object."""
 POINTS_PER_SURFACE = 4000
-"""Wanted; a surface that fills the image gives about so many, evenly spread."""
+"""Approximate number of points, evenly spread, of a surface that fills the image."""
 UNSTATED_RADIUS_SD_MM = 0.2
-"""Standard deviation of a radius that no certificate states and that is taken from the cloud of a calibration yet to be
-made."""
+"""Standard deviation of a radius without certificate, measured in the cloud of the uncalibrated instrument."""
 
 
 @dataclass(frozen=True, slots=True)
 class BarCertificate:
-    """Certified dimensions of a ball bar. Lengths in mm."""
+    """Certified dimensions of a ball bar, in mm."""
 
     length_mm: float
     """Distance between the centres."""
@@ -190,7 +196,7 @@ class BarCertificate:
 
 
 class DecodedImage(Protocol):
-    """One camera's decoded scan; ``appliance.measure.decode.decoder.CameraDecoder`` is one."""
+    """Decoded scan of one camera; ``appliance.measure.decode.decoder.CameraDecoder`` is one."""
 
     p_px: NDArray[np.float32]
     """(h, w) pattern column, NaN where it is unknown."""
@@ -207,10 +213,10 @@ def extract(
     start: Calibration,
     water: Water,
 ) -> Recording | NotFound:
-    """Return the recording that a scan makes: of a ball bar with its certificate, of a plane with ``None``.
+    """Return the recording of a scan: of a ball bar with its certificate, of a plane with ``None``.
 
-    ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``CALIBRATING_GAP_MM``. The
-    answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Deterministic.
+    ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``CALIBRATING_GAP_MM``. Returns
+    ``NotFound`` with the reason in words where too little of the artefact is visible. Deterministic.
     """
     bar: BallBar | None = None
     if certificate is None:
@@ -224,83 +230,93 @@ def extract(
             )
         surfaces = {"plane": np.sort(plane.used.indices)}
     else:
-        found = find_ball_bar(cloud)
-        if isinstance(found, NotFound):
-            return found
-        bar = found
+        ball_bar = find_ball_bar(cloud)
+        if isinstance(ball_bar, NotFound):
+            return ball_bar
+        bar = ball_bar
         surfaces = {
             f"{which} ball": ball.seen_from(np.asarray(start.rig.right.translation_mm), cloud)
             for which, ball in (("first", bar.first), ("second", bar.second))
         }
     width_px = left.p_px.shape[1]
-    clean_left, clean_right = _clean(left), _clean(right)
+    clean_left, clean_right = _usable_pixels(left), _usable_pixels(right)
     chosen, labels = [], []
     for label, rows in enumerate(surfaces.values()):
         v, u = np.divmod(cloud.pixel[rows].astype(np.intp), width_px)
-        chosen.append(rows[_even(u, v) & clean_left[v, u]])
+        chosen.append(rows[_on_grid(u, v) & clean_left[v, u]])
         labels.append(np.full(len(chosen[-1]), label, np.intp))
     rows, sphere = np.concatenate(chosen), np.concatenate(labels)
     v, u = np.divmod(cloud.pixel[rows].astype(np.intp), width_px)
     left_px = np.stack([u, v], -1)
-    # The point is projected rather than the match looked up: the cloud does not keep the right pixel, and the search is
-    # wide enough for ports as drawn.
+    # The search starts from the projected point, because the cloud does not keep the right pixel; it is wide enough for
+    # nominal ports.
     guess = start.rig.right.project(cloud.points_mm[rows].astype(np.float64), water.index)
-    right_px, good = matched_right_px((left.p_px, left.q_px), (right.p_px, right.q_px), left_px, guess)
-    nearest = np.rint(np.where(good[:, None], right_px, 0.0)).astype(np.intp)
-    good &= clean_right[nearest[:, 1], nearest[:, 0]]
-    # A fringe that is blurred over a change of albedo is a mean with unequal weights: its phase moves towards the
-    # brighter side, and by the same way in every image.
-    good &= _even_albedo(left, left_px) & _even_albedo(right, nearest)
-    for label, (what, on_surface) in enumerate(surfaces.items()):
-        count = int(np.count_nonzero(good & (sphere == label)))
+    right_px, is_good = matched_right_px((left.p_px, left.q_px), (right.p_px, right.q_px), left_px, guess)
+    nearest = np.rint(np.where(is_good[:, None], right_px, 0.0)).astype(np.intp)
+    is_good &= clean_right[nearest[:, 1], nearest[:, 0]]
+    # A fringe that is blurred over a change of albedo is a mean with unequal weights: its phase shifts towards the
+    # brighter side, and equally in every image.
+    is_good &= _even_albedo(left, left_px) & _even_albedo(right, nearest)
+    for label, (surface, on_surface) in enumerate(surfaces.items()):
+        count = int(np.count_nonzero(is_good & (sphere == label)))
         if count < MIN_POINTS:
             return NotFound(
-                f"{name}: of {len(on_surface)} points on the {what} only {count} are fit to calibrate with, "
+                f"{name}: of {len(on_surface)} points on the {surface} only {count} are fit to calibrate with, "
                 f"{MIN_POINTS} "
                 f"are needed; clean the artefact, avoid glare, and bring it whole into the picture of both cameras"
             )
-    picked = left_px[good].astype(np.float64), right_px[good]
+    correspondences = left_px[is_good].astype(np.float64), right_px[is_good]
     if certificate is None or bar is None:
-        return Recording(name, ArtefactKind.PLANE, *picked, water, sphere[good])
-    stated = certificate.radius_mm
-    radius_mm = stated if stated is not None else 0.5 * (bar.first.sphere.radius_mm + bar.second.sphere.radius_mm)
+        return Recording(name, ArtefactKind.PLANE, *correspondences, water, sphere[is_good])
+    stated_radius_mm = certificate.radius_mm
+    radius_mm = (
+        stated_radius_mm
+        if stated_radius_mm is not None
+        else 0.5 * (bar.first.sphere.radius_mm + bar.second.sphere.radius_mm)
+    )
     return Recording(
         name,
         ArtefactKind.BALL_BAR,
-        *picked,
+        *correspondences,
         water,
-        sphere[good],
+        sphere[is_good],
         length_mm=certificate.length_mm,
         length_sd_mm=certificate.length_sd_mm,
         radius_mm=radius_mm,
-        radius_sd_mm=certificate.radius_sd_mm if stated is not None else UNSTATED_RADIUS_SD_MM,
+        radius_sd_mm=certificate.radius_sd_mm if stated_radius_mm is not None else UNSTATED_RADIUS_SD_MM,
     )
 
 
-def _clean(image: DecodedImage) -> Flags:
-    """Return (h, w): pixels with nothing unknown within the guard distance; the image's border counts as unknown."""
-    known = (np.isfinite(image.p_px) & np.isfinite(image.q_px)).astype(np.uint8)
-    # Erosion of the known pixels by the guard; unknown outside of the image.
+def _usable_pixels(image: DecodedImage) -> Flags:
+    """Return the pixels (h, w) without a masked one within the guard distance.
+
+    Outside the image all pixels count as masked.
+    """
+    is_measured = (np.isfinite(image.p_px) & np.isfinite(image.q_px)).astype(np.uint8)
+    # Erosion of the measured pixels by the guard distance.
     box = np.ones((2 * GUARD_PX + 1, 2 * GUARD_PX + 1), np.uint8)
-    return np.asarray(cv2.erode(known, box, borderType=cv2.BORDER_CONSTANT, borderValue=0) == 1)
+    return np.asarray(cv2.erode(is_measured, box, borderType=cv2.BORDER_CONSTANT, borderValue=0) == 1)
 
 
-def _even(u: Pixels, v: Pixels) -> Flags:
-    """Return pixels on a square grid so wide that about the wanted number remains and windows share little."""
+def _on_grid(u: Pixels, v: Pixels) -> Flags:
+    """Return which pixels are on a square grid that leaves about ``POINTS_PER_SURFACE`` of them.
+
+    Windows around them overlap little.
+    """
     step = max(HALF_WINDOW_PX + 1, int((len(u) / POINTS_PER_SURFACE) ** 0.5))
     return np.asarray((u % step == 0) & (v % step == 0))
 
 
 def _even_albedo(image: DecodedImage, px: Pixels) -> Flags:
-    """Tell whether the modulation around pixels (n, 2), all inside the guard, is the same all over the window."""
+    """Tell around which pixels (n, 2) the modulation is uniform; all are inside the guard distance."""
     offsets = np.arange(-HALF_WINDOW_PX, HALF_WINDOW_PX + 1)
     v, u = (grid.ravel() for grid in np.meshgrid(offsets, offsets, indexing="ij"))
     height, width = image.modulation_half_dn.shape
     rows = np.clip(px[:, 1:] + v, 0, height - 1)
     columns = np.clip(px[:, :1] + u, 0, width - 1)
     window = image.modulation_half_dn[rows, columns].astype(np.float64)
-    # Two orthonormal slopes of the window; their RMS is that of the plane through the modulation.
+    # Two orthonormal gradients of the window; their RMS is that of the plane through the modulation.
     slopes = np.stack([u, v], -1) / float(np.sqrt(np.sum(u * u)))
-    # Only the gradient: two numbers of twenty-five keep the noise of a dark picture from looking like a pattern.
+    # Two numbers from twenty-five pixels: the noise of a dark image does not look like a change of albedo then.
     rms = np.linalg.norm(window @ slopes, axis=1) / len(u) ** 0.5
     return np.asarray(rms <= MAX_CONTRAST * window.mean(axis=1))

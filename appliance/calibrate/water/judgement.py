@@ -1,4 +1,4 @@
-"""Owns what is said about an adjustment: which parameters the data reached, and when the model does not fit them."""
+"""Judgement of an adjustment: which parameters were observable, and whether the model fits the recordings."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from appliance.measure import HousedCamera, PatchGaps
 Array = NDArray[np.float64]
 
 STILL_PRIOR = 0.9
-"""A parameter whose standard deviation shrank to no less than this share of the prior's was not observed."""
+"""A parameter was not observable if its standard deviation is more than this share of that of the prior."""
 FAR_FROM_PRIOR = 3.5
 TOO_NOISY = 1.5
 FEWEST_IN_PATCH = 10
 _COUPLED = (" k1", " k2", " k3", " p1", " p2")
-"""Distortion coefficients follow what a lens does beyond them, and each other: alone they mean nothing.
+"""Distortion coefficients, which compensate errors of the model and each other: a single one means nothing.
 
-What they miss is in the systematic rest.
+Errors that they do not cover show as systematic residuals.
 """
 SYSTEMATIC_SHARE = 0.5
-"""Share of the noise from which a systematic residual is worth a warning."""
+"""Share of the noise above which a systematic residual gives a warning."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter: its change and what is known about it."""
+    """Change of one parameter, with its standard deviation before and after."""
 
     name: str
     change: float
@@ -37,11 +37,11 @@ class Estimate:
 
     @property
     def at_prior(self) -> bool:
-        """The recordings say nothing about it."""
+        """True if the recordings do not determine the parameter."""
         return self.sd > STILL_PRIOR * self.prior_sd
 
 
-def judged(names: Sequence[str], change: Array, prior_sd: Array, sd: Array) -> tuple[Estimate, ...]:
+def estimates_of(names: Sequence[str], change: Array, prior_sd: Array, sd: Array) -> tuple[Estimate, ...]:
     """Return one estimate per parameter."""
     return tuple(
         Estimate(n, float(c), float(p), float(s)) for n, c, p, s in zip(names, change, prior_sd, sd, strict=True)
@@ -51,9 +51,10 @@ def judged(names: Sequence[str], change: Array, prior_sd: Array, sd: Array) -> t
 def systematic_px(
     left_px: Array, residual_px: Array, camera: HousedCamera, recording: NDArray[np.intp] | None = None
 ) -> float:
-    """Return the RMS per coordinate of the patches' mean residuals, less what noise alone leaves in such means.
+    """Return the RMS per coordinate of the patches' mean residuals, without the contribution of noise.
 
-    ``recording`` (n,), the recording of each point: means of each recording for itself; ``None``: over all together.
+    ``recording`` (n,) is the recording of each point, for means of each recording by itself; ``None``: over all
+    together.
     """
     patch = PatchGaps.patch_of(left_px, (camera.width_px, camera.height_px))
     if recording is not None:
@@ -79,29 +80,30 @@ def warnings_about(
     camera: HousedCamera,
     estimates: Sequence[Estimate],
     lengths: Sequence[tuple[str, float]],
-    may_be_refined: bool,
+    is_refinable: bool,
 ) -> tuple[float, tuple[str, ...]]:
-    """Return the systematic rest in px, and warnings in words: noise, systematic rest, priors left far behind,
-    lengths."""
-    found = []
+    """Return the systematic residual in px, and warnings about noise, systematic residuals, priors and lengths."""
+    warnings = []
     rms = float(np.sqrt(np.mean(residual_px**2)))
     if rms > TOO_NOISY * noise_px:
-        found.append(
+        warnings.append(
             f"residual {rms:.3f} px, expected {noise_px:.3f} px: the model does not explain the recordings; check the "
             f"water settings, the certificates and the motion during the recordings"
         )
-    rest = systematic_px(left_px, residual_px, camera)
-    if rest > SYSTEMATIC_SHARE * noise_px:
-        remedy = "adjust with the image correction" if may_be_refined else "record more planes, over the whole volume"
-        found.append(f"{rest:.3f} px remain systematically over the image: lens or port are not as modelled; {remedy}")
-    found += [
+    systematic = systematic_px(left_px, residual_px, camera)
+    if systematic > SYSTEMATIC_SHARE * noise_px:
+        remedy = "adjust with the image correction" if is_refinable else "record more planes, over the whole volume"
+        warnings.append(
+            f"{systematic:.3f} px remain systematically over the image: lens or port are not as modelled; {remedy}"
+        )
+    warnings += [
         f"{e.name} changed by {e.change:.4g}, its prior allows ±{e.prior_sd:.2g}: check the rig file and the housing"
         for e in estimates
         if abs(e.change) > FAR_FROM_PRIOR * e.prior_sd and not e.name.endswith(_COUPLED)
     ]
-    found += [
+    warnings += [
         f"recording {name}: the length is {off:+.1f} standard deviations off its certificate"
         for name, off in lengths
         if abs(off) > FAR_FROM_PRIOR
     ]
-    return rest, tuple(found)
+    return systematic, tuple(warnings)

@@ -1,5 +1,4 @@
-"""Owns the methods of calibrating in water, and what each gives: a calibration, and what one should know before
-trusting it."""
+"""Methods of calibrating in water, and their common result."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ from appliance.measure import Calibration
 
 if TYPE_CHECKING:
     from appliance.calibrate.water.artefact import Residuals
-    from appliance.calibrate.water.expected import Expected
+    from appliance.calibrate.water.expected import ExpectedErrors
     from appliance.calibrate.water.judgement import Estimate
 
 
@@ -20,21 +19,21 @@ class Method(Enum):
     """Methods of calibrating in water."""
 
     PAPER = "paper"
-    """The published way: perpendicular ports, their distances searched, and a distortion operator from two planes."""
+    """The published method: perpendicular ports at searched distances, and a distortion operator from two planes."""
     PORTS = "ports"
-    """Adjust each port's tilt and distance; the calibration in air is believed."""
+    """Adjust each port's tilt and distance; the air calibration stays as it is."""
     SPLINE = "spline"
-    """Adjust lenses and pose, too, held by their covariance from air, and an image correction per camera: the method to
-    use."""
+    """Adjust lenses and extrinsics, too, with their covariance from air as prior, and an image correction per camera.
+    The recommended method."""
 
 
 BEFORE_OPERATOR = ("pm", "rm")
-"""Names of the models that the published way goes through: pinholes (PM), and ports without an operator (RM)."""
+"""Names of the models that the published method goes through: pinholes (PM), and ports without an operator (RM)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaterResult:
-    """A calibration, and what one should know before trusting it."""
+    """A water calibration with its residuals, warnings and expected errors."""
 
     method: Method
     calibration: Calibration
@@ -42,20 +41,20 @@ class WaterResult:
     residuals: tuple[Residuals, ...] = ()
     """Residuals of each recording, in px; the same measure for every method."""
     systematic_px: float = 0.0
-    """RMS of what remains after averaging the noise away over patches of the image."""
+    """RMS of the systematic residuals: means over patches of the image, without noise."""
     estimates: tuple[Estimate, ...] = ()
-    """Adjusted parameters with prior and posterior uncertainty; empty where the method states none."""
+    """Adjusted parameters with prior and posterior standard deviations; empty where the method states none."""
     costs: tuple[float, ...] = ()
-    """The robust sum of squares, priors included: before the first step of the adjustment and after each.
+    """Robust sum of squares with priors, before the first step of the adjustment and after each.
 
-    Where the prior is estimated on the way, earlier ones are moved by what that changes.
+    Where the prior is estimated during the adjustment, earlier values are shifted to stay comparable.
     """
-    expected: Expected | None = None
-    """Errors to be expected of lengths and planes that were not recorded; ``None`` where the method does not tell."""
+    expected: ExpectedErrors | None = None
+    """Expected errors of lengths and planes that were not recorded; ``None`` where the method gives none."""
     before: Mapping[str, Calibration] = field(default_factory=dict)
-    """Calibrations of the models in ``BEFORE_OPERATOR``; empty but for the published way."""
+    """Calibrations of the models in ``BEFORE_OPERATOR``; empty except for the published method."""
 
     @property
     def unobserved(self) -> tuple[str, ...]:
-        """Names of the parameters that stayed at their prior because the recordings say nothing about them."""
+        """Names of the parameters that the recordings do not determine, so that they stayed at their prior."""
         return tuple(estimate.name for estimate in self.estimates if estimate.at_prior)

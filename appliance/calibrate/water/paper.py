@@ -1,14 +1,14 @@
-"""Owns the calibration as Bräuer-Burchardt et al. 2015 published it: pinholes (PM), perpendicular ports at searched
-distances (RM), and these with a distortion operator (RMD).
+"""Water calibration as published by Bräuer-Burchardt et al. 2015.
 
-RM has the pair (d1, d2) that minimises T, the sum of squares of the relative length errors of ball bars and the
-relative flatness errors of planes (UIDD, Eqs. 5-7). Rays are those of ``HousedCamera``, which is what the misprinted
-Eq. 1 means. Flatness is a range, whose floor is the noise, so that T has a valley along d1 - d2; and tilted ports
+Its models are pinholes (PM), perpendicular ports at searched distances (RM), and these with a distortion operator
+(RMD). RM has the pair (d1, d2) that minimises T, the sum of squares of the relative length errors of ball bars and the
+relative flatness errors of planes (UIDD, Eqs. 5-7). Rays are those of ``HousedCamera``, which is the meaning of the
+misprinted Eq. 1. Flatness is a range, whose floor is the noise, so that T has a valley along d1 - d2. Tilted ports
 cannot be found this way: ``bundle`` finds them.
 
-For the operator D every point of the planes is moved to its fitted plane and projected back; what is then missing in
-the images is approximated by a bivariate cubic (ten coefficients per coordinate and camera). A bicubic spline contains
-every cubic, so that the operator travels in the calibration file as an ordinary image correction.
+For the operator D every point of the planes is moved to its fitted plane and projected back; the differences in the
+images are approximated by a bivariate cubic (ten coefficients per coordinate and camera). A bicubic spline contains
+every cubic, so that the calibration file keeps the operator as an ordinary image correction.
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ Array = NDArray[np.float64]
 REACH_MM = 4.0
 """Limit of the search, around the starting distances."""
 STEPS_MM = (1.0, 0.25, 0.05)
-"""Step widths: each search goes around the best of the one before, two of its steps to each side."""
+"""Step widths: each search is around the best pair of the one before, two of its steps to each side."""
 FIELD_MM = 250.0
-"""d_r, the size of the measuring field to which flatness is related."""
+"""Reference length d_r, by which the flatness errors are divided."""
 OUTLIERS = 0.003
-"""Share of the points of a plane that is left out."""
+"""Share of the points of a plane that are left out as outliers."""
 SEARCHED_POINTS = 600
 """Points of each recording that the search uses."""
 LEAST_POINTS = 100
-"""Points that the operator needs: ten for each coefficient."""
+"""Least number of points for the operator: ten for each coefficient."""
 DEPTHS_MM = (430.0, 480.0, 530.0, 580.0)
-"""Depths along the rays, from the window, of the standard housing: its measuring volume and some more behind it."""
+"""Depths along the rays, from the port, in the standard housing: its working volume and some more behind it."""
 GRID = (25, 19)
-"""Rays across and down the image that a pinhole is fitted to."""
+"""Rays across and down the image to which a pinhole is fitted."""
 
 
 def calibrate_as_published(recordings: Sequence[Recording], start: Calibration) -> WaterResult:
-    """Search for distances, then the operator, then the distances once more; PM and RM are told besides.
+    """Search the distances, then the operator, then the distances again; the result also has PM and RM.
 
-    Not repeated: distances would walk along T's valley. Raises RecordingError without a bar or two planes.
+    It is not repeated, because the distances would move along the valley of T. Raises RecordingError without a bar or
+    two planes.
     """
     first = search_distances(recordings, start)
     corrected = replace(first.calibration, rig=with_operator(recordings, first.calibration))
@@ -61,11 +62,11 @@ def calibrate_as_published(recordings: Sequence[Recording], start: Calibration) 
 
 
 def flatness_error(points_mm: Array) -> float:
-    """Return E_F of points (n, 3) on a plane, Eq. 7: the range of their distances from the best plane over d_r."""
+    """Return E_F of points (n, 3): the range of their distances from the best-fit plane over d_r (Eq. 7)."""
     normal, offset = fit_plane(points_mm)
-    off = np.sort(points_mm @ normal - offset)
-    cut = int(0.5 * OUTLIERS * len(off))
-    return float(off[-1 - cut] - off[cut]) / FIELD_MM
+    distances_mm = np.sort(points_mm @ normal - offset)
+    cut = int(0.5 * OUTLIERS * len(distances_mm))
+    return float(distances_mm[-1 - cut] - distances_mm[cut]) / FIELD_MM
 
 
 def search_distances(
@@ -75,7 +76,7 @@ def search_distances(
     reach_mm: float = REACH_MM,
     steps_mm: Sequence[float] = STEPS_MM,
 ) -> WaterResult:
-    """Find d1 and d2 for ports as ``start`` has them otherwise; warn where the search ended at its limit.
+    """Search d1 and d2 for ports that are otherwise as in ``start``; warn where the result is at the limit.
 
     Raises RecordingError without a bar or a plane.
     """
@@ -87,30 +88,30 @@ def search_distances(
     used = [thinned(r, SEARCHED_POINTS) for r in recordings]
     rig = start.rig
     best = np.array([rig.left.port.distance_mm, rig.right.port.distance_mm])
-    # An interface distance below zero would put the window behind the projection centre.
-    low, high = np.maximum(best - reach_mm, 0.0), best + reach_mm
-    least, reach = np.inf, reach_mm
+    # An interface distance below zero would put the port behind the projection centre.
+    nearest_mm, farthest_mm = np.maximum(best - reach_mm, 0.0), best + reach_mm
+    least_statistic, reach = np.inf, reach_mm
     for step in steps_mm:
         count = int(np.ceil(reach / step))
         offsets = np.arange(-count, count + 1) * step
         axes = []
         for side, camera in enumerate((rig.left, rig.right)):
-            distances = np.unique(np.clip(best[side] + offsets, low[side], high[side]))
-            # Rays depend on one camera's distance only: m + n traces serve all m · n pairs.
+            distances = np.unique(np.clip(best[side] + offsets, nearest_mm[side], farthest_mm[side]))
+            # Rays depend on the distance of their own camera only: m + n traces serve all m · n pairs.
             axes.append([(d, _rays(_with_distance(camera, float(d)), used, side)) for d in distances])
         for d1, left in axes[0]:
             for d2, right in axes[1]:
                 statistic = _statistic(used, left, right, flatness)
-                if statistic < least:
-                    best, least = np.array([d1, d2]), statistic
+                if statistic < least_statistic:
+                    best, least_statistic = np.array([d1, d2]), statistic
         reach = 2.0 * step
     warnings = tuple(
         f"{side} interface distance {d:.2f} mm is at the limit of the search: the port is not as modelled; use "
         f"{Method.SPLINE.value}"
-        for side, d, nearest, farthest in zip(SIDES, best, low, high, strict=True)
+        for side, d, nearest, farthest in zip(SIDES, best, nearest_mm, farthest_mm, strict=True)
         if min(d - nearest, farthest - d) < 0.5 * steps_mm[-1]
     )
-    found = replace(
+    calibration = replace(
         start,
         method="search of distances",
         made_from=(*start.made_from, *(f"recording {r.name}" for r in recordings)),
@@ -121,7 +122,7 @@ def search_distances(
         air_covariance=None,
         air_field=None,
     )
-    return WaterResult(Method.PAPER, found, warnings)
+    return WaterResult(Method.PAPER, calibration, warnings)
 
 
 def _with_distance(camera: HousedCamera, distance_mm: float) -> HousedCamera:
@@ -139,16 +140,16 @@ def _statistic(
     flatness: Callable[[Array], float],
 ) -> float:
     """Return T of Eq. 5: squared relative errors of the bars' lengths, Eq. 6, and of the planes' flatness."""
-    found = 0.0
-    for recording, one, other in zip(recordings, left, right, strict=True):
-        points = nearest_points(*one, *other)
+    total = 0.0
+    for recording, left_rays, right_rays in zip(recordings, left, right, strict=True):
+        points = nearest_points(*left_rays, *right_rays)
         if recording.length_mm is None:
             error = flatness(points)
         else:
             a, b = (fit_sphere(points[recording.sphere == k], recording.radius_mm)[0] for k in (0, 1))
             error = float(np.linalg.norm(b - a)) / recording.length_mm - 1.0
-        found += error * error
-    return found
+        total += error * error
+    return total
 
 
 def with_operator(recordings: Sequence[Recording], calibration: Calibration) -> StereoRig:
@@ -157,16 +158,16 @@ def with_operator(recordings: Sequence[Recording], calibration: Calibration) -> 
     if len(planes) < 2:
         raise RecordingError(f"{len(planes)} recordings of a plane; the operator needs two, near and far; record them")
     rig = calibration.rig
-    seen: dict[str, list[tuple[Array, Array]]] = {"left": [], "right": []}
+    differences: dict[str, list[tuple[Array, Array]]] = {"left": [], "right": []}
     for plane in planes:
         points = triangulate(rig, plane.left_px, plane.right_px, plane.water.index)
         normal, offset = fit_plane(points)
-        # The nearest point of the plane is taken for the true one: what separates it from the seen one is read as
-        # distortion, also where the port is to blame. That is the method's limit.
-        flat = points - (points @ normal - offset)[:, None] * normal
-        seen["left"].append((plane.left_px, plane.left_px - rig.left.project(flat, plane.water.index)))
-        seen["right"].append((plane.right_px, plane.right_px - rig.right.project(flat, plane.water.index)))
-    return replace(rig, left=_operator(rig.left, seen["left"]), right=_operator(rig.right, seen["right"]))
+        # The nearest point of the plane counts as the true one, and the difference from it as distortion, even if it
+        # comes from the port. That is the limit of the method.
+        on_plane = points - (points @ normal - offset)[:, None] * normal
+        differences["left"].append((plane.left_px, plane.left_px - rig.left.project(on_plane, plane.water.index)))
+        differences["right"].append((plane.right_px, plane.right_px - rig.right.project(on_plane, plane.water.index)))
+    return replace(rig, left=_operator(rig.left, differences["left"]), right=_operator(rig.right, differences["right"]))
 
 
 def cubic(uv: Array) -> Array:
@@ -175,10 +176,10 @@ def cubic(uv: Array) -> Array:
     return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], -1)
 
 
-def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> HousedCamera:
-    uv, missing = (np.concatenate(parts) for parts in zip(*seen, strict=True))
-    there = np.isfinite(missing).all(axis=1)
-    uv, missing = uv[there], missing[there]
+def _operator(camera: HousedCamera, differences: Sequence[tuple[Array, Array]]) -> HousedCamera:
+    uv, missing = (np.concatenate(parts) for parts in zip(*differences, strict=True))
+    is_finite = np.isfinite(missing).all(axis=1)
+    uv, missing = uv[is_finite], missing[is_finite]
     if len(uv) < LEAST_POINTS:
         raise RecordingError(
             f"{len(uv)} points of the planes lie in the water before a camera; {LEAST_POINTS} are needed; check the "
@@ -186,26 +187,26 @@ def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> Hous
         )
     coefficients = np.linalg.lstsq(cubic(_unit(camera, uv)), missing, rcond=None)[0]
     spline = SplineGrid((camera.width_px, camera.height_px))
-    at = _grid(camera, *(4 * n + 1 for n in spline.intervals))
-    # The spline's nodes follow from the cubic on a grid four times finer than the intervals: exact but for rounding, as
-    # a cubic is a spline.
-    nodes = np.linalg.lstsq(spline.matrix(at), cubic(_unit(camera, at)) @ coefficients, rcond=None)[0]
+    grid_px = _grid(camera, *(4 * n + 1 for n in spline.intervals))
+    # The spline's nodes follow from the cubic on a grid four times finer than the intervals. This is exact except for
+    # rounding, because a cubic is a spline.
+    nodes = np.linalg.lstsq(spline.matrix(grid_px), cubic(_unit(camera, grid_px)) @ coefficients, rcond=None)[0]
     return replace(camera, correction=spline.correction(nodes))
 
 
 def _unit(camera: HousedCamera, uv_px: Array) -> Array:
-    """Return image coordinates from −1 to 1."""
+    """Return image coordinates scaled to −1 … 1."""
     return np.asarray(2.0 * (uv_px + 0.5) / [camera.width_px, camera.height_px] - 1.0)
 
 
 def _grid(camera: HousedCamera, across: int, down: int) -> Array:
-    """Return pixels (n, 2) evenly over the whole image, row by row."""
+    """Return pixels (n, 2) on a grid over the whole image, row by row."""
     u, v = np.meshgrid(np.linspace(0.0, camera.width_px - 1.0, across), np.linspace(0.0, camera.height_px - 1.0, down))
     return np.stack([u.ravel(), v.ravel()], -1)
 
 
 def mapped_through_ports(start: Calibration, water: Water) -> Calibration:
-    """Return the pinholes nearest to the refracted rays of ``start``, lens by lens; right in ``water`` only."""
+    """Return the pinholes nearest to the refracted rays of ``start``, camera by camera; valid in ``water`` only."""
     volume = start.rig.volume
     left, right = (_mapped(camera, volume, water) for camera in (start.rig.left, start.rig.right))
     return replace(
@@ -223,7 +224,7 @@ def _mapped(camera: HousedCamera, volume: WorkingVolume, water: Water) -> Housed
     uv = _grid(camera, *GRID)
     origin, direction = camera.at_origin().rays(uv, water.index)
     points = np.concatenate([origin + volume.scaled(s) * direction for s in DEPTHS_MM])
-    wanted = np.tile(uv, (len(DEPTHS_MM), 1))
+    target_px = np.tile(uv, (len(DEPTHS_MM), 1))
     f_px, ratio = camera.lens.f_px[0], camera.lens.f_px[1] / camera.lens.f_px[0]
 
     def lens_of(x: Array) -> tuple[Lens, float]:
@@ -231,17 +232,19 @@ def _mapped(camera: HousedCamera, volume: WorkingVolume, water: Water) -> Housed
         f = float(x[0]) * f_px
         return Lens((f, f * ratio), (float(x[1]), float(x[2])), (k1, k2, p1, p2, k3)), float(x[8])
 
-    def miss(x: Array) -> Array:
+    def residual(x: Array) -> Array:
         lens, back_mm = lens_of(x)
-        # Seen from the middle of the volume, refracted rays seem to come from a centre behind the true one, and the
-        # focal length is longer by the index: both are the start of the search.
-        return np.asarray((lens.to_pixels(points[:, :2] / (points[:, 2:] + back_mm)) - wanted).ravel())
+        # From the middle of the volume, refracted rays seem to come from a centre behind the true one, and the focal
+        # length is longer by the index: both are the start of the search.
+        return np.asarray((lens.to_pixels(points[:, :2] / (points[:, 2:] + back_mm)) - target_px).ravel())
 
     import scipy.optimize  # half a second that a start of the service does not need
 
     start = np.array([water.index, *camera.lens.c_px, *camera.lens.distortion, 0.3 * camera.port.distance_mm])
-    found = scipy.optimize.least_squares(miss, start, x_scale=[1e-3, 1.0, 1.0, 1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1.0])
-    lens, back_mm = lens_of(found.x)
+    solution = scipy.optimize.least_squares(
+        residual, start, x_scale=[1e-3, 1.0, 1.0, 1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1.0]
+    )
+    lens, back_mm = lens_of(solution.x)
     centre = np.asarray(camera.translation_mm) - back_mm * np.asarray(camera.rotation)[:, 2]
     return replace(
         camera,

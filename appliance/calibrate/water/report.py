@@ -1,5 +1,4 @@
-"""Owns what a calibration in water says to people and programs: a JSON-ready table, and a page that needs no other
-file."""
+"""Report of a water calibration: a JSON-ready table, and a page that needs no other file."""
 
 from __future__ import annotations
 
@@ -19,7 +18,7 @@ WIDTH = 480
 CELLS = (20, 15)
 FEWEST_IN_CELL = 3
 ARROW = 0.9
-"""Length of the longest usual arrow, in cells."""
+"""Length of an arrow at the 95th percentile, in cells."""
 
 
 SCHEMA = 1
@@ -34,16 +33,18 @@ EXPLAINED = (
 
 
 def as_json(
-    result: WaterResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]
+    result: WaterResult, start: Calibration, facts: Mapping[str, Any], left_out: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the report JSON-ready: residuals in px, lengths in mm, angles in degrees. ``left_out`` has a reason for
-    each scan not used."""
+    """Return the report JSON-ready: residuals in px, lengths in mm, angles in degrees.
+
+    ``left_out`` has a reason for each scan that was not used.
+    """
     calibration = result.calibration
     return {
         "schema": SCHEMA,
         "title": TITLE,
         "about": {
-            **about,
+            **facts,
             "method": result.method.value,
             "calibration": calibration.hash,
             "started_from": start.hash,
@@ -70,19 +71,19 @@ def as_json(
         "unobserved": list(result.unobserved),
         "costs": list(result.costs),
         "before": {
-            name: {"calibration": one.hash, "residual_px": one.residual_px} for name, one in result.before.items()
+            name: {"calibration": model.hash, "residual_px": model.residual_px} for name, model in result.before.items()
         },
     }
 
 
-def as_html(result: WaterResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
-    """Return the page; drawings and pictures are in it, and nothing is loaded from elsewhere."""
-    content = as_json(result, start, about, left_out)
+def as_html(result: WaterResult, start: Calibration, facts: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
+    """Return the report as one HTML page that contains its drawings and loads no other file."""
+    content = as_json(result, start, facts, left_out)
     page = Page(TITLE, facts=content["about"])
     for warning in result.warnings:
         page.problem(warning)
-    for name, why in left_out.items():
-        page.problem(f"Scan {name} not used: {why}.")
+    for name, reason in left_out.items():
+        page.problem(f"Scan {name} not used: {reason}.")
     page.heading("Ports")
     page.facts(content["ports"])
     page.heading("What is left of the recordings")
@@ -106,23 +107,22 @@ def as_html(result: WaterResult, start: Calibration, about: Mapping[str, Any], l
         )
     if result.estimates:
         page.heading("What the recordings could see")
-        seen = {one.name: float(np.clip(1.0 - one.sd / one.prior_sd, 0.0, 1.0)) for one in result.estimates}
-        at_prior = {one.name for one in result.estimates if one.at_prior}
-        page.figure("uncertainty taken from the prior; red: stayed at its prior", bars(seen, at_prior))
+        gains = {item.name: float(np.clip(1.0 - item.sd / item.prior_sd, 0.0, 1.0)) for item in result.estimates}
+        at_prior = {item.name for item in result.estimates if item.at_prior}
+        page.figure("uncertainty taken from the prior; red: stayed at its prior", bars(gains, at_prior))
         page.rows(content["estimates"])
     return page.as_html()
 
 
 def residual_svg(residuals: Residuals, size_px: tuple[int, int]) -> tuple[str, float]:
-    """Return the mean residuals over cells of the left image as arrows, and the px that an arrow of one cell stands
-    for."""
+    """Return the mean residuals over cells of the left image as arrows, and the px of an arrow one cell long."""
     width_px, height_px = size_px
     cell = width_px / CELLS[0]
     column = np.clip(residuals.left_px[:, 0] / width_px * CELLS[0], 0, CELLS[0] - 1).astype(np.intp)
     row = np.clip(residuals.left_px[:, 1] / height_px * CELLS[1], 0, CELLS[1] - 1).astype(np.intp)
-    which = row * CELLS[0] + column
-    count = np.bincount(which, minlength=CELLS[0] * CELLS[1])
-    total = np.stack([np.bincount(which, m, minlength=count.size) for m in residuals.miss_px.T], -1)
+    cells = row * CELLS[0] + column
+    count = np.bincount(cells, minlength=CELLS[0] * CELLS[1])
+    total = np.stack([np.bincount(cells, m, minlength=count.size) for m in residuals.residual_px.T], -1)
     mean = total / np.maximum(count, 1)[:, None]
     shown = np.flatnonzero(count >= FEWEST_IN_CELL)
     longest = float(np.percentile(np.linalg.norm(mean[shown], axis=1), 95)) if shown.size else 0.0

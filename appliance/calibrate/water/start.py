@@ -1,4 +1,4 @@
-"""Owns what is known before any recording in water: lenses and pose from air, ports from the drawing."""
+"""Start of a water calibration: lenses and extrinsics from air, nominal ports."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ from appliance.measure import IN_AIR, Calibration
 
 
 def start_from_air(
-    air: AirCalibration, drawn: Calibration, made_from: tuple[str, ...] = ("boards in air",)
+    air: AirCalibration, nominal: Calibration, made_from: tuple[str, ...] = ("boards in air",)
 ) -> Calibration:
-    """Return the calibration that every adjustment in water begins with: ``drawn``'s ports, all else, its
-    covariance and the lenses' fields from air."""
+    """Return the calibration from which every adjustment in water starts.
+
+    Ports are those of ``drawn``; all else, its covariance and the lenses' fields are from air.
+    """
     left, right = (
         replace(measured, port=design.port)
-        for measured, design in ((air.rig.left, drawn.rig.left), (air.rig.right, drawn.rig.right))
+        for measured, design in ((air.rig.left, nominal.rig.left), (air.rig.right, nominal.rig.right))
     )
     symmetric = 0.5 * (air.covariance + air.covariance.T)
     return replace(
-        drawn,
+        nominal,
         method=IN_AIR,
         made_from=made_from,
-        rig=replace(drawn.rig, left=left, right=right),
+        rig=replace(nominal.rig, left=left, right=right),
         residual_px=air.residual_px,
         air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
         air_field=air.field,
@@ -31,7 +33,7 @@ def start_from_air(
 
 
 def check_start(start: Calibration) -> None:
-    """Raises RecordingError unless ``start`` has plain lenses behind ports, as a calibration in air and a drawing have."""
+    """Raise RecordingError unless ``start`` has plain lenses behind ports, as from air or nominal."""
     for side, camera in (("left", start.rig.left), ("right", start.rig.right)):
         if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
             raise RecordingError(

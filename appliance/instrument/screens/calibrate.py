@@ -27,7 +27,7 @@ from appliance.calibrate import (
     Session,
     Step,
     Verified,
-    plane_place,
+    plane_distance,
 )
 from appliance.instrument.machine.states import FailureKind, Task
 from appliance.instrument.machine.words import STEP_NAMES, Label, Text
@@ -54,8 +54,8 @@ _POSES: Mapping[Step, tuple[float, float, float, float]] = MappingProxyType(
     {
         Step.M1: (505.0, 0.0, 35.0, 12.0),
         Step.M2: (515.0, 0.0, -35.0, 90.0),
-        Step.M3: (plane_place(Step.M3, STANDARD).wanted_mm, 10.0, 0.0, 0.0),
-        Step.M4: (plane_place(Step.M4, STANDARD).wanted_mm, -10.0, 0.0, 0.0),
+        Step.M3: (plane_distance(Step.M3, STANDARD).nominal_mm, 10.0, 0.0, 0.0),
+        Step.M4: (plane_distance(Step.M4, STANDARD).nominal_mm, -10.0, 0.0, 0.0),
         Step.VERIFY: (515.0, 0.0, 0.0, -45.0),
     }
 )
@@ -286,7 +286,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
         )
     # The words and the drawing say the same from two tables: this holds them together.
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
-    numbers = (plane_place(step, view.volume).wanted_mm,) if HELD[step] is ArtefactKind.PLANE else ()
+    numbers = (plane_distance(step, view.volume).nominal_mm,) if HELD[step] is ArtefactKind.PLANE else ()
     lines = words.filled(canvas.language, *numbers).split(", ")
     for number, line in enumerate(lines):
         canvas.words(
@@ -349,7 +349,7 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, time_s: float) -
         number = "" if check.number is None else f"{check.number:.3g} {UNITS[check.refusal]}".replace(" °", "°")
         numbers: tuple[float, ...] = ()
         if why is Text.RIGHT_RANGE:
-            place = plane_place(check.step, view.volume)
+            place = plane_distance(check.step, view.volume)
             numbers = (place.nearest_mm, place.farthest_mm)
         _band(canvas, theme.YELLOW, words, why.filled(canvas.language, *numbers), number, bottom)
     elif view.step is Step.SOLVE:

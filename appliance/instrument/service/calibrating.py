@@ -25,7 +25,7 @@ from appliance.calibrate import (
     Calibrations,
     CamerasDiffer,
     CertificateMissing,
-    Examined,
+    Examination,
     NotConverged,
     RecordingCheck,
     RecordingError,
@@ -270,7 +270,7 @@ class CalibrationController:
         match self._background.poll():
             case on.CalibrationProgressed() as progressed:
                 events.append(progressed)
-            case Examined(check, verified):
+            case Examination(check, verified):
                 log.info("calibration %s: %s (%s)", check.step.value, _outcome(check), check.detail)
                 self._verified = verified
                 events.append(on.TrialExamined(self._number, check))

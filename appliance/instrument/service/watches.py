@@ -23,7 +23,7 @@ from appliance.calibrate import (
     HealthFile,
     HealthTrend,
     ThirdEye,
-    answered,
+    accept_change,
     judge_with_projector,
     third_eye_file,
 )
@@ -83,7 +83,7 @@ class CalibrationWatch:
         ``None``: there is no alarm."""
         if self.trend.alarm is None:
             return None
-        self._written = self.trend = answered(self.trend, f"{evidence}, after: {self.trend.alarm}")
+        self._written = self.trend = accept_change(self.trend, f"{evidence}, after: {self.trend.alarm}")
         file, trend = self._file, self.trend
         return lambda: file.write(trend)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.calibrate.field import FieldPrior, kernels
+from appliance.calibrate.field import FieldPrior, correlations
 from appliance.measure.calibration.field import AIR_VALUES, AirField
 from appliance.measure.light.correction import SplineGrid, node_count
 
@@ -29,7 +29,7 @@ def test_what_boards_say_of_a_field_survives_being_written_down() -> None:
 def test_two_nodes_are_as_much_alike_as_matern_says_of_their_distance() -> None:
     """Distance as a share of the image's width, whatever its height: 1600 / 10 px across, 900 / 3 px down."""
     columns, rows = 13, 6
-    for reach, found in zip((0.5, 0.2, 0.07), kernels(SplineGrid((1600, 900), (10, 3))), strict=True):
+    for reach, found in zip((0.5, 0.2, 0.07), correlations(SplineGrid((1600, 900), (10, 3))), strict=True):
         at = found.reshape(rows, columns, rows, columns)
         for across, down in ((0, 0), (1, 0), (5, 0), (0, 1), (3, 2)):
             r = np.sqrt(3.0) * np.hypot(across * 160.0, down * 300.0) / (reach * 1600.0)
@@ -66,7 +66,7 @@ def test_variances_are_where_the_likelihood_of_the_data_has_its_top(coupled: boo
     root[:first, :first] = rng.normal(size=(first, first))
     known[:] = root @ root.T
     mean = np.concatenate([rng.normal(size=first), 0.05 * rng.normal(size=AirField.EYES * count)])
-    all_kernels = kernels(SplineGrid(SIZE_PX, intervals))
+    all_kernels = correlations(SplineGrid(SIZE_PX, intervals))
     roots = [np.linalg.cholesky(K + 1e-9 * np.eye(count)) for K in all_kernels]
     z = np.concatenate([mean + root @ rng.normal(size=m), rng.normal(size=free)])
     for k in range(AirField.EYES):

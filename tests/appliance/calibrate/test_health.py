@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.calibrate import health
-from appliance.calibrate.health import LEARNT_SCANS, HealthTrend, OverlapNews, answered, judge_health
+from appliance.calibrate.health import LEARNT_SCANS, HealthTrend, OverlapNews, accept_change, judge_health
 from appliance.measure.calibration.gaps import MODES, TURNS, GapModes, pairs_in_volume, signed_gap_mm
 from appliance.measure.cloud import PatchGaps
 from appliance.measure.light.model import StereoRig
@@ -143,7 +143,7 @@ def test_an_alarm_stays_until_a_length_check_is_accepted_and_then_the_new_state_
     rng = np.random.default_rng(4)
     followed = list(follow(usual, [scan(MADE, truth, rng) for truth in (knocked, MADE.truth, knocked)]))
     assert [said.alarm for _, said in followed] == [True] * 3, "a camera that moves to and fro is no better"
-    accepted = answered(followed[-1][0], "ball bar, largest |E_L| 0.02 %")
+    accepted = accept_change(followed[-1][0], "ball bar, largest |E_L| 0.02 %")
     assert (accepted.alarm, accepted.answers) == (None, ("ball bar, largest |E_L| 0.02 %",))
     assert scans_until_alarm(MADE, accepted, knocked, most=12) is None
     again = with_mount_shifted(knocked, MountShift("left", roll_deg=0.02))
@@ -174,16 +174,16 @@ def test_too_little_and_what_is_no_number_is_not_judged_and_a_corner_is_uncertai
 def test_overlaps_that_bend_all_scans_alarm_once_and_the_latest_word_of_each_object_is_kept() -> None:
     fine = OverlapNews("hull", 20, 9.0, 4.0, health.OVERLAP_LIMIT)
     bent = OverlapNews("hull", 26, 62.0, 5.0, health.OVERLAP_LIMIT + 0.1)
-    trend = health.told_by_overlaps(HealthTrend(), fine)
-    after = health.told_by_overlaps(trend, bent)
+    trend = health.add_overlap_news(HealthTrend(), fine)
+    after = health.add_overlap_news(trend, bent)
     assert (trend.alarm, after.overlaps) == (None, (bent,))
     scanned, _ = judge_health(trend, scan(MADE, MADE.truth, np.random.default_rng(1)))
     assert (scanned.overlaps, scanned.judged) == ((fine,), 1), "a scan says nothing of overlaps"
     assert after.alarm is not None
     assert "hull" in after.alarm
     assert "62 ± 5 µm" in after.alarm
-    assert health.told_by_overlaps(after, fine).alarm == after.alarm, "it stands until a length check answers it"
-    assert answered(after, "ball bar").alarm is None
+    assert health.add_overlap_news(after, fine).alarm == after.alarm, "it stands until a length check answers it"
+    assert accept_change(after, "ball bar").alarm is None
     for k in range(health.MOST_OBJECTS):
-        after = health.told_by_overlaps(after, replace(fine, object=f"{k}"))
+        after = health.add_overlap_news(after, replace(fine, object=f"{k}"))
     assert [one.object for one in after.overlaps] == [f"{k}" for k in range(health.MOST_OBJECTS)]

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.calibrate.calibrator import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
 from appliance.calibrate.guide import HELD, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
 from appliance.calibrate.water.start import start_from_air
+from appliance.calibrate.water_steps import MeasuredBar, MeasuredPlane, judge_bar, judge_plane, rig_axes
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.light.volume import WorkingVolume
 from tests.support import calibrating
@@ -29,17 +29,17 @@ def in_left(points_rig: np.ndarray) -> np.ndarray:
     return points_rig @ axes.T + origin
 
 
-def bar(tilt_deg: float, roll_deg: float, length_mm: float = LENGTH_MM, **more: Any) -> FoundBar:
+def bar(tilt_deg: float, roll_deg: float, length_mm: float = LENGTH_MM, **more: Any) -> MeasuredBar:
     pose = Pose((5.0, -10.0, 515.0), (0.0, tilt_deg, roll_deg))
     ends = np.array([[-0.5, 0, 0], [0.5, 0, 0]]) * length_mm @ pose.rotation.T + pose.at_mm
-    return replace(FoundBar(in_left(ends), (RADIUS_MM, RADIUS_MM), 0.03, 4000), **more)
+    return replace(MeasuredBar(in_left(ends), (RADIUS_MM, RADIUS_MM), 0.03, 4000), **more)
 
 
-def plane(distance_mm: float, tilt_deg: float = 8.0, fill_percent: float = 85.0, rms_mm: float = 0.05) -> FoundPlane:
+def plane(distance_mm: float, tilt_deg: float = 8.0, fill_percent: float = 85.0, rms_mm: float = 0.05) -> MeasuredPlane:
     pose = Pose((0.0, 0.0, distance_mm), (tilt_deg, 0.0, 0.0))
     axes, _ = rig_axes(RIG)
     centre = in_left(np.array([pose.at_mm]))[0]
-    return FoundPlane(centre, axes @ pose.rotation[:, 2], rms_mm, 100_000, fill_percent)
+    return MeasuredPlane(centre, axes @ pose.rotation[:, 2], rms_mm, 100_000, fill_percent)
 
 
 @pytest.mark.parametrize(
@@ -65,9 +65,9 @@ def plane(distance_mm: float, tilt_deg: float = 8.0, fill_percent: float = 85.0,
     ],
 )  # fmt: skip
 def test_how_an_artefact_is_held_is_right_or_named_with_its_number(
-    step: Step, found: FoundBar | FoundPlane, refusal: Refusal | None, number: float
+    step: Step, found: MeasuredBar | MeasuredPlane, refusal: Refusal | None, number: float
 ) -> None:
-    if isinstance(found, FoundBar):
+    if isinstance(found, MeasuredBar):
         check = judge_bar(step, found, RIG, LENGTH_MM, RADIUS_MM)
     else:
         check = judge_plane(step, found, RIG)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibrate.health import HealthJudgement, HealthTrend, answered, judge_health
+from appliance.calibrate.health import HealthJudgement, HealthTrend, accept_change, judge_health
 from appliance.calibrate.third_eye import FITTED_SCANS, ThirdEye, judge_with_projector, third_eye_file
 from appliance.measure.calibration.gaps import GapModes, signed_gap_mm
 from appliance.measure.calibration.patches import average
@@ -132,7 +132,7 @@ def test_no_scan_after_the_first_ones_changes_the_projector_and_a_knocked_one_ne
     *_, ((_, eye), said) = OWN.follow((learnt(FITTED_SCANS - 1)[0], half), turned, range(70, 74))
     assert (eye, said.alarm) == (half, True)
     # A length check that found lengths right makes the third gap as it is now the usual one.
-    *_, (_, said) = OWN.follow((answered(trend, "a ball bar"), after), knocked(yaw_deg=0.03), range(80, 83))
+    *_, (_, said) = OWN.follow((accept_change(trend, "a ball bar"), after), knocked(yaw_deg=0.03), range(80, 83))
     assert not said.alarm
 
 

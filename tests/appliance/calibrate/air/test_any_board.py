@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from appliance.base import silent
 from appliance.calibrate.air.any_board import (
+    BoardDescription,
     BoardNotFoundError,
-    Wanted,
     search_board,
 )
 from appliance.calibrate.air.board import FAMILIES, BoardDesign, NoBoard, find_corners, find_markers, spread_of
@@ -35,8 +35,8 @@ def shown(*images: Image) -> list[tuple[str, Callable[[], Image]]]:
     return [(f"picture {k}", partial(np.asarray, image)) for k, image in enumerate(images)]
 
 
-def searched(*images: Image, wanted: Wanted | None = None) -> BoardDesign:
-    return search_board(shown(*images), wanted or Wanted(15.0), silent)
+def searched(*images: Image, wanted: BoardDescription | None = None) -> BoardDesign:
+    return search_board(shown(*images), wanted or BoardDescription(15.0), silent)
 
 
 TAGS = ("16h5", "25h9", "36h10", "36h11")
@@ -51,7 +51,7 @@ def test_dictionary_layout_squares_and_markers_are_found(name: str, across: int,
     legacy, square_mm = name != "4X4_100", 15.0 if across == 11 else 20.0
     dictionary = int(getattr(cv2.aruco, f"DICT_{name}"))
     printed = Printed(across, down, square_mm, 0.75 * square_mm, dictionary, legacy=legacy)
-    found = searched(picture(printed, TILTED, "left", 1), wanted=Wanted(square_mm))
+    found = searched(picture(printed, TILTED, "left", 1), wanted=BoardDescription(square_mm))
     assert name.startswith(found.family)
     assert (found.across, found.down, found.legacy) == (across, down, legacy)
     assert found.marker_mm == pytest.approx(0.75 * square_mm, abs=0.6)
@@ -65,7 +65,7 @@ def test_corners_of_the_old_layout_are_where_they_truly_are() -> None:
     renderer = Renderer(rig, Scene(object="board"), (drawn > 127).astype(np.uint8))
     (pose,) = poses_in_air(1, 5)
     both = taken(renderer, pose, AIR, 1)
-    found = searched(both.left, both.right, wanted=Wanted(SQUARE_MM))
+    found = searched(both.left, both.right, wanted=BoardDescription(SQUARE_MM))
     assert (found.across, found.down, found.legacy) == (ACROSS, DOWN, True)
     corners = find_corners(both.left, found, strict=False)
     assert not isinstance(corners, NoBoard)
@@ -78,14 +78,14 @@ def test_corners_of_the_old_layout_are_where_they_truly_are() -> None:
 def test_what_was_told_and_is_not_so_is_named_with_what_was_seen() -> None:
     image = picture(Printed(), TILTED, "left", 1)
     for wanted, words in (
-        (Wanted(15.0, 10, 8), "11 squares across and 8"),
-        (Wanted(15.0, 11, 9), "--board 11x9"),
-        (Wanted(15.0, 11, 8, 14.0), "--board: markers of 14 mm: in the pictures a marker's side is 0.7"),
+        (BoardDescription(15.0, 10, 8), "11 squares across and 8"),
+        (BoardDescription(15.0, 11, 9), "--board 11x9"),
+        (BoardDescription(15.0, 11, 8, 14.0), "--board: markers of 14 mm: in the pictures a marker's side is 0.7"),
     ):
         with pytest.raises(BoardNotFoundError, match=words):
             searched(image, wanted=wanted)
     # The number of squares may be told either way round.
-    design = searched(image, wanted=Wanted(15.0, 8, 11, 11.25))
+    design = searched(image, wanted=BoardDescription(15.0, 8, 11, 11.25))
     assert (design.across, design.down, design.marker_mm) == (11, 8, 11.25)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.air.adjustment import adjust_with_field
 from appliance.calibrate.air.calibrate import NO_PORT
-from appliance.calibrate.air.linearised import SHAPES, BoardView, bend_of, each_changed, slopes
+from appliance.calibrate.air.linearised import SHAPES, BoardView, bend_of, linearise_view, rig_steps
 from appliance.calibrate.field import FIELD_CELLS
 from appliance.measure.calibration.field import AIR_VALUES, AirField
 from appliance.measure.calibration.parameters import RIG_PARAMETERS
@@ -90,8 +90,10 @@ def of_boards_not_used(field: AirField | None) -> tuple[float, float]:
     rng = np.random.default_rng(20_002)
     for _ in range(4):
         view, place = board(rng, 0.0, 0.0)
-        changed = each_changed(RIG, values[RIG_PARAMETERS.air])
-        now = slopes(RIG_PARAMETERS.changed(RIG, values), changed, place, view, bend_of([view]), np.zeros(SHAPES))
+        changed = rig_steps(RIG, values[RIG_PARAMETERS.air])
+        now = linearise_view(
+            RIG_PARAMETERS.changed(RIG, values), changed, place, view, bend_of([view]), np.zeros(SHAPES)
+        )
         by_nodes = np.zeros((len(now.residual), 4 * NODES))
         for block in range(4):  # left across, left down, right across, right down
             eye, component = divmod(block, 2)
@@ -99,7 +101,7 @@ def of_boards_not_used(field: AirField | None) -> tuple[float, float]:
             rows = slice(half * eye + component, half * (eye + 1), 2)
             seen = (view.left_px, view.right_px)[eye]
             by_nodes[rows, block * NODES : (block + 1) * NODES] = SplineGrid(SIZE_PX, FIELD_CELLS).matrix(seen)
-        aside = np.eye(len(now.residual)) - now.by_place @ np.linalg.pinv(now.by_place)
+        aside = np.eye(len(now.residual)) - now.by_pose @ np.linalg.pinv(now.by_pose)
         squares += float(np.sum((aside @ (now.residual - by_nodes @ mean[AIR_VALUES:])) ** 2))
         count += len(now.residual) - 6
         if field is not None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.calibrate.air.calibrate import NO_PORT
-from appliance.calibrate.air.linearised import BoardView, bend_of, each_changed, slopes
+from appliance.calibrate.air.linearised import BoardView, bend_of, linearise_view, rig_steps
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.rotation import matrix3
@@ -89,12 +89,12 @@ def test_every_slope_is_that_of_opencvs_pixels() -> None:
     off = np.random.default_rng(2).normal(0.0, 0.3, seen.size)
     left, right = (seen + off).reshape(2, -1, 2)
     view, place = BoardView("board", corners, left, right), (turned(BOARD_RAD), BOARD_MM)
-    found = slopes(rig(changes), each_changed(rig(), changes), place, view, bend, AMOUNTS_MM)
+    found = linearise_view(rig(changes), rig_steps(rig(), changes), place, view, bend, AMOUNTS_MM)
     assert found.residual == pytest.approx(off, abs=1e-6), "seen less computed"
     steps = [1e-2] * 3 + [1e-4] * 5
     for what, by, each in (
         ("values", found.by_rig[:, :22], steps * 2 + [1e-5] * 3 + [1e-2] * 3), ("amounts_mm", found.by_rig[:, 22:], [1e-2] * 5),
-        ("place", found.by_place, [1e-5] * 3 + [1e-2] * 3), ("scale", found.by_scale[:, None], [1e-4]),
+        ("place", found.by_pose, [1e-5] * 3 + [1e-2] * 3), ("scale", found.by_scale[:, None], [1e-4]),
     ):  # fmt: skip
         for k, (column, step) in enumerate(zip(by.T, each, strict=True)):
             further = step * np.eye(len(each))[k]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.air.calibrate import AirCalibrationError, calibrate_air, check_pairs
 from appliance.calibrate.air.linearised import BoardView
-from appliance.calibrate.determined import UndeterminedError, solved
+from appliance.calibrate.determined import UndeterminedError, solve_symmetric
 from appliance.measure.calibration.parameters import RIG_PARAMETERS
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, poses
 from tests.support.calibrating import Pose
@@ -133,9 +133,9 @@ UNITS = ("length (mm)", "turn (rad)", "shift (mm)")
 def test_units_of_any_size_are_solved() -> None:
     rows = np.random.default_rng(1).normal(size=(9, 3)) * [1e6, 1e-6, 1.0]
     truth = np.array([3e-6, 2e6, -1.0])
-    assert solved(rows.T @ rows, rows.T @ (rows @ truth), UNITS) == pytest.approx(truth)
+    assert solve_symmetric(rows.T @ rows, rows.T @ (rows @ truth), UNITS) == pytest.approx(truth)
     scale = np.sqrt(np.diag(rows.T @ rows))
-    inverse = solved(rows.T @ rows, np.eye(3), UNITS) * np.outer(scale, scale)
+    inverse = solve_symmetric(rows.T @ rows, np.eye(3), UNITS) * np.outer(scale, scale)
     assert np.allclose(inverse @ (rows.T @ rows / np.outer(scale, scale)), np.eye(3), atol=1e-6)
 
 
@@ -150,5 +150,5 @@ def test_units_of_any_size_are_solved() -> None:
 )
 def test_what_is_free_is_named(free: list[list[float]], names: tuple[str, ...]) -> None:
     with pytest.raises(UndeterminedError) as raised:
-        solved(np.array(free), np.ones(3), UNITS)
+        solve_symmetric(np.array(free), np.ones(3), UNITS)
     assert raised.value.names == names

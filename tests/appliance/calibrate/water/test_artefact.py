@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import ArtefactKind, Recording, RecordingError
-from appliance.calibrate.water.artefact import BarPlace, PlanePlace, first_place, fit_sphere, nearest_points
+from appliance.calibrate.water.artefact import BarPose, PlanePose, first_pose, fit_sphere, nearest_points
 from appliance.measure.calibration.design import design_calibration
 from tests.support.calibrating import SMALL
 from tests.support.truth import WATER
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 RIG = design_calibration(SMALL, "KF", 400, 300, WATER).rig
 CENTRES = np.array([[-60.0, -10.0, 500.0], [70.0, 20.0, 540.0]])
 LENGTH_MM = float(np.linalg.norm(CENTRES[1] - CENTRES[0]))
-BAR = BarPlace(CENTRES, 20.0, 0.01, LENGTH_MM, 0.005)
+BAR = BarPose(CENTRES, 20.0, 0.01, LENGTH_MM, 0.005)
 
 
 def rays_to(targets: Array) -> tuple[Array, Array]:
@@ -32,14 +32,14 @@ def test_a_ray_meets_the_near_side_of_its_own_ball_and_a_ray_that_misses_comes_a
     rng = np.random.default_rng(1)
     ball = np.repeat([0, 1], 50)
     origin, direction = rays_to(CENTRES[ball] + rng.uniform(-11.0, 11.0, (100, 3)))
-    points = BAR.meet(origin, direction, ball, np.zeros(8))
+    points = BAR.intersect(origin, direction, ball, np.zeros(8))
     away = points - CENTRES[ball]
     np.testing.assert_allclose(np.linalg.norm(away, axis=1), 20.0, atol=1e-9)
     np.testing.assert_allclose(np.cross(points - origin, direction), 0.0, atol=1e-9)
     assert (np.sum(away * direction, 1) < 0.0).all(), "the side that faces where the ray comes from"
     # Beside the ball, at 30 mm from its centre: the foot of the perpendicular.
     origin, direction = rays_to(np.add(CENTRES[:1], [30.0, 0.0, 0.0]))
-    (missed,) = BAR.meet(origin, direction, np.array([0]), np.zeros(8))
+    (missed,) = BAR.intersect(origin, direction, np.array([0]), np.zeros(8))
     assert (missed - CENTRES[0]) @ direction[0] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -58,13 +58,13 @@ def test_a_certificate_is_an_observation_in_its_own_standard_deviations() -> Non
 
 
 def test_a_plane_leans_along_its_axes_and_goes_along_its_normal() -> None:
-    place = PlanePlace(np.array([0.0, 0.0, 1.0]), np.eye(3)[:2], 500.0)
+    place = PlanePose(np.array([0.0, 0.0, 1.0]), np.eye(3)[:2], 500.0)
     targets = np.array([[40.0, 0.0, 500.0], [0.0, -30.0, 500.0], [0.0, 0.0, 500.0]])
     origin, direction = rays_to(targets)
     ball = np.zeros(3, np.intp)
-    np.testing.assert_allclose(place.meet(origin, direction, ball, np.zeros(3)), targets, atol=1e-9)
+    np.testing.assert_allclose(place.intersect(origin, direction, ball, np.zeros(3)), targets, atol=1e-9)
     for lean in ((0.02, 0.0, 0.0), (0.0, -0.03, 0.0), (0.01, 0.02, 3.0)):
-        points = place.meet(origin, direction, ball, np.array(lean))
+        points = place.intersect(origin, direction, ball, np.array(lean))
         normal = np.array([lean[0], lean[1], 1.0]) / np.linalg.norm([lean[0], lean[1], 1.0])
         np.testing.assert_allclose(points @ normal, 500.0 + lean[2], atol=1e-9)
     residual, jacobian = place.certificate(np.zeros(3))
@@ -87,12 +87,12 @@ def bar_recording(length_mm: float | None = LENGTH_MM, widest_cos: float = 0.2) 
 
 def test_a_bar_is_first_put_where_its_balls_are_and_loses_what_a_camera_sees_at_a_grazing_angle() -> None:
     recording = bar_recording()
-    place, used = first_place(recording, RIG)
-    assert isinstance(place, BarPlace)
+    place, used = first_pose(recording, RIG)
+    assert isinstance(place, BarPose)
     np.testing.assert_allclose(place.centres_mm, CENTRES, atol=0.02)
     assert (place.radius_mm, place.length_mm) == (20.0, LENGTH_MM)
     ahead = RIG.left.rays(used.left_px, WATER.index)
-    away = place.meet(*ahead, used.sphere, np.zeros(8)) - CENTRES[used.sphere]
+    away = place.intersect(*ahead, used.sphere, np.zeros(8)) - CENTRES[used.sphere]
     for camera in (RIG.left, RIG.right):
         sight = np.asarray(camera.translation_mm) - (CENTRES[used.sphere] + away)
         cos = np.sum(away * sight, 1) / 20.0 / np.linalg.norm(sight, axis=1)
@@ -103,7 +103,7 @@ def test_a_bar_is_first_put_where_its_balls_are_and_loses_what_a_camera_sees_at_
 @pytest.mark.parametrize(("share", "taken"), [(1.08, True), (0.92, True), (1.13, False), (0.88, False)])
 def test_a_length_that_is_ten_percent_off_is_another_bars(share: float, taken: bool) -> None:
     with nullcontext() if taken else pytest.raises(RecordingError, match=rf"bar: .* {LENGTH_MM:.1f} mm"):
-        first_place(bar_recording(LENGTH_MM / share), RIG)
+        first_pose(bar_recording(LENGTH_MM / share), RIG)
 
 
 def test_a_plane_is_first_put_where_its_points_are() -> None:
@@ -112,8 +112,8 @@ def test_a_plane_is_first_put_where_its_points_are() -> None:
     points = np.column_stack([xy, 520.0 + 0.2 * xy[:, 0] - 0.1 * xy[:, 1]])
     left, right = (camera.project(points, WATER.index) for camera in (RIG.left, RIG.right))
     plane = Recording("plane", ArtefactKind.PLANE, left, right, WATER, np.zeros(200, np.intp))
-    place, used = first_place(plane, RIG)
-    assert isinstance(place, PlanePlace)
+    place, used = first_pose(plane, RIG)
+    assert isinstance(place, PlanePose)
     assert used is plane
     wanted = np.array([-0.2, 0.1, 1.0]) / np.linalg.norm([-0.2, 0.1, 1.0])
     np.testing.assert_allclose(place.normal, wanted, atol=1e-6)

@@ -80,7 +80,7 @@ def test_the_gradient_is_the_slope_of_the_cost_in_every_group_of_unknowns(method
         if name in {"ports", "lenses", "pose"}:
             way[group] *= RIG_PARAMETERS.steps[group]
         elif name == "places":
-            way[group] *= np.concatenate([place.steps for place in problem._places])
+            way[group] *= np.concatenate([place.steps for place in problem._poses])
         else:
             way[group] *= 1e-3
         before, after = (problem.linearise(x + sign * way)[2] for sign in (-1, 1))
@@ -97,7 +97,7 @@ def test_far_points_lose_weight_in_proportion_and_near_ones_none() -> None:
         right[7, 0] += off_px
         problem = problem_of(Method.PORTS, [replace(exact[0], right_px=right), *exact[1:]])
         # At the places that exact recordings give, so that nothing but this residual counts.
-        problem._places = problem_of(Method.PORTS, exact)._places
+        problem._poses = problem_of(Method.PORTS, exact)._poses
         costs.append(problem.linearise(np.zeros(problem.size))[2])
     assert np.subtract(costs, costs[0]) == pytest.approx([0.0, 4.0, 16.0, 48.0, 112.0], abs=0.05)
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.expected import (
+    AdjustmentUncertainty,
     Columns,
-    Doubt,
-    Expected,
+    ExpectedErrors,
     coefficients_of,
-    expected,
     expected_depth_error_mm2,
+    expected_errors,
     warnings_about_expected,
 )
 from appliance.measure.calibration.depth_error import BORDER, DEPTH_ERROR_TERMS, along_ray, shapes
@@ -172,17 +172,17 @@ def of_size(x: Array, size: float) -> tuple[StereoRig, float, float]:
 def test_an_unknown_that_is_unsure_makes_expect_what_another_rig_would_measure() -> None:
     seeds = ("left nodes", 31), ("right nodes", 31), *(("rig", seed) for seed in (35, 39, 42, 45))
     for x in (some(group, seed) for group, seed in seeds):  # each makes another bar worst
-        found = expected(RIG, BAR, Doubt(np.outer(x, x), NOTHING, 0.0, 0.0), COLUMNS)
+        found = expected_errors(RIG, BAR, AdjustmentUncertainty(np.outer(x, x), NOTHING, 0.0, 0.0), COLUMNS)
         wanted = wrong_percent(partial(of_size, x))
         assert (found.length_percent, found.flat_percent) == pytest.approx(wanted, rel=0.01)
 
 
 def test_what_is_left_is_an_error_of_each_place_and_the_index_counts_with_the_adjustments_answer() -> None:
-    found = expected(RIG, BAR, Doubt(NONE, NOTHING, 0.0, 0.03), COLUMNS)
+    found = expected_errors(RIG, BAR, AdjustmentUncertainty(NONE, NOTHING, 0.0, 0.03), COLUMNS)
     wanted = wrong_percent(lambda size: (RIG, 0.03 * size, WATER.index), each_place_its_own=True)
     assert (found.length_percent, found.flat_percent) == pytest.approx(wanted, rel=0.01)
     answer = 100.0 * some("rig")
-    found = expected(RIG, BAR, Doubt(NONE, answer, 2e-4, 0.0), COLUMNS)
+    found = expected_errors(RIG, BAR, AdjustmentUncertainty(NONE, answer, 2e-4, 0.0), COLUMNS)
     wanted = wrong_percent(lambda size: (changed(2e-4 * size * answer), 0.0, WATER.index + 2e-4 * size))
     assert (found.length_percent, found.flat_percent) == pytest.approx(wanted, rel=0.01)
 
@@ -191,15 +191,19 @@ def test_what_is_left_is_an_error_of_each_place_and_the_index_counts_with_the_ad
 def test_doubts_that_have_nothing_to_do_with_each_other_add_as_squares(name: str) -> None:
     """Three that make expect the same: together at most the root of three times as much, which they would in the same worst place."""
 
-    def size(doubt: Doubt) -> float:
-        return float(getattr(expected(RIG, BAR, doubt, COLUMNS), name))
+    def size(doubt: AdjustmentUncertainty) -> float:
+        return float(getattr(expected_errors(RIG, BAR, doubt, COLUMNS), name))
 
     square = np.outer(some("rig"), some("rig"))
     a, b, c = (
         0.01 / size(one)
-        for one in (Doubt(square, NOTHING, 0.0, 0.0), Doubt(NONE, NOTHING, 1e-3, 0.0), Doubt(NONE, NOTHING, 0.0, 0.1))
+        for one in (
+            AdjustmentUncertainty(square, NOTHING, 0.0, 0.0),
+            AdjustmentUncertainty(NONE, NOTHING, 1e-3, 0.0),
+            AdjustmentUncertainty(NONE, NOTHING, 0.0, 0.1),
+        )
     )
-    assert 0.015 < size(Doubt(square * a**2, NOTHING, 1e-3 * b, 0.1 * c)) <= 0.01 * 3.0**0.5 * 1.00001
+    assert 0.015 < size(AdjustmentUncertainty(square * a**2, NOTHING, 1e-3 * b, 0.1 * c)) <= 0.01 * 3.0**0.5 * 1.00001
 
 
 def test_ten_recordings_must_do_better_than_four() -> None:
@@ -207,13 +211,13 @@ def test_ten_recordings_must_do_better_than_four() -> None:
         (2, 2, 0.05, 0.05, False), (2, 2, 0.051, 0.01, True), (2, 2, 0.01, 0.051, True), (4, 6, 0.025, 0.05, False),
         (4, 6, 0.026, 0.01, True), (3, 9, 0.05, 0.05, False), (4, 5, 0.05, 0.05, False),
     ):  # fmt: skip
-        said = warnings_about_expected(Expected(length, flat), [BAR] * bars + [PLANE] * planes, 0.0, True)
+        said = warnings_about_expected(ExpectedErrors(length, flat), [BAR] * bars + [PLANE] * planes, 0.0, True)
         assert len(said) == warned, (bars, planes, length, flat)
 
 
 def test_the_remedy_is_for_what_is_missing(says: Says) -> None:
     for bars, rest_px, known in ((2, 0.01, True), (4, 0.0, True), (2, 0.011, True), (2, 0.2, False), (4, 0.0, False)):
-        says(*warnings_about_expected(Expected(0.0812, 0.0634), [BAR] * bars + [PLANE] * 6, rest_px, known))
+        says(*warnings_about_expected(ExpectedErrors(0.0812, 0.0634), [BAR] * bars + [PLANE] * 6, rest_px, known))
 
 
 def test_coefficients_are_those_that_made_a_depth_error_whatever_overlaps_absorb() -> None:
@@ -247,7 +251,9 @@ def test_the_shared_depth_error_is_that_of_triangulating_with_another_rig(column
     expected_mm = coefficients_of(points[both], off[:, 2], STANDARD)
     covariance = np.zeros((SIZE, SIZE))
     covariance[column, column] = sd**2
-    stated = expected_depth_error_mm2(RIG, WATER.index, Doubt(covariance, np.zeros(SIZE), 0.0, 0.0), COLUMNS)
+    stated = expected_depth_error_mm2(
+        RIG, WATER.index, AdjustmentUncertainty(covariance, np.zeros(SIZE), 0.0, 0.0), COLUMNS
+    )
     np.testing.assert_allclose(
         np.sqrt(np.diag(stated)), np.abs(expected_mm), rtol=0.02, atol=0.01 * np.abs(expected_mm).max()
     )
@@ -258,7 +264,7 @@ def test_the_shared_depth_error_is_that_of_triangulating_with_another_rig(column
 
 
 def test_what_is_left_in_pixels_and_the_water_add_to_the_shared_depth_error() -> None:
-    nothing = Doubt(np.zeros((SIZE, SIZE)), np.zeros(SIZE), 0.0, 0.0)
+    nothing = AdjustmentUncertainty(np.zeros((SIZE, SIZE)), np.zeros(SIZE), 0.0, 0.0)
     bare = expected_depth_error_mm2(RIG, WATER.index, nothing, COLUMNS)
     assert not bare.any()
     rest = expected_depth_error_mm2(RIG, WATER.index, replace(nothing, rest_px=0.02), COLUMNS)

@@ -43,7 +43,7 @@ def leaning(rig: StereoRig, degrees: float) -> StereoRig:
 def test_the_rig_that_recorded_leaves_nothing_but_noise_and_another_one_more() -> None:
     exact = residuals_of(plane_seen_by(START.rig), START.rig)
     assert exact.name == "plane"
-    assert exact.left_px.shape == exact.miss_px.shape == (300, 2)
+    assert exact.left_px.shape == exact.residual_px.shape == (300, 2)
     assert exact.rms_px < 1e-4
     assert residuals_of(plane_seen_by(START.rig, 0.05), START.rig).rms_px == pytest.approx(0.05, rel=0.1)
     assert residuals_of(plane_seen_by(START.rig), leaning(START.rig, 1.0)).rms_px > 0.02
@@ -56,7 +56,7 @@ def test_a_miss_points_from_where_a_point_is_matched_to_where_the_rig_would_see_
     assert len(residuals_of(plane_seen_by(START.rig, n=900), START.rig, 200).left_px) <= 200
     missed = residuals_of(replace(recording, right_px=right), START.rig)
     k = int(np.argmin(np.linalg.norm(missed.left_px - recording.left_px[17], axis=1)))
-    assert missed.miss_px[k] == pytest.approx((0.0, -5.0), abs=0.1)
+    assert missed.residual_px[k] == pytest.approx((0.0, -5.0), abs=0.1)
 
 
 def solved(**changed: Any) -> WaterResult:

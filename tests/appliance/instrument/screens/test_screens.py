@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 import appliance
-from appliance.calibrate.calibrator import plane_place
 from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibrate.recordings import ArtefactKind
+from appliance.calibrate.water_steps import plane_distance
 from appliance.instrument.machine.alerts import Alert, Severity
 from appliance.instrument.machine.states import Calibrating, Failure, FailureKind, State, Task
 from appliance.instrument.machine.words import Label, Language, Text
@@ -305,8 +305,8 @@ def test_distances_are_those_of_the_housing(painter: Painter) -> None:
         usual, same, small = (drawn(painter, step_of(at, None, v)) for v in (STANDARD, WorkingVolume(), SMALL))
         assert (usual == same).all()
         assert (usual != small).any()
-    assert Text.PLANE_AWAY.filled(Language.ENGLISH, plane_place(Step.M3, SMALL).wanted_mm).startswith("282 mm")
-    place = plane_place(Step.M4, SMALL)
+    assert Text.PLANE_AWAY.filled(Language.ENGLISH, plane_distance(Step.M3, SMALL).nominal_mm).startswith("282 mm")
+    place = plane_distance(Step.M4, SMALL)
     assert "318 BIS 372 mm" in Text.RIGHT_RANGE.filled(Language.GERMAN, place.nearest_mm, place.farthest_mm)
 
 

@@ -1,9 +1,9 @@
-"""Owns the steps of the guided calibration in water that take long: to examine a recording, and to adjust.
+"""Slow steps of the guided calibration in water: examining a recording, and the adjustment.
 
 The diver records the ball bar twice (M1, M2), a plane twice (M3, M4), and the bar once more (VERIFY); see
 ``guide.Step``.
 
-    examine_recording         whether this stored scan may be used for that step, and if not, why (``RecordingCheck``)
+    examine_recording         whether a stored scan may be used for a step, and if not, why (``RecordingCheck``)
     solve_calibration         adjustment to M1 to M4, and the bar's length of VERIFY before and after
     judge_bar, judge_plane    limits of pose, size and fit; the first one that is broken is reported
     start_of                  the calibration to begin with: a given file, else the one in air, else the one in use
@@ -13,8 +13,8 @@ plain values and, as its last argument, a progress.
 
 The limits of pose are wide enough for hand-held artefacts, and narrow enough that a recording fits one step only. The
 bars must be tilted in depth, because the method needs different distances. Which end is nearer, and how the planes are
-inclined, does not matter (``tests/appliance/calibrate/test_poses.py``). Angles are in the rig frame, which follows from the
-calibration.
+inclined, does not matter (``tests/appliance/calibrate/test_poses.py``). Angles are in the rig frame, which follows from
+the calibration.
 """
 
 from __future__ import annotations
@@ -58,27 +58,26 @@ from appliance.store import Instrument, Library, ReprocessedScan, Rig, StoredSca
 Array = NDArray[np.float64]
 
 BAR_TILT_DEG = (20.0, 50.0)
-"""Tilts in depth of the bars that are adjusted to; the method wants 35°."""
+"""Allowed tilts in depth of the bars that the adjustment uses; 35° is best."""
 LEVEL_DEG = 15.0
-"""The bar of the verification is tilted in depth by no more."""
+"""Largest tilt in depth of the bar of VERIFY."""
 HALF_UP_DEG = 45.0
-"""Angle against the horizontal below which a bar is lying, and above which it is upright."""
+"""Angle from the horizontal below which a bar is lying, and above which it is upright."""
 MOST_PLANE_TILT_DEG = 35.0
 _PLANES_MM = MappingProxyType({Step.M3: (430.0, 470.0, 515.0), Step.M4: (530.0, 570.0, 620.0)})
-"""Distances of the two planes from the standard housing's projection centres, along its axis: least, wanted and most.
-"""
+"""Least, nominal and largest distance of each plane from the projection centres of the standard housing, along its
+axis."""
 LEAST_FILL_PERCENT = 45.0
-"""Share of the left picture that the plane must cover."""
+"""Least share of the left image that the plane covers."""
 RADIUS_OFF, LENGTH_OFF = 0.1, 0.03
-"""Relative deviations of a ball's radius and of the bar's length from the certificate that are accepted before
-calibration."""
+"""Largest relative errors of a ball's radius and of the bar's length that are accepted before calibration."""
 MOST_RMS_MM = {"ball": 0.3, "plane": 0.6}
-"""Uncalibrated ports bend a plane by tenths of a millimetre."""
+"""Largest RMS residuals. Uncalibrated ports bend a plane by tenths of a millimetre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundBar:
-    """A ball bar as measured; left camera frame."""
+class MeasuredBar:
+    """Ball bar as measured, in the left camera frame."""
 
     centres_mm: Array
     """(2, 3)."""
@@ -88,36 +87,42 @@ class FoundBar:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundPlane:
-    """A plane as measured; left camera frame."""
+class MeasuredPlane:
+    """Plane as measured, in the left camera frame."""
 
     centre_mm: Array
     normal: Array
-    """Away from the instrument."""
+    """Unit vector away from the instrument."""
     rms_mm: float
     points: int
     fill_percent: float
-    """Part of the left picture that it covers."""
+    """Share of the left image that the plane covers."""
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneReach:
-    """Place of a plane before the instrument, along its axis from between the projection centres."""
+class PlaneDistance:
+    """Nominal distance and range of a plane, from the point between the projection centres."""
 
     nearest_mm: float
-    wanted_mm: float
+    nominal_mm: float
     farthest_mm: float
 
 
-def plane_place(step: Step, volume: WorkingVolume) -> PlaneReach:
-    """Return where the plane of ``step`` (M3 or M4) belongs before a housing of that volume; a bar, anywhere in it."""
+def plane_distance(step: Step, volume: WorkingVolume) -> PlaneDistance:
+    """Return the distance of the plane of ``step`` (M3 or M4) in ``volume``.
+
+    Of a bar, the whole depth of the volume.
+    """
     if step not in _PLANES_MM:
-        return PlaneReach(volume.nearest_mm, volume.working_mm, volume.farthest_mm)
-    return PlaneReach(*(volume.scaled(mm) for mm in _PLANES_MM[step]))
+        return PlaneDistance(volume.nearest_mm, volume.working_mm, volume.farthest_mm)
+    return PlaneDistance(*(volume.scaled(mm) for mm in _PLANES_MM[step]))
 
 
 def rig_axes(rig: StereoRig) -> tuple[Array, Array]:
-    """Return the rotation (3, 3) and origin of the rig frame in the left camera frame: columns right, down, forward."""
+    """Return rotation (3, 3) and origin of the rig frame in the left camera frame.
+
+    The columns are right, down, forward.
+    """
     right = np.asarray(rig.right.translation_mm)
     x = right / np.linalg.norm(right)
     z = np.array([0.0, 0.0, 1.0]) + np.asarray(rig.right.rotation)[:, 2]
@@ -126,22 +131,22 @@ def rig_axes(rig: StereoRig) -> tuple[Array, Array]:
     return np.stack([x, np.cross(z, x), z], axis=1), 0.5 * right
 
 
-def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radius_mm: float) -> RecordingCheck:
-    """Judge whether a bar will do for ``step`` (M1, M2 or VERIFY)."""
+def judge_bar(step: Step, bar: MeasuredBar, rig: StereoRig, length_mm: float, radius_mm: float) -> RecordingCheck:
+    """Judge whether a bar can be used for ``step`` (M1, M2 or VERIFY)."""
     axes, _ = rig_axes(rig)
-    # Angles in the rig frame: the left camera's own frame is turned by the toe-in.
-    along = (bar.centres_mm[1] - bar.centres_mm[0]) @ axes
-    length = float(np.linalg.norm(along))
-    rise_deg = _degrees(abs(along[1]), abs(along[0]))
-    tilt_deg = _degrees(abs(along[2]), float(np.hypot(along[0], along[1])))
-    upright = rise_deg > HALF_UP_DEG
+    # Angles are taken in the rig frame, because the left camera frame is turned by the toe-in.
+    bar_vector = (bar.centres_mm[1] - bar.centres_mm[0]) @ axes
+    length = float(np.linalg.norm(bar_vector))
+    rise_deg = _degrees(abs(bar_vector[1]), abs(bar_vector[0]))
+    tilt_deg = _degrees(abs(bar_vector[2]), float(np.hypot(bar_vector[0], bar_vector[1])))
+    is_upright = rise_deg > HALF_UP_DEG
     worst_radius = max(bar.radii_mm, key=lambda r: abs(r - radius_mm))
-    said = f"bar {length:.3f} mm, {tilt_deg:.1f}° in depth, {rise_deg:.0f}° against the horizontal"
+    detail = f"bar {length:.3f} mm, {tilt_deg:.1f}° in depth, {rise_deg:.0f}° against the horizontal"
 
     def check(refusal: Refusal | None, number: float | None) -> RecordingCheck:
-        return RecordingCheck(step, refusal, number, bar.points, said)
+        return RecordingCheck(step, refusal, number, bar.points, detail)
 
-    # Wrong things first, then wrong poses: advice about the pose of something else would be of no use.
+    # Sizes are judged before poses: advice on the pose of another object would be of no use.
     if abs(worst_radius - radius_mm) > RADIUS_OFF * radius_mm:
         return check(Refusal.WRONG_SIZE, worst_radius)
     if abs(length - length_mm) > LENGTH_OFF * length_mm:
@@ -150,34 +155,36 @@ def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radiu
         return check(Refusal.BAD_FIT, bar.rms_mm)
     if step is Step.VERIFY:
         return check(Refusal.TILT_LESS, tilt_deg) if tilt_deg > LEVEL_DEG else check(None, bar.rms_mm)
-    if upright != (step is Step.M2):
+    if is_upright != (step is Step.M2):
         return check(Refusal.STAND_UP if step is Step.M2 else Refusal.LAY_DOWN, rise_deg)
-    low, high = BAR_TILT_DEG
-    if tilt_deg < low:
+    min_tilt_deg, max_tilt_deg = BAR_TILT_DEG
+    if tilt_deg < min_tilt_deg:
         return check(Refusal.TILT_MORE, tilt_deg)
-    if tilt_deg > high:
+    if tilt_deg > max_tilt_deg:
         return check(Refusal.TILT_LESS, tilt_deg)
     return check(None, bar.rms_mm)
 
 
-def judge_plane(step: Step, plane: FoundPlane, rig: StereoRig) -> RecordingCheck:
-    """Judge whether a plane will do for ``step`` (M3 or M4)."""
+def judge_plane(step: Step, plane: MeasuredPlane, rig: StereoRig) -> RecordingCheck:
+    """Judge whether a plane can be used for ``step`` (M3 or M4)."""
     axes, origin = rig_axes(rig)
     distance_mm = float(((plane.centre_mm - origin) @ axes)[2])
     normal = plane.normal @ axes
     tilt_deg = _degrees(float(np.hypot(normal[0], normal[1])), normal[2])
-    said = f"plane {distance_mm:.0f} mm away, tilted by {tilt_deg:.1f}°, over {plane.fill_percent:.0f} % of the picture"
+    detail = (
+        f"plane {distance_mm:.0f} mm away, tilted by {tilt_deg:.1f}°, over {plane.fill_percent:.0f} % of the picture"
+    )
 
     def check(refusal: Refusal | None, number: float | None) -> RecordingCheck:
-        return RecordingCheck(step, refusal, number, plane.points, said)
+        return RecordingCheck(step, refusal, number, plane.points, detail)
 
     if plane.rms_mm > MOST_RMS_MM["plane"]:
         return check(Refusal.BAD_FIT, plane.rms_mm)
-    where = plane_place(step, rig.volume)
-    near, far = where.nearest_mm, where.farthest_mm
-    if distance_mm < near:
+    allowed = plane_distance(step, rig.volume)
+    nearest_mm, farthest_mm = allowed.nearest_mm, allowed.farthest_mm
+    if distance_mm < nearest_mm:
         return check(Refusal.TOO_NEAR, distance_mm)
-    if distance_mm > far:
+    if distance_mm > farthest_mm:
         return check(Refusal.TOO_FAR, distance_mm)
     if plane.fill_percent < LEAST_FILL_PERCENT:
         return check(Refusal.NOT_FILLED, plane.fill_percent)
@@ -191,16 +198,16 @@ def _degrees(opposite: float, adjacent: float) -> float:
 
 
 def start_of(rig: Rig, path: Path | None = None) -> Calibration:
-    """Return what a calibration in water begins with: ``path``, else the calibration in air, else the one in use.
+    """Return the calibration from which an adjustment in water starts.
 
-    Raises CalibrationError for a file that cannot be used, RecordingError for one in use that is no start.
+    That is ``path``, else the air calibration, else the one in use. Raises CalibrationError for a file that cannot be
+    used, RecordingError for one in use that is no start.
     """
     in_air = Instrument(rig).air_file
     if path is not None:
         start = Instrument(rig).with_volume(load_calibration(path))
-        problem = Instrument(rig).of_another(
-            start
-        )  # the size is compared with that of the scans, and so are the cameras
+        # Size and cameras are compared later, with those of the scans.
+        problem = Instrument(rig).of_another(start)
     elif in_air.exists():
         start = Instrument(rig).with_volume(load_calibration(in_air))
         problem = Instrument(rig).misfit(start)
@@ -212,8 +219,8 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
     return start
 
 
-def refuse_drawing(rig: Rig, path: Path | None) -> None:
-    """Raises CalibrationError where calibrating in water would begin with the drawing without anybody having said so."""
+def reject_nominal_start(rig: Rig, path: Path | None) -> None:
+    """Raise CalibrationError where an adjustment would start from the nominal rig without an explicit request."""
     if path is None and not (Instrument(rig).air_file).exists() and not (Instrument(rig).calibration_file).exists():
         raise CalibrationError(
             f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibration air`), or give with "
@@ -223,28 +230,28 @@ def refuse_drawing(rig: Rig, path: Path | None) -> None:
 
 
 VERIFY_GAP_MM = 20.0
-"""Largest ray gap of a point that verifies, as in ``kingfisher evaluate``: the calibration of before must not hide its
-own worst points."""
+"""Largest ray gap of a point in a length check, as in ``kingfisher evaluate``: a smaller limit would hide
+the worst points of the former calibration."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """The files that a calibration in water starts from and is compared with."""
+    """Files that a calibration in water starts from and is compared with."""
 
     start: Calibration
-    """Lenses and pose from air, ports as drawn; else the calibration in use."""
+    """Lenses and pose from air, nominal ports; else the calibration in use."""
     before: Calibration
-    """Calibration that the instrument measured with until now."""
+    """Calibration with which the instrument has measured until now."""
     before_hash: str | None
-    """Hash of the file of ``before``; ``None``: it is the drawing."""
+    """Hash of the file of ``before``; ``None`` for the nominal one."""
     rig: Rig
     bar: BarCertificate
-    """Certificate of the ball bar; its radius is stated."""
+    """Certificate of the ball bar, with its radius."""
 
 
 @dataclass(frozen=True, slots=True)
-class Examined:
-    """A recording, judged; with what it says about lengths if it verifies."""
+class Examination:
+    """Judgement of a recording, and of VERIFY the length check."""
 
     check: RecordingCheck
     verified: Verified | None = None
@@ -252,21 +259,21 @@ class Examined:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """The calibration that the recordings gave."""
+    """Calibration that follows from the recordings."""
 
     calibration: Calibration
     solved: AdjustmentSummary
     verified: Verified | None
-    """Length check of it; ``None`` where there was no recording for one."""
+    """Its length check; ``None`` without a recording of VERIFY."""
     report: Mapping[str, bytes]
-    """Files for the office, by name: what was adjusted, what is left, what the recordings could see."""
+    """Files of the report, by name: adjusted parameters, residuals, and which parameters were observable."""
 
 
 def basis_of(rig: Rig) -> Basis:
-    """Return what is known of this instrument now.
+    """Return the calibrations and the certificate of this instrument as they are now.
 
-    Raises RecordingError without a certificate or without anything to start from, CalibrationError for a file in air
-    that cannot be used.
+    Raises RecordingError without a certificate or without a start, CalibrationError for an air calibration that cannot
+    be used.
     """
     bar = rig.ball_bar
     if bar is None:
@@ -274,67 +281,71 @@ def basis_of(rig: Rig) -> Basis:
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
     current, _ = Instrument(rig).calibration()
     session = calibrations.session()
-    # Once the solved calibration is in use, the one to compare it with is the kept file.
-    kept = calibrations.kept(session) if session.in_use else None
+    # Once the solved calibration is in use, it is compared with the kept file.
+    kept_calibration = calibrations.kept(session) if session.in_use else None
     certificate = BarCertificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
-    before_hash = calibrations.in_use if kept is None else kept.hash
-    return Basis(start_of(rig), kept or current, before_hash, rig, certificate)
+    before_hash = calibrations.in_use if kept_calibration is None else kept_calibration.hash
+    return Basis(start_of(rig), kept_calibration or current, before_hash, rig, certificate)
 
 
-def examine_recording(rig: Rig, step: Step, folder: Path, report: Progress) -> Examined:
+def examine_recording(rig: Rig, step: Step, folder: Path, report: Progress) -> Examination:
     """Judge a stored scan as a recording of ``step``.
 
-    VERIFY judges with what was solved, or else with the calibration in use. Raises RecordingError, ScanError,
+    VERIFY judges with the solved calibration, or else with the one in use. Raises RecordingError, ScanError,
     CalibrationError.
     """
     basis = basis_of(rig)
     scan = StoredScan.load(folder)
     if step is Step.VERIFY:
-        solved = _solved(rig)
-        checked = basis.before if solved is None else solved
-        fairly = _fairly(scan, checked, basis)
-        spoilt = _spoilt(step, fairly)
-        if spoilt is not None:
-            return Examined(spoilt)
-        bar = find_ball_bar(fairly.cloud)
-        check = _judged_bar(step, bar, fairly.cloud, checked, basis.bar)
+        solved = _solved_calibration(rig)
+        calibration = basis.before if solved is None else solved
+        reprocessed = _reprocess_for_check(scan, calibration, basis)
+        rejection = _unusable(step, reprocessed)
+        if rejection is not None:
+            return Examination(rejection)
+        bar = find_ball_bar(reprocessed.cloud)
+        check = _check_bar(step, bar, reprocessed.cloud, calibration, basis.bar)
         if check.refusal is not None or isinstance(bar, NotFound):
-            return Examined(check)
-        return Examined(check, _measured(bar, basis) if solved is None else _compared(scan, bar, basis))
-    widely = _wide(scan, basis)
-    spoilt = _spoilt(step, widely)
-    if spoilt is not None:
-        return Examined(spoilt)
-    pipeline, cloud, water = widely.pipeline, widely.cloud, widely.water
+            return Examination(check)
+        return Examination(check, _measure_length(bar, basis) if solved is None else _compare_lengths(scan, bar, basis))
+    reprocessed_for_adjustment = _reprocess_for_adjustment(scan, basis)
+    rejection = _unusable(step, reprocessed_for_adjustment)
+    if rejection is not None:
+        return Examination(rejection)
+    pipeline, cloud, water = (
+        reprocessed_for_adjustment.pipeline,
+        reprocessed_for_adjustment.cloud,
+        reprocessed_for_adjustment.water,
+    )
     if HELD[step] is ArtefactKind.BALL_BAR:
-        check = _judged_bar(step, find_ball_bar(cloud), cloud, basis.start, basis.bar)
+        check = _check_bar(step, find_ball_bar(cloud), cloud, basis.start, basis.bar)
     else:
-        check = _judged_plane(step, fit_plane(cloud), cloud, basis.start)
+        check = _check_plane(step, fit_plane(cloud), cloud, basis.start)
     if check.refusal is not None:
-        return Examined(check)
+        return Examination(check)
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
     left, right = pipeline.decoded("left"), pipeline.decoded("right")
-    # Extracted for its count only, and again when it is solved: a recording that would fail then is refused while the
-    # artefact is still in the water.
+    # Only the number of points is used; the adjustment extracts them again. So a recording that would fail then is
+    # rejected while the artefact is still in the water.
     recording = extract(step.value, certificate, cloud, left, right, basis.start, water)
     if isinstance(recording, NotFound):
-        return Examined(replace(check, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
-    return Examined(replace(check, points=len(recording.left_px)))
+        return Examination(replace(check, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
+    return Examination(replace(check, points=len(recording.left_px)))
 
 
-def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
-    """Return the refusal of a recording whose points would be wrong, whatever it shows."""
-    fault = seen.unfit
+def _unusable(step: Step, reprocessed: ReprocessedScan) -> RecordingCheck | None:
+    """Return the rejection of a recording whose points would be wrong for any artefact; ``None`` if usable."""
+    fault = reprocessed.unfit
     if fault is None:
         return None
-    # Compensated points may be looked at, but the decoded maps, which calibrate, are still those of the motion.
+    # Compensated points can be viewed, but the maps that a calibration uses are still those of the moving instrument.
     if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
         return RecordingCheck(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
     return RecordingCheck(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
 
 
 def solve_calibration(rig: Rig, date: str, report: Progress) -> Solution:
-    """Adjust to the scans of the session; compare with the one of VERIFY where there is one.
+    """Adjust to the session's recordings, and check the bar's length of VERIFY where it was recorded.
 
     ``date`` is ISO 8601. Raises RecordingError, ScanError, CalibrationError, UnknownScan.
     """
@@ -344,15 +355,15 @@ def solve_calibration(rig: Rig, date: str, report: Progress) -> Solution:
     folders = {check.step: library.entry(check.scan_id).folder for check in trials if check.scan_id is not None}
     missing = [step.value for step in USED if step not in folders]
     if missing:
-        raise RecordingError(f"no recording of {', '.join(missing)}; record it", about=missing[0])
-    # An adjustment would bend the lenses of other cameras until they fit, and not say so.
+        raise RecordingError(f"no recording of {', '.join(missing)}; record it", subject=missing[0])
+    # The adjustment would change lenses until scans of other cameras fit, without any sign.
     serials = cameras_of((folders[step] for step in USED), basis.start)
     recordings = []
     for k, step in enumerate(USED):
         report(f"recording {step.value}", 0.15 * k)
-        recordings.append(_recording(step, folders[step], basis))
+        recordings.append(_load_recording(step, folders[step], basis))
     report("adjusting", 0.6)
-    # The spline frees lenses and pose as well, held by their covariance from air; without that, only the ports are
+    # SPLINE also adjusts lenses and pose, with their covariance from air as prior; without one, only the ports are
     # adjusted.
     method = Method.PORTS if basis.start.air_covariance is None else Method.SPLINE
     result = calibrate(method, recordings, basis.start)
@@ -365,52 +376,52 @@ def solve_calibration(rig: Rig, date: str, report: Progress) -> Solution:
     verified = None
     if Step.VERIFY in folders:
         scan = StoredScan.load(folders[Step.VERIFY])
-        bar = find_ball_bar(_fair(scan, calibration, basis))
-        verified = None if isinstance(bar, NotFound) else _compared(scan, bar, basis)
-    about = {"rig_serial": rig.rig.serial, "made_at": date, "software_version": __version__}
+        bar = find_ball_bar(_cloud_for_check(scan, calibration, basis))
+        verified = None if isinstance(bar, NotFound) else _compare_lengths(scan, bar, basis)
+    facts = {"rig_serial": rig.rig.serial, "made_at": date, "software_version": __version__}
     files = {
-        "report.html": report_of.as_html(result, basis.start, about, {}).encode(),
-        "report.json": json.dumps(report_of.as_json(result, basis.start, about, {}), indent=1).encode(),
+        "report.html": report_of.as_html(result, basis.start, facts, {}).encode(),
+        "report.json": json.dumps(report_of.as_json(result, basis.start, facts, {}), indent=1).encode(),
     }
     return Solution(calibration, solved, verified, files)
 
 
-def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
+def _load_recording(step: Step, folder: Path, basis: Basis) -> Recording:
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
     recording = recording_of_scan(folder, certificate, basis.start, basis.rig, silent)
     if isinstance(recording, NotFound):
         reason = f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again"
-        raise RecordingError(reason, about=step.value)
+        raise RecordingError(reason, subject=step.value)
     return replace(recording, name=f"{step.value}, scan {folder.name}")
 
 
-def _solved(rig: Rig) -> Calibration | None:
-    """Return what the session solved; ``None`` where nothing is."""
+def _solved_calibration(rig: Rig) -> Calibration | None:
+    """Return the calibration that the session solved; ``None`` before."""
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
     return None if calibrations.session().solved is None else load_calibration(calibrations.solved)
 
 
-def _compared(scan: StoredScan, bar: BallBar, basis: Basis) -> Verified:
-    """Return the bar's length with the new calibration and with the one of before."""
-    old = find_ball_bar(_fair(scan, basis.before, basis))
-    before = None if isinstance(old, NotFound) else _error(old, basis)
-    return Verified(before, _error(bar, basis), _uncertainty(bar, basis), basis.before_hash)
+def _compare_lengths(scan: StoredScan, bar: BallBar, basis: Basis) -> Verified:
+    """Return the length check of the bar with the solved and the former calibration."""
+    old = find_ball_bar(_cloud_for_check(scan, basis.before, basis))
+    before = None if isinstance(old, NotFound) else _length_error(old, basis)
+    return Verified(before, _length_error(bar, basis), _length_uncertainty(bar, basis), basis.before_hash)
 
 
-def _measured(bar: BallBar, basis: Basis) -> Verified:
-    """Return the bar's length with the calibration in use: nothing is solved."""
-    return Verified(_error(bar, basis), None, _uncertainty(bar, basis), basis.before_hash)
+def _measure_length(bar: BallBar, basis: Basis) -> Verified:
+    """Return the length check of the bar with the calibration in use, before any solution."""
+    return Verified(_length_error(bar, basis), None, _length_uncertainty(bar, basis), basis.before_hash)
 
 
-def _error(bar: BallBar, basis: Basis) -> float:
+def _length_error(bar: BallBar, basis: Basis) -> float:
     return (bar.length_mm - basis.bar.length_mm) / basis.bar.length_mm
 
 
-def _uncertainty(bar: BallBar, basis: Basis) -> float:
+def _length_uncertainty(bar: BallBar, basis: Basis) -> float:
     return float(np.hypot(bar.sigma_length_mm, basis.bar.length_sd_mm)) / basis.bar.length_mm
 
 
-def _judged_bar(
+def _check_bar(
     step: Step, bar: BallBar | NotFound, cloud: Cloud, calibration: Calibration, certificate: BarCertificate
 ) -> RecordingCheck:
     if isinstance(bar, NotFound):
@@ -418,40 +429,40 @@ def _judged_bar(
     if certificate.radius_mm is None:
         raise CertificateMissing("the ball bar's radius is not stated; give ball_bar.radius_mm in the rig file")
     balls = (bar.first, bar.second)
-    found = FoundBar(
+    measured = MeasuredBar(
         np.array([ball.sphere.centre_mm for ball in balls]),
         (bar.first.sphere.radius_mm, bar.second.sphere.radius_mm),
         max(ball.used.rms_mm for ball in balls),
         sum(ball.used.count for ball in balls),
     )
-    return judge_bar(step, found, calibration.rig, certificate.length_mm, certificate.radius_mm)
+    return judge_bar(step, measured, calibration.rig, certificate.length_mm, certificate.radius_mm)
 
 
-def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibration: Calibration) -> RecordingCheck:
+def _check_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibration: Calibration) -> RecordingCheck:
     if isinstance(plane, NotFound):
         return RecordingCheck(step, Refusal.NOT_FOUND, None, cloud.summary.points, plane.reason)
     camera = calibration.rig.left
-    found = FoundPlane(
+    measured = MeasuredPlane(
         np.array(plane.plane.centre_mm),
         np.array(plane.plane.normal),
         plane.used.rms_mm,
         plane.used.count,
         100.0 * plane.used.count / (camera.width_px * camera.height_px),
     )
-    return judge_plane(step, found, calibration.rig)
+    return judge_plane(step, measured, calibration.rig)
 
 
-def _wide(scan: StoredScan, basis: Basis) -> ReprocessedScan:
-    """Reprocess with room for rays that miss each other because nobody knows the ports."""
+def _reprocess_for_adjustment(scan: StoredScan, basis: Basis) -> ReprocessedScan:
+    """Reprocess with a wide limit of the ray gap, because the ports are not calibrated yet."""
     settings = Instrument(basis.rig).settings_of_scan(scan.manifest.record)
     return reprocess_scan(scan, basis.start, settings, silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
 
 
-def _fairly(scan: StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
+def _reprocess_for_check(scan: StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
     settings = Instrument(basis.rig).settings_of_scan(scan.manifest.record)
     return reprocess_scan(scan, calibration, settings, silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
 
 
-def _fair(scan: StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
-    """Return the cloud with room for the errors of any calibration, so that all are judged by the same points."""
-    return _fairly(scan, calibration, basis).cloud
+def _cloud_for_check(scan: StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
+    """Return the cloud within a limit of the ray gap that is wide enough for all calibrations that are compared."""
+    return _reprocess_for_check(scan, calibration, basis).cloud
