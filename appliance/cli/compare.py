@@ -86,7 +86,7 @@ class Compare(WithObjects):
                 progress(f"writing {out}")
                 with writing(out):
                     compared.write(out, self.tolerance)
-        title, found = compared.about.title, compared.figures(self.tolerance)
+        title, found = compared.metadata.title, compared.figures(self.tolerance)
         counts = f"{found['beyond_limit']} of them farther than {self.limit:g} mm, {found['beside_border']} beside an open border"
         lines = [f"{title} against {found['nominal']}: {found['points']} points, {counts}"]
         if found["rms_mm"] is not None:

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
         run_evaluation,  # Reconstruct and measure every scan of the list
     )
     from .export.formats import (
-        ExportError,  # A file cannot be made; the text says which, why, and what to do
-        check_file,  # Raises ExportError for a suffix that what (WRITTEN) is not written with
-        has_triangles,  # Return whether a mesh is written to path; wanted: also where its suffix leaves the choice
+        ExportError,  # A file cannot be made; the text names it, the reason and the remedy
+        check_file,  # Check before minutes of work that a file can be written
+        has_triangles,  # Return whether a mesh is written to path; preferred: also if its suffix leaves the choice
     )
     from .foreign.first_look import (
         check_import,  # Refuse whatever can be refused at once
@@ -45,18 +45,18 @@ if TYPE_CHECKING:
         report_of_object,  # Return the page's content for a solved object, with its surface
     )
     from .object_store import (
-        ADDED_SINCE,  # Reason why a scan has no place yet
-        Places,  # Places of an object's scans, and all that was found on the way
-        StoredObject,  # An object: its scans, and where they lie if that was found out
+        ADDED_SINCE,  # Reason of a scan that was added after the object was solved
+        Places,  # Scan poses of an object, with the results of solving it
+        StoredObject,  # An object: its scans, and their poses if it was solved
         object_exists,  # Return whether there is an object of that name
         object_names,  # Return the names of all objects under a storage root, in order
-        read_object,  # Read an object. Raises ObjectError for one that is not there or is damaged
-        solved_object,  # Read an object that has places. Raises ObjectError for any other
+        read_object,  # Read an object. Raises ObjectError if it is missing or damaged
+        solved_object,  # Read a solved object. Raises ObjectError for any other
     )
     from .objects import (
-        add_to_object,  # Add scans, by their folders, to an object, which is made where there is none
-        solve_object,  # Find where every scan of an object lies and return the object with its places
-        tell_health,  # Write what an object's overlaps tell of its calibration beside what its scans told
+        add_to_object,  # Add scans, by their folders, to an object, which is created if needed
+        solve_object,  # Find the pose of every scan of an object, store them, and return the object
+        tell_health,  # Store the shared error that an object's overlaps show with the health of its calibration
     )
     from .reconstruct import (
         work_through,  # Reconstruct and judge a scan, one sequence or both. Raises ScanError

@@ -1,5 +1,4 @@
-"""Owns how certain a stored object is as a whole: its joint errors as they are kept, the sigma of its surface, and that
-of a length on it."""
+"""Uncertainty of a stored object: its joint errors in their stored form, the sigma of its surface, and that of a length."""
 
 from __future__ import annotations
 
@@ -14,11 +13,11 @@ from appliance.desk.surface.fusion import FusedCloud, with_places
 from appliance.measure import STANDARD, Rigid, WorkingVolume
 
 _MAX_POINTS = 12_000
-"""Points of a surface that say which motion it would be laid onto something by."""
+"""Largest number of points of a surface that determine the common motion of its registration."""
 
 
 def pack(errors: JointErrors, scans: Sequence[str]) -> JointPlaces:
-    """Return joint errors as an object keeps them; ``scans``: the names of theirs, in their order."""
+    """Return joint errors in their stored form; ``scans`` are the names of theirs, in their order."""
     return JointPlaces(
         scans=tuple(scans),
         own_root=PackedMatrix.of(errors.own_root),
@@ -29,7 +28,7 @@ def pack(errors: JointErrors, scans: Sequence[str]) -> JointPlaces:
 
 
 def errors_of(stored_object: StoredObject) -> JointErrors:
-    """Return the joint errors of an object's places, scans in the order of ``places``.
+    """Return the joint errors of an object's poses, scans in the order of ``places``.
 
     Raises ObjectError for an object that is not solved, or damaged.
     """
@@ -38,29 +37,30 @@ def errors_of(stored_object: StoredObject) -> JointErrors:
         raise ObjectError(
             f"object '{stored_object.name}' is not solved: kingfisher object solve '{stored_object.name}'"
         )
-    kept = places.joint
-    if kept.scans != tuple(places.places):
+    stored = places.joint
+    if stored.scans != tuple(places.places):
         raise ObjectError(
             f"object '{stored_object.name}': its errors are of other scans than its places; solve it again"
         )
-    # Only the working distance scales the shapes; the rest of the range is made up in proportion.
-    scale = kept.working_mm / STANDARD.working_mm
+    # Only the working distance scales the shapes; the ends of the range follow in proportion.
+    scale = stored.working_mm / STANDARD.working_mm
     return JointErrors(
-        poses=tuple(Rigid(np.array(one.rotation), np.array(one.translation_mm)) for one in places.places.values()),
-        own_root=kept.own_root.array(),
-        follow=kept.follow.array(),
-        shared_root=kept.shared_root.array(),
-        volume=WorkingVolume(scale * STANDARD.nearest_mm, kept.working_mm, scale * STANDARD.farthest_mm),
+        poses=tuple(
+            Rigid(np.array(place.rotation), np.array(place.translation_mm)) for place in places.places.values()
+        ),
+        own_root=stored.own_root.array(),
+        follow=stored.follow.array(),
+        shared_root=stored.shared_root.array(),
+        volume=WorkingVolume(scale * STANDARD.nearest_mm, stored.working_mm, scale * STANDARD.farthest_mm),
     )
 
 
 def length_between(
     stored_object: StoredObject, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
 ) -> LengthSigma:
-    """Return the distance between two points in the object's frame, one of scan ``first`` and one of ``second``, with
-    its standard deviation.
+    """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation.
 
-    Raises ObjectError for scans that have no place, and for an object that is not solved.
+    The points are in the object's frame. Raises ObjectError for scans without a pose, and for an object that is not solved.
     """
     errors = errors_of(stored_object)
     names = [] if stored_object.places is None else list(stored_object.places.places)
@@ -73,21 +73,23 @@ def length_between(
 
 
 def with_sigma_in_frame(cloud: FusedCloud, errors: JointErrors) -> FusedCloud:
-    """Return an object's fused surface with sigma in the object's frame; as it is where its points name no scan."""
+    """Return an object's fused surface with sigma in the object's frame; unchanged if its points name no scan."""
     if cloud.first_scan is None:
         return cloud
     return with_places(cloud, *errors.sigma_along(cloud.points_mm, cloud.normals, cloud.first_scan))
 
 
 def with_sigma_after_registration(
-    cloud: FusedCloud, errors: JointErrors | None, on_it: NDArray[np.bool_] | None = None
+    cloud: FusedCloud, errors: JointErrors | None, on_reference: NDArray[np.bool_] | None = None
 ) -> FusedCloud:
-    """Return the surface with the sigma that is left once it lies on something by its shape; ``on_it`` (n,): points
-    that lie there, all by default."""
+    """Return the surface with the sigma that remains once it is registered to a reference by its shape.
+
+    ``on_it`` (n,): points that lie on the reference, all by default.
+    """
     if errors is None or cloud.first_scan is None:
         return cloud
-    # What lies beside it has no say in how it is laid on.
-    rows = np.arange(len(cloud.grey)) if on_it is None else np.flatnonzero(on_it)
+    # Points beside the reference do not determine the registration.
+    rows = np.arange(len(cloud.grey)) if on_reference is None else np.flatnonzero(on_reference)
     rows = rows[:: max(1, len(rows) // _MAX_POINTS)]
     return with_sigma_in_frame(
         cloud, errors.settled(cloud.points_mm[rows], cloud.normals[rows], cloud.first_scan[rows])

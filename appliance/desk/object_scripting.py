@@ -1,5 +1,4 @@
-"""Owns what a script at the desk does with an object that ``kingfisher object`` keeps: its places, placed points,
-surface, errors and lengths."""
+"""Objects of ``kingfisher object`` for scripts at the desk: poses, placed points, surface, errors and lengths."""
 
 from __future__ import annotations
 
@@ -23,9 +22,9 @@ from appliance.store import ScanOptions
 
 @dataclass(frozen=True, slots=True)
 class ObjectOfDive:
-    """One object under a storage root; its file is read whenever it is asked for.
+    """One object under a storage root, whose file is read on each access.
 
-    Everything is in the object's frame, mm.
+    All values are in the object's frame, mm.
     """
 
     root: Path
@@ -39,12 +38,12 @@ class ObjectOfDive:
 
     @property
     def errors(self) -> JointErrors:
-        """Errors of all places as they hang together. Raises ObjectError where it is not solved."""
+        """Joint errors of all scan poses. Raises ObjectError where it is not solved."""
         return errors_of(self.stored)
 
     @refuse_wrong_types
     def placed_scans(self, progress: Progress = silent) -> Iterator[PlacedScan]:
-        """Yield the scans that have a place, one at a time. Raises ObjectError, ScanError, CalibrationError."""
+        """Yield the scans that have a pose, one at a time. Raises ObjectError, ScanError, CalibrationError."""
         return placed_scans(self.root, self.stored, self.wish, progress)
 
     @refuse_wrong_types
@@ -80,7 +79,7 @@ class ObjectOfDive:
         return compare(self.surface(spacing_mm), nominal, limit_mm, start, self.errors)
 
     def __repr__(self) -> str:
-        """Return one line; it never raises, whatever lies in the file."""
+        """Return one line; it never raises an error, also for a damaged file."""
         try:
             stored = self.stored
         except ObjectError as error:
@@ -100,12 +99,12 @@ def open_object(
 ) -> ObjectOfDive:
     """Return the object of that name under a storage root.
 
-    The options are those of ``open_dive``; ``calibration``: the file of another one than each scan's own, as
+    The options are those of ``open_dive``; ``calibration``: a file in place of each scan's own calibration, as
     ``--calibration``. Raises ObjectError, NotADirectoryError, ConfigError.
     """
     dive = open_dive(root, rig, current_calibration=current_calibration, foreign_calibration=foreign_calibration)
     wish = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
-    found = ObjectOfDive(dive.root, name, wish)
-    # Read and thrown away: a wrong name is better said now than at the first points.
-    objects.read_object(found.root, name)
-    return found
+    opened = ObjectOfDive(dive.root, name, wish)
+    # Read the file to report a wrong name now rather than at the first points.
+    objects.read_object(opened.root, name)
+    return opened

@@ -1,11 +1,11 @@
-"""Owns what is kept of an object made of many scans: which scans belong to it, and where each of them lies.
+"""Storage of objects: which scans belong to an object, and the pose of each.
 
     <root>/objects/<name>/object.json     checksummed; replaced as a whole
     <root>/objects/<name>/clouds/*.npz    each scan's cloud on its pixel grid; may be deleted, and is made again when it is needed
-    <root>/objects/<name>/run/lock        held for as long as one of these files is written, never while something is computed
+    <root>/objects/<name>/run/lock        held for as long as one of these files is written, never during a computation
 
-Scans stay where they are; nothing here is needed to read them. An object is changed by ``update`` alone: who has read
-it, and worked for minutes, changes what is stored by then.
+Scans stay in their folders, and are read without these files. An object is changed by ``update_object`` alone: a
+process that worked for minutes on an object changes the version that is stored by then.
 """
 
 from __future__ import annotations
@@ -30,50 +30,50 @@ FOLDER = OBJECTS
 FILE = "object.json"
 CLOUDS = "clouds"
 ADDED_SINCE = "added after the others were placed: kingfisher object solve"
-"""Reason why a scan has no place yet."""
+"""Reason of a scan that was added after the object was solved."""
 _LOCK_S = 30.0
-"""The longest that another process is waited for: writing a file takes it a second or so."""
+"""Longest wait for another process, which needs a second or so to write a file."""
 
 
 class ObjectError(Exception):
-    """An object cannot be used; the text says which, why, and what to do."""
+    """An object cannot be used; the text names it, the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class MemberScan:
-    """A scan that belongs to the object."""
+    """A scan of an object."""
 
     name: str
-    """Its number, or its folder's name."""
+    """Number of the scan, or name of its folder."""
     folder: str
     """Relative to the storage root where it lies below it, else absolute."""
     frames_sha256: tuple[str, ...]
-    """Checksums of its files of frames: the same scan is not taken twice, and another one under its name is noticed."""
+    """Hashes of its files of frames, so that a scan is not added twice, and another scan under its name is noticed."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanPlace:
-    """Place of a scan: a point p of its left camera's frame is at rotation · p + translation in the object's."""
+    """Pose of a scan: a point p of its left camera frame is at rotation · p + translation in the object's."""
 
     rotation: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
     translation_mm: tuple[float, float, float]
     middle_mm: tuple[float, float, float]
     """Middle of its points in the object's frame."""
     sigma_mm: float
-    """Standard deviation of its middle's place relative to the first scan, the shared depth error included."""
+    """Standard deviation of its middle relative to the first scan, the shared depth error included."""
     covariance: tuple[tuple[float, ...], ...]
-    """(6, 6): of the turn (rad) and the shift (mm) about its own middle, in the object's frame."""
+    """(6, 6): of rotation (rad) and shift (mm) about its own middle, in the object's frame."""
     bending_mm: float
-    """Share of ``sigma_mm`` that the shared depth error has: what may bend the object without any residual."""
+    """Share of ``sigma_mm`` by the shared depth error, which may bend the object without any residual."""
     bending_unaided_mm: float
-    """The same with what was known of that error before the scans' overlaps told of it."""
+    """The same with the prior of that error."""
     bending_aided_mm: float
-    """The same with what an estimate from the overlaps leaves of it, if that is believed."""
+    """The same with the error that an estimate from the overlaps leaves, if that is applied."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedScans:
-    """Two scans that were compared."""
+    """A compared scan pair."""
 
     first: str
     second: str
@@ -81,17 +81,17 @@ class ComparedScans:
     used: bool
     """Accepted, and in agreement with the loops."""
     text: str
-    """Finding in words: how closely they are placed, or why not, which is the reason for each ``None`` below."""
+    """The result in words: how certain the pose is, or why there is none, which is the reason for each ``None`` below."""
     overlap_percent: float | None
-    """``None``, as sigmas and matches: nothing holds their pose, or it is wrong."""
+    """``None``, like sigmas and matches: the pose is not determined, or wrong."""
     sigma_mm: float | None
     discrepancy_mm: float | None
-    """Distance between the pair's own pose and the places, RMS over the overlap; ``None``: it is not used, or in no
+    """Distance between the pair's own pose and the scan poses, RMS over the overlap; ``None``: it is not used, or in no
     loop that would check it."""
     sigma_deg: float | None = None
-    """Standard deviation of the turn between both, in its weakest direction; of an accepted pair."""
+    """Standard deviation of the rotation between both, in its weakest direction; of an accepted pair."""
     matches: int | None = None
-    """Features that both show and that the pair's pose lays on each other; of an accepted pair."""
+    """Number of keypoints in both scans that the pair's pose maps onto each other; of an accepted pair."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +104,14 @@ class CloudFacts:
     sigma_mm: float
     """Median of its points' sigma."""
     ray_gap_mm: float | None
-    """Median of the sizes of its points' ray gaps; ``None``: it has none."""
+    """Median of the absolute ray gaps of its points; ``None``: it has none."""
     recorded: str | None
-    """Wall time of the recording as the instrument had it."""
+    """Wall time of the capture by the instrument's clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class PackedMatrix:
-    """A matrix in little room: little-endian float32, row by row, in base64."""
+    """A compact matrix: little-endian float32, row by row, in base64."""
 
     rows: int
     columns: int
@@ -138,7 +138,7 @@ class PackedMatrix:
 
 @dataclass(frozen=True, slots=True)
 class JointPlaces:
-    """The errors of all places as they hang together (``appliance.desk.registration.joint`` says what each is)."""
+    """Joint errors of all scan poses (``appliance.desk.registration.joint`` explains the fields)."""
 
     scans: tuple[str, ...]
     """Names in the order of the rows."""
@@ -146,58 +146,57 @@ class JointPlaces:
     follow: PackedMatrix
     shared_root: PackedMatrix
     working_mm: float
-    """Working distance of the housing, which the shapes of the shared error scale with."""
+    """Working distance of the housing, with which the shapes of the shared error scale."""
 
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Places of an object's scans, and all that was found on the way."""
+    """Scan poses of an object, with the results of solving it."""
 
     calibrations: tuple[str, ...]
-    """Hashes of the calibrations that the clouds were made with."""
+    """Hashes of the calibrations of the clouds."""
     water_index: tuple[float, ...]
     places: Mapping[str, ScanPlace]
     pairs: tuple[ComparedScans, ...]
     left_out: Mapping[str, str]
-    """Reason, for each scan that has no place."""
+    """Reason of each scan without a pose."""
     warnings: tuple[str, ...]
     shared_error_mm: tuple[float, ...]
     """Coefficients of the depth error that all scans share (appliance.desk.registration.bow)."""
     shared_error_spread_mm: float
-    """Standard deviation of that error in the points as they are, RMS over the view: after the estimate where it is
-    taken out, else what the calibration leaves."""
+    """Standard deviation of that error in the points, RMS over the view: after the estimate where it is removed, else
+    that of the calibration."""
     shared_error_aided_mm: float
     """The same after the estimate."""
     shared_error_removed: bool
-    """The points are to be corrected by it."""
+    """True if the points are to be corrected by it."""
     variance_factor: float
     shared_error_score: float | None
-    """Distance of the estimate from what was known before, in standard deviations; ``None``: the overlaps tell nothing
-    of it."""
+    """Distance of the estimate from the prior mean, in standard deviations; ``None``: the overlaps do not determine it.
+    """
     joint: JointPlaces
     clouds: Mapping[str, CloudFacts]
-    """Figures of every scan's cloud, also of those without a place."""
+    """Figures of every scan's cloud, also of those without a pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredObject:
-    """An object: its scans, and where they lie if that was found out."""
+    """An object: its scans, and their poses if it was solved."""
 
     name: str
     scans: tuple[MemberScan, ...] = ()
     places: Places | None = None
-    """``None``: never solved. Scans that were added since are left out of them (``ADDED_SINCE``)."""
+    """``None``: never solved. Scans that were added later are in ``left_out`` (``ADDED_SINCE``)."""
     schema: int = 1
 
     @property
     def added_since(self) -> tuple[str, ...]:
-        """The scans that were added after the others were placed."""
+        """Names of the scans that were added after the object was solved."""
         return () if self.places is None else tuple(n for n, why in self.places.left_out.items() if why == ADDED_SINCE)
 
 
 def _refuse_names(stored: StoredObject) -> None:
-    """Raises ValueError for a name in it that no part of a path may be called: clouds are kept under those of
-    scans."""
+    """Raise ValueError for a name that is no valid part of a path: clouds are kept under the names of scans."""
     for scan in stored.scans:
         component(scan.name, "a scan's name")
         if ".." in PurePosixPath(scan.folder).parts or "\0" in scan.folder:
@@ -221,7 +220,7 @@ OBJECT = SealedFile(
 
 
 def check_name(name: str) -> str:
-    """Return ``name``. Raises ObjectError for one that cannot name a folder everywhere."""
+    """Return ``name``. Raises ObjectError if it cannot be a folder name everywhere."""
     if not is_object(name):
         raise ObjectError(
             f"object '{name}': allowed are 1 to 64 letters, digits, blanks and . _ -, beginning with a letter or digit "
@@ -232,7 +231,7 @@ def check_name(name: str) -> str:
 
 
 def folder_of(root: Path, name: str) -> Path:
-    """Return the folder of an object. Raises ObjectError for an impossible name."""
+    """Return the folder of an object. Raises ObjectError for an invalid name."""
     return root / FOLDER / check_name(name)
 
 
@@ -242,40 +241,40 @@ def object_names(root: Path) -> list[str]:
 
 
 def read_object(root: Path, name: str) -> StoredObject:
-    """Read an object. Raises ObjectError for one that is not there or is damaged."""
+    """Read an object. Raises ObjectError if it is missing or damaged."""
     path = folder_of(root, name) / FILE
     try:
-        found = OBJECT.load(path, name=str(path))
+        stored = OBJECT.load(path, name=str(path))
     except ContentError as error:
         raise ObjectError(str(error)) from error
-    if found is None:
-        known = ", ".join(object_names(root)) or "none yet"
-        raise ObjectError(f"object '{name}': there is none under {root} ({known}); make it: kingfisher object add")
-    # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's
-    # folder.
-    return replace(found, name=name)
+    if stored is None:
+        names = ", ".join(object_names(root)) or "none yet"
+        raise ObjectError(f"object '{name}': there is none under {root} ({names}); make it: kingfisher object add")
+    # The folder's name counts, also after a person renamed it: the next write must not go to another object's folder.
+    return replace(stored, name=name)
 
 
 def solved_object(root: Path, name: str) -> StoredObject:
-    """Read an object that has places. Raises ObjectError for any other, before anything that computes is loaded where
-    there is none."""
-    found = read_object(root, name)
+    """Read a solved object. Raises ObjectError for any other.
+
+    The error comes before modules that compute are loaded.
+    """
+    stored = read_object(root, name)
     from appliance.desk.object_errors import errors_of
 
-    errors_of(found)  # says where it is not solved
-    return found
+    errors_of(stored)  # raises ObjectError if it is not solved
+    return stored
 
 
 def object_exists(root: Path, name: str) -> bool:
-    """Return whether there is an object of that name, also a damaged one. Raises ObjectError for an impossible name."""
+    """Return whether there is an object of that name, also a damaged one. Raises ObjectError for an invalid name."""
     return (folder_of(root, name) / FILE).exists()
 
 
 def update_object(root: Path, name: str, change: Callable[[StoredObject | None], StoredObject]) -> StoredObject:
-    """Replace an object by ``change`` of what is stored now (``None``: there is none), under its lock; return it,
-    durable.
+    """Replace an object by ``change`` of the stored one (``None``: there is none), under its lock; return it, durable.
 
-    Raises what ``change`` raises, StorageError, ObjectError.
+    Raises the errors of ``change``, StorageError, ObjectError.
     """
     fs, folder = LocalFileSystem(), folder_of(root, name)
     fs.make_folders(folder)
@@ -286,7 +285,7 @@ def update_object(root: Path, name: str, change: Callable[[StoredObject | None],
 
 
 def write(root: Path, stored: StoredObject) -> None:
-    """Write an object in the place of whatever is stored under its name; it is durable on return.
+    """Write an object in place of any that is stored under its name; it is durable on return.
 
     Raises StorageError, ObjectError.
     """
@@ -294,29 +293,28 @@ def write(root: Path, stored: StoredObject) -> None:
 
 
 def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObject:
-    """Return the object with scans added; they have no place yet. Raises ObjectError for a scan that it has already."""
-    have = {one.frames_sha256: one.name for one in stored.scans}
-    taken = {one.name for one in stored.scans}
+    """Return the object with scans added, without poses. Raises ObjectError for a scan that it has already."""
+    name_by_frames = {member.frames_sha256: member.name for member in stored.scans}
+    names = {member.name for member in stored.scans}
     for scan in added:
-        if scan.frames_sha256 in have:
+        if scan.frames_sha256 in name_by_frames:
             raise ObjectError(
-                f"object '{stored.name}': scan {scan.name} is in it already, as {have[scan.frames_sha256]}; leave it "
+                f"object '{stored.name}': scan {scan.name} is in it already, as {name_by_frames[scan.frames_sha256]}; leave it "
                 "out"
             )
-        if scan.name in taken:
+        if scan.name in names:
             raise ObjectError(
                 f"object '{stored.name}': has another scan called {scan.name}; name its folder otherwise, then add it"
             )
-        have[scan.frames_sha256] = scan.name
-        taken.add(scan.name)
+        name_by_frames[scan.frames_sha256] = scan.name
+        names.add(scan.name)
     return _with_places(replace(stored, scans=(*stored.scans, *added)), stored.places)
 
 
 def merge_places(now: StoredObject | None, solved: StoredObject) -> StoredObject:
-    """Return the object as it is stored now with the places that were found for what it was before; scans that were
-    added meanwhile have none yet.
+    """Return the stored object ``now`` with the poses of ``solved``; scans that were added meanwhile have none yet.
 
-    Raises ObjectError where it was made again meanwhile, or solved with more scans: what is stored is worth more then.
+    Raises ObjectError if the object was made again meanwhile, or solved with more scans: then the stored poses stay.
     """
     if now is None or not set(solved.scans) <= set(now.scans):
         raise ObjectError(
@@ -332,18 +330,18 @@ def merge_places(now: StoredObject | None, solved: StoredObject) -> StoredObject
 
 
 def _scans_with_result(places: Places | None) -> set[str]:
-    """Return the scans that have a place, or a reason of their own for having none."""
+    """Return the scans that have a pose, or a reason for having none."""
     if places is None:
         return set()
     return {*places.places, *(name for name, why in places.left_out.items() if why != ADDED_SINCE)}
 
 
 def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:
-    """Return the object with ``places``, of which the scans that they say nothing of are left out."""
+    """Return the object with ``places``, in which scans without a result are left out."""
     if places is None:
         return replace(stored, places=None)
-    answered = _scans_with_result(places)
-    since = {one.name: ADDED_SINCE for one in stored.scans if one.name not in answered}
+    with_result = _scans_with_result(places)
+    since = {scan.name: ADDED_SINCE for scan in stored.scans if scan.name not in with_result}
     return replace(stored, places=replace(places, left_out={**places.left_out, **since}))
 
 
@@ -351,25 +349,24 @@ def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:
 
 
 def load_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays kept of a scan under ``key``; ``None`` where there are none, or of another key, or damaged
-    ones."""
+    """Return the kept arrays of a scan; ``None`` if there are none, their key is not ``key``, or they are damaged."""
     import numpy as np
 
     path = folder_of(root, name) / CLOUDS / f"{scan}.npz"
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            if str(kept["key"]) != key:
+        with np.load(path, allow_pickle=False) as file:
+            if str(file["key"]) != key:
                 return None
-            return {one: kept[one] for one in kept.files if one != "key"}
+            return {array_name: file[array_name] for array_name in file.files if array_name != "key"}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         # It can be made again from the frames.
         return None
 
 
 def save_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Keep a scan's arrays under ``key``.
+    """Keep a scan's arrays under ``key``; if that fails, they are made again next time.
 
-    What cannot be kept is made again next time. Raises ObjectError for an impossible name.
+    Raises ObjectError for an invalid name.
     """
     import numpy as np
 
@@ -378,7 +375,7 @@ def save_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, 
     buffer = io.BytesIO()
     values: dict[str, Any] = {"key": np.array(key), **arrays}
     np.savez(buffer, **values)
-    # Two that make the same cloud at once write the same draft.
+    # Two processes that make the same cloud at once write the same draft.
     with suppress(OSError, StorageError), hold_lock(folder.parent, _LOCK_S):
         if not folder.is_dir():
             fs.make_folder(folder)

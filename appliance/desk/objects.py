@@ -1,4 +1,4 @@
-"""Owns an object at the desk: its scans' clouds, made again from the frames; where they lie; and one surface of them."""
+"""Objects at the desk: clouds of their scans, made again from the frames; scan poses; and one surface of them."""
 
 from __future__ import annotations
 
@@ -36,46 +36,48 @@ from appliance.measure import Calibration, OrganisedCloud, ReadyScan, matrix3, r
 from appliance.store import FRAME_FILES, ChosenCalibration, ScanError, ScanOptions, SourceScan, StoredScan, hold_lock
 
 CLEAR_FACTOR = 4.0
-"""Variance factor from which on the pairs contradict each other by more than they state."""
+"""Variance factor above which the pairs contradict each other by more than their sigmas."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemberCloud:
-    """A scan of an object with its cloud and what that was made with."""
+    """A scan of an object with its cloud, calibration and verdicts."""
 
     scan: MemberScan
     cloud: OrganisedCloud
     calibration: Calibration
     water_index: float
     verdicts: tuple[str, ...]
-    """Faults that were held against the scan, in words."""
+    """Faults of the scan, in words."""
     recorded: str | None
-    """Wall time of the recording."""
+    """Wall time of the capture."""
 
 
 def member_of(root: Path, folder: Path) -> MemberScan:
     """Return a stored scan as a member of an object. Raises ScanError."""
     manifest = StoredScan.manifest_of(folder)
     sums = tuple(manifest.files[name].sha256 for name in FRAME_FILES if name in manifest.files)
-    whole = folder.absolute()
-    inside = whole.is_relative_to(root.absolute())
-    return MemberScan(manifest.scan_id, str(whole.relative_to(root.absolute()) if inside else whole), sums)
+    absolute = folder.absolute()
+    inside = absolute.is_relative_to(root.absolute())
+    return MemberScan(manifest.scan_id, str(absolute.relative_to(root.absolute()) if inside else absolute), sums)
 
 
-def add_to_object(root: Path, name: str, named: Sequence[Path], taken: Sequence[Path]) -> StoredObject:
-    """Add scans, by their folders, to an object, which is made where there is none: those ``named``, and of those
-    ``taken`` the ones that it has not. Return it, durable.
+def add_to_object(root: Path, name: str, named: Sequence[Path], new_only: Sequence[Path]) -> StoredObject:
+    """Add scans, by their folders, to an object, which is created if needed. Return it, durable.
 
-    Raises ObjectError for a scan that it has already, ScanError for one whose frames are damaged, StorageError.
+    All ``named`` scans are added, and of ``new_only`` those that it has not. Raises ObjectError for a named scan that it has
+    already, ScanError for damaged frames, StorageError.
     """
-    for folder in (*named, *taken):
+    for folder in (*named, *new_only):
         StoredScan.refuse_damage(folder)
-    first, others = (tuple(member_of(root, one) for one in folders) for folders in (named, taken))
+    first, further = (tuple(member_of(root, path) for path in folders) for folders in (named, new_only))
 
     def more(now: StoredObject | None) -> StoredObject:
-        begun = StoredObject(name) if now is None else now
-        have = {one.frames_sha256 for one in (*begun.scans, *first)}
-        return objects.with_scans(begun, (*first, *(one for one in others if one.frames_sha256 not in have)))
+        stored = StoredObject(name) if now is None else now
+        frames_of_object = {scan.frames_sha256 for scan in (*stored.scans, *first)}
+        return objects.with_scans(
+            stored, (*first, *(scan for scan in further if scan.frames_sha256 not in frames_of_object))
+        )
 
     more(
         objects.read_object(root, name) if objects.object_exists(root, name) else None
@@ -84,10 +86,9 @@ def add_to_object(root: Path, name: str, named: Sequence[Path], taken: Sequence[
 
 
 def clouds_of(root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress) -> Iterator[MemberCloud]:
-    """Yield every scan's cloud, from the object's folder or made again from the frames and kept there; one is held at a
-    time.
+    """Yield every scan's cloud, from the object's folder or made again from the frames and kept there.
 
-    Raises ScanError for a scan that is gone, has become another one, or has no points; CalibrationError.
+    One cloud is held at a time. Raises ScanError for a scan that is gone, was replaced, or has no points; CalibrationError.
     """
     count = len(stored_object.scans)
     for number, member in enumerate(stored_object.scans):
@@ -107,19 +108,21 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: ScanOptions) -> M
     calibration = chosen.calibration
     index = source.scan.water(calibration).index
     key = hashlib.sha256(repr((member.frames_sha256, calibration.hash, index, __version__)).encode()).hexdigest()
-    kept = objects.load_cloud(root, name, member.name, key)
-    if kept is None:
-        kept = _make_arrays(source, chosen)
-        objects.save_cloud(root, name, member.name, key, kept)
-    cloud = OrganisedCloud(kept["points_mm"], kept["sigma_mm"], kept["modulation_dn"], kept["ray_gap_mm"], kept["grey"])
-    verdicts = tuple(str(one) for one in kept["verdicts"].tolist())
+    arrays = objects.load_cloud(root, name, member.name, key)
+    if arrays is None:
+        arrays = _make_arrays(source, chosen)
+        objects.save_cloud(root, name, member.name, key, arrays)
+    cloud = OrganisedCloud(
+        arrays["points_mm"], arrays["sigma_mm"], arrays["modulation_dn"], arrays["ray_gap_mm"], arrays["grey"]
+    )
+    verdicts = tuple(str(verdict) for verdict in arrays["verdicts"].tolist())
     return MemberCloud(member, cloud, calibration, index, verdicts, source.scan.manifest.record.wall_time)
 
 
 def _make_arrays(source: SourceScan, chosen: ChosenCalibration) -> dict[str, NDArray[Any]]:
-    made = organised_scan(source, chosen, silent)
-    verdicts = np.array([f"{fault.code.value}: {fault.detail}" for fault in made.faults], dtype=np.str_)
-    cloud = made.cloud
+    points = organised_scan(source, chosen, silent)
+    verdicts = np.array([f"{fault.code.value}: {fault.detail}" for fault in points.faults], dtype=np.str_)
+    cloud = points.cloud
     return {
         "points_mm": cloud.points_mm,
         "sigma_mm": cloud.sigma_mm,
@@ -131,24 +134,23 @@ def _make_arrays(source: SourceScan, chosen: ChosenCalibration) -> dict[str, NDA
 
 
 def ready_scan(made: OrganisedScan, calibration: Calibration) -> ReadyScan:
-    """Prepare a scan's points for ``register`` and ``solve``; ``calibration``: the one that they were made with."""
+    """Prepare a scan's points for ``register`` and ``solve``; ``calibration`` is that of the points."""
     return ready(made.cloud, calibration.rig.left, made.water.index, light_of(calibration), calibration.rig.volume)
 
 
 def light_of(calibration: Calibration) -> NDArray[np.float64]:
-    """Return where the projector's light comes from, (3,) mm in the left camera's frame: from between the two cameras."""
+    """Return the place of the projector, (3,) mm in the left camera frame: between the two cameras."""
     return 0.5 * np.asarray(calibration.rig.right.translation_mm)
 
 
 def solve_object(
     root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress, *, with_shared_error: bool = False
 ) -> StoredObject:
-    """Find where every scan of an object lies, write it down, and return the object as it is stored then; what was added
-    meanwhile stays, without a place.
+    """Find the pose of every scan of an object, store them, and return the object as it is stored then.
 
-    ``with_shared_error``: the depth error that all scans share is estimated from their overlaps, and taken out. Raises
-    ObjectError for fewer than two scans, and where the object was made again meanwhile, or solved with more scans;
-    ScanError, CalibrationError, StorageError.
+    Scans that were added meanwhile stay, without a pose. ``with_shared_error``: the depth error that all scans share is
+    estimated from their overlaps, and removed. Raises ObjectError for fewer than two scans, and if the object was made again
+    meanwhile, or solved with more scans; ScanError, CalibrationError, StorageError.
     """
     if len(stored_object.scans) < 2:
         raise ObjectError(
@@ -157,7 +159,7 @@ def solve_object(
         )
     scans: list[ReadyScan] = []
     clouds: list[tuple[str, str, float, tuple[str, ...]]] = []
-    used: list[Calibration] = []
+    calibrations_used: list[Calibration] = []
     facts: dict[str, CloudFacts] = {}
     for member in clouds_of(root, stored_object, wish, part_of(progress, 0.0, 0.5)):
         scans.append(
@@ -169,16 +171,16 @@ def solve_object(
                 member.calibration.rig.volume,
             )
         )
-        used.append(member.calibration)
+        calibrations_used.append(member.calibration)
         facts[member.scan.name] = _facts(member)
         clouds.append((member.scan.name, member.calibration.hash, member.water_index, member.verdicts))
     # Scans of several calibrations share no error that one of them states.
-    calibrations = {one.hash: one.depth_error_mm2 for one in used}
-    known = next(iter(calibrations.values())) if len(calibrations) == 1 else None
-    stated = None if known is None else np.array(known)
+    calibrations = {calibration.hash: calibration.depth_error_mm2 for calibration in calibrations_used}
+    depth_error_mm2 = next(iter(calibrations.values())) if len(calibrations) == 1 else None
+    stated = None if depth_error_mm2 is None else np.array(depth_error_mm2)
     solved = solve(scans, part_of(progress, 0.5, 1.0), with_shared_error, stated)
-    # Of several calibrations the first's volume: what they differ by is in no budget, and said.
-    joint = joint_errors(solved.placed, used[0].rig.volume)
+    # Use the first calibration's volume: the difference between several is in no budget, and a warning says so.
+    joint = joint_errors(solved.placed, calibrations_used[0].rig.volume)
     places = _places(solved, scans, clouds, with_shared_error, prior_covariance(stated), joint, facts)
     answer = replace(stored_object, places=places)
     return objects.update_object(root, answer.name, lambda now: objects.merge_places(now, answer))
@@ -206,18 +208,18 @@ def _places(
     facts: Mapping[str, CloudFacts],
 ) -> Places:
     placed = solved.placed
-    named = [one[0] for one in clouds]
+    names = [entry[0] for entry in clouds]
     aided = solved.aided
-    calibrations = tuple(dict.fromkeys(one[1] for one in clouds))
-    places = {named[k]: _place(placed, aided, k, middle_of(scans[k])) for k in sorted(placed.poses)}
+    calibrations = tuple(dict.fromkeys(entry[1] for entry in clouds))
+    places = {names[k]: _place(placed, aided, k, middle_of(scans[k])) for k in sorted(placed.poses)}
     return Places(
         calibrations=calibrations,
-        water_index=tuple(one[2] for one in clouds),
+        water_index=tuple(entry[2] for entry in clouds),
         places=places,
-        pairs=tuple(_pair(one, placed, named) for one in solved.compared),
+        pairs=tuple(_pair(pair, placed, names) for pair in solved.compared),
         left_out={
-            named[k]: one.why if one.beside is None else f"with scan {named[one.beside]}: {one.why}"
-            for k, one in solved.left_out.items()
+            names[k]: omission.why if omission.beside is None else f"with scan {names[omission.beside]}: {omission.why}"
+            for k, omission in solved.left_out.items()
         },
         warnings=_warnings(solved, clouds, calibrations),
         shared_error_mm=tuple(aided.bow_mm.tolist()),
@@ -243,70 +245,70 @@ def _place(placed: ScanPoses, aided: ScanPoses, k: int, middle_mm: NDArray[np.fl
         covariance=tuple(tuple(row) for row in covariance.tolist()),
         bending_mm=placed.bending_mm[k],
         bending_unaided_mm=placed.bending_unaided_mm[k],
-        # A pair that only one of both graphs finds wrong may leave a scan in one and out of the other.
+        # A pair that is wrong in only one of both graphs may leave out a scan in that graph alone.
         bending_aided_mm=aided.bending_mm.get(k, placed.bending_unaided_mm[k]),
     )
 
 
-def _pair(one: ComparedPair, placed: ScanPoses, named: Sequence[str]) -> ComparedScans:
+def _pair(result: ComparedPair, placed: ScanPoses, names: Sequence[str]) -> ComparedScans:
     def among(edges: Sequence[Edge]) -> bool:
-        return any((edge.first, edge.second) == (one.first, one.second) for edge in edges)
+        return any((edge.first, edge.second) == (result.first, result.second) for edge in edges)
 
     wrong = among(placed.wrong)
-    # Of a pose that nothing holds, or that is wrong, neither the overlap is known nor how certain it is.
-    fit = one.pair.fit if one.pair.accepted and not wrong else None
+    # An undetermined or wrong pose gives neither overlap nor sigma.
+    fit = result.pair.fit if result.pair.accepted and not wrong else None
     return ComparedScans(
-        first=named[one.first],
-        second=named[one.second],
-        accepted=one.pair.accepted,
+        first=names[result.first],
+        second=names[result.second],
+        accepted=result.pair.accepted,
         used=among(placed.used),
-        text="contradicts the loops it is in: taken out" if wrong else one.pair.text,
+        text="contradicts the loops it is in: taken out" if wrong else result.pair.text,
         overlap_percent=None if fit is None else 100.0 * fit.overlap,
         sigma_mm=None if fit is None else fit.sigma_mm,
-        # The places follow a pair that nothing else ties: that they agree with it is no news.
-        discrepancy_mm=None if among(placed.unchecked) else placed.discrepancy_mm.get((one.first, one.second)),
+        # The poses follow a pair that is in no loop: agreement with it means nothing.
+        discrepancy_mm=None if among(placed.unchecked) else placed.discrepancy_mm.get((result.first, result.second)),
         sigma_deg=None if fit is None else fit.sigma_deg,
-        matches=None if fit is None else one.matches,
+        matches=None if fit is None else result.matches,
     )
 
 
 def _warnings(
     solved: Solved, clouds: Sequence[tuple[str, str, float, tuple[str, ...]]], calibrations: Sequence[str]
 ) -> tuple[str, ...]:
-    found = []
+    warnings = []
     if len(calibrations) > 1:
-        found.append(
+        warnings.append(
             f"{len(calibrations)} calibrations: what they differ by is in no budget; choose one for all with "
             "--calibration FILE"
         )
     if solved.placed.unchecked:
         pairs = ", ".join(f"{clouds[edge.first][0]}-{clouds[edge.second][0]}" for edge in solved.placed.unchecked)
-        found.append(f"in no loop, so that nothing checks them: {pairs}; a scan across them would")
+        warnings.append(f"in no loop, so that nothing checks them: {pairs}; a scan across them would")
     if solved.placed.variance_factor > CLEAR_FACTOR:
-        found.append(
+        warnings.append(
             f"the pairs contradict each other by {np.sqrt(solved.placed.variance_factor):.1f} times what they state: "
             "check the calibration"
         )
-    found += [f"scan {name}: {verdict}" for name, _, _, verdicts in clouds for verdict in verdicts]
-    return tuple(found)
+    warnings += [f"scan {name}: {verdict}" for name, _, _, verdicts in clouds for verdict in verdicts]
+    return tuple(warnings)
 
 
 def placed_scans(
     root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress
 ) -> Iterator[PlacedScan]:
-    """Yield the scans that have a place, each with how certain it is beside its neighbours; the shared depth error is
-    taken out of their points where the places say so.
+    """Yield the scans that have a pose, each with its standard deviation beside its neighbours.
 
-    Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
+    The shared depth error is removed from their points if the stored poses say so. Raises ObjectError for an object that is
+    not solved; ScanError, CalibrationError.
     """
     places = stored_object.places
     if places is None:
         raise ObjectError(
             f"object '{stored_object.name}' is not solved: kingfisher object solve '{stored_object.name}'"
         )
-    kept = replace(stored_object, scans=tuple(one for one in stored_object.scans if one.name in places.places))
+    with_place = replace(stored_object, scans=tuple(scan for scan in stored_object.scans if scan.name in places.places))
     shared = np.array(places.shared_error_mm)
-    for member in clouds_of(root, kept, wish, progress):
+    for member in clouds_of(root, with_place, wish, progress):
         place, cloud = places.places[member.scan.name], member.cloud
         if places.shared_error_removed:
             points = remove_depth_error(
@@ -325,17 +327,17 @@ def placed_scans(
 
 
 def _beside_others(places: Places, scan: str) -> float:
-    """Return the standard deviation of a scan's place relative to those it overlaps, mm: what decides where two skins
-    are one."""
-    mine = [pair.sigma_mm for pair in places.pairs if pair.used and scan in (pair.first, pair.second) and pair.sigma_mm]
-    return max(POSE_SIGMA_MM, float(np.median(mine))) if mine else POSE_SIGMA_MM
+    """Return the standard deviation of a scan's pose relative to overlapping scans, mm, for the fusion."""
+    sigmas_mm = [
+        pair.sigma_mm for pair in places.pairs if pair.used and scan in (pair.first, pair.second) and pair.sigma_mm
+    ]
+    return max(POSE_SIGMA_MM, float(np.median(sigmas_mm))) if sigmas_mm else POSE_SIGMA_MM
 
 
 def surface_of(
     root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress, spacing_mm: float
 ) -> FusedCloud:
-    """Return one surface of all scans that have a place, a point about every ``spacing_mm``, with sigma in the object's
-    frame.
+    """Return one surface of all placed scans, a point about every ``spacing_mm``, with sigma in the object's frame.
 
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
@@ -344,43 +346,47 @@ def surface_of(
 
 
 def tell_health(root: Path, solved: StoredObject) -> None:
-    """Write what an object's overlaps tell of its calibration beside what its scans told; the instrument reads it at its
-    next start. Raises StorageError, also where a service holds ``root``."""
-    told = _overlap_news(solved)
-    if told is None:
+    """Store the shared error that an object's overlaps show with the health of its calibration.
+
+    The instrument reads it at its next start. Raises StorageError, also where a service holds ``root``.
+    """
+    calibration_news = _overlap_news(solved)
+    if calibration_news is None:
         return
-    calibration_hash, news = told
-    # The running service keeps the trend in memory and would write it over this.
+    calibration_hash, news = calibration_news
+    # A running service keeps the trend in memory and would overwrite this.
     with hold_lock(root):
         file = HealthFile(root, calibration_hash)
         file.write(add_overlap_news(file.read(), news))
 
 
 def _overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:
-    """Return the hash of the calibration that an object's scans share and what their overlaps tell of it; ``None``:
-    nothing."""
+    """Return the hash of the calibration that an object's scans share, and the shared error that their overlaps show.
+
+    ``None`` if they show none.
+    """
     places = stored_object.places
     if places is None or places.shared_error_score is None or len(places.calibrations) != 1:
         return None
-    found = np.array(places.shared_error_mm)
+    shared_mm = np.array(places.shared_error_mm)
     return places.calibrations[0], OverlapNews(
         object=stored_object.name,
         scans=len(places.places),
-        bend_um=1000.0 * spread_mm(np.outer(found, found)),
+        bend_um=1000.0 * spread_mm(np.outer(shared_mm, shared_mm)),
         sigma_um=1000.0 * places.shared_error_aided_mm,
         score=places.shared_error_score,
     )
 
 
 def metadata_of_object(stored_object: StoredObject) -> Metadata:
-    """Return what a file of the object says of it."""
+    """Return the metadata of an object for a file."""
     places = stored_object.places
     if places is None:
         return Metadata(stored_object.name, OBJECT_FRAME)
-    widest = max(places.places.values(), key=lambda one: one.sigma_mm, default=None)
+    widest = max(places.places.values(), key=lambda place: place.sigma_mm, default=None)
     notes = [
         f"{len(places.places)} scans in the frame of {next(iter(places.places), '-')}",
-        f"calibration {', '.join(one[:12] for one in places.calibrations)}; water index {places.water_index[0]:.5f}",
+        f"calibration {', '.join(hash_[:12] for hash_ in places.calibrations)}; water index {places.water_index[0]:.5f}",
     ]
     if widest is not None:
         notes.append(

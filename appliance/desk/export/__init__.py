@@ -1,1 +1,1 @@
-"""Files for other programs: points, meshes and grids in the formats that are read elsewhere, whole or not at all."""
+"""Files for other programs: points, meshes and grids in common formats, each complete or not at all."""

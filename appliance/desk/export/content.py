@@ -1,5 +1,4 @@
-"""Owns what goes into a file for another program: points with what is known about each, and what is said about all of
-them."""
+"""Content of files for other programs: points with their attributes, and metadata."""
 
 from __future__ import annotations
 
@@ -19,14 +18,14 @@ from appliance.measure import OrganisedCloud
 
 MM_PER_M = 1000.0
 MAX_LINE_CHARACTERS, MAX_MARK_CHARACTERS = 200, 2000
-"""Longest line, and longest mark: as long as in the instrument's own clouds (``appliance.store.ply``)."""
+"""Length of the longest line, and of the longest mark, as in the instrument's own clouds (``appliance.store.ply``)."""
 CAMERA_FRAME = "left camera frame (x right, y down, z forward)"
 OBJECT_FRAME = "object frame"
 
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """Description of a file in it, as far as its format has room; ASCII, since most formats have nothing else."""
+    """Metadata of a file, as far as its format has room; ASCII, since most formats have no other text."""
 
     title: str
     """Name of the scan or the object."""
@@ -35,17 +34,19 @@ class Metadata:
     notes: tuple[str, ...] = ()
     """Further lines: calibration, water, warnings."""
     marks: tuple[str, ...] = ()
-    """Whatever spoils the whole, each with its word in front (``unchecked: …``): in every format these very words,
-    never shortened to a line's length, so that one search finds them in any file."""
+    """Faults of all points, each with its word in front (``unchecked: …``): the same words in every format, never
+    shortened to a line's length, so that one search finds them in any file."""
     unit: str = ""
-    """Unit of all lengths, in place of the format's own: of a cloud whose scale nobody knows."""
+    """Unit of all lengths in place of the format's own, for a cloud of unknown scale."""
 
     def lines(self, unit: str) -> list[str]:
-        """Return all of it as ASCII lines, with the format's ``unit`` of lengths; but for marks, of at most 200
-        characters."""
-        said = [f"{self.title}: unit {self.unit or unit}, {self.frame}", *self.notes]
-        first, *others = [_plain(line)[:MAX_LINE_CHARACTERS] for line in said]
-        return [first, *self.mark_lines(), *others]
+        """Return the metadata as ASCII lines, with the format's ``unit`` of lengths.
+
+        All but marks have 200 characters at most.
+        """
+        texts = [f"{self.title}: unit {self.unit or unit}, {self.frame}", *self.notes]
+        first, *notes = [_plain(line)[:MAX_LINE_CHARACTERS] for line in texts]
+        return [first, *self.mark_lines(), *notes]
 
     def mark_lines(self) -> list[str]:
         """Return the marks alone, as they stand among the lines."""
@@ -58,7 +59,7 @@ def _plain(line: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedPoints:
-    """Points as they are handed to a writer; all arrays have the same length n."""
+    """Points for a writer; all arrays have the same length n."""
 
     points_mm: NDArray[np.float32]
     """(n, 3) float32."""
@@ -82,20 +83,22 @@ class ExportedPoints:
 
 
 def points_of_scan(cloud: OrganisedCloud, unit: str = "mm") -> ExportedPoints:
-    """Return the points of one scan, in the order of their pixels, with normals; ``unit``: what its lengths are in."""
-    there = cloud.mask
+    """Return the points of one scan, in the order of their pixels, with normals; ``unit`` of its lengths."""
+    has_point = cloud.mask
     return ExportedPoints(
-        points_mm=cloud.points_mm[there],
-        sigma_mm=cloud.sigma_mm[there],
-        grey=cloud.grey[there],
-        normals=normals(cloud)[there],
-        more={"modulation_dn": cloud.modulation_dn[there], f"ray_gap_{unit}": cloud.ray_gap_mm[there]},
+        points_mm=cloud.points_mm[has_point],
+        sigma_mm=cloud.sigma_mm[has_point],
+        grey=cloud.grey[has_point],
+        normals=normals(cloud)[has_point],
+        more={"modulation_dn": cloud.modulation_dn[has_point], f"ray_gap_{unit}": cloud.ray_gap_mm[has_point]},
     )
 
 
 def points_of_surface(cloud: FusedCloud, origin_mm: NDArray[np.float64] | None = None) -> ExportedPoints:
-    """Return the points of a fused surface, with the number of scans that saw each, and the shares of sigma where they
-    are known."""
+    """Return the points of a fused surface, with the number of scans that saw each.
+
+    They have the shares of sigma where these are known.
+    """
     more = {"views": cloud.views.astype(np.float32)}
     if cloud.shares is not None:
         more |= {
@@ -116,27 +119,29 @@ def single_precision(points: ExportedPoints, suffix: str) -> NDArray[np.float32]
     """Return the points (n, 3) in their frame as float32. Raises ExportError where that is too coarse for them."""
     if not points.origin_mm.any() or not len(points.points_mm):
         return points.points_mm
-    whole = points.points_mm.astype(np.float64) + points.origin_mm
-    farthest = float(np.abs(whole).max())
+    in_frame = points.points_mm.astype(np.float64) + points.origin_mm
+    farthest = float(np.abs(in_frame).max())
     step_mm = float(np.spacing(np.float32(farthest)))
     if step_mm > COARSEST_MM:
         raise ExportError(
             f"{suffix} has single precision, which {farthest / MM_PER_M:,.0f} m from the frame's origin has steps of "
             f"{step_mm:g} mm; write .e57 or .las"
         )
-    return whole.astype(np.float32)
+    return in_frame.astype(np.float32)
 
 
 def finite(values: NDArray[Any]) -> NDArray[Any]:
-    """Return the values with 0 for what is unknown: formats have no word for it, and most readers stumble over NaN."""
-    known: NDArray[Any] = np.nan_to_num(values, nan=0.0)
-    return known
+    """Return the values with 0 for unknown ones, since formats have no word for these and readers fail at NaN."""
+    replaced: NDArray[Any] = np.nan_to_num(values, nan=0.0)
+    return replaced
 
 
-def scaled_to_mm(points: ExportedPoints, about: Metadata) -> ExportedPoints:
-    """Return points for a format that divides by 1000 for its metres; where a cloud's scale is not known, its numbers
-    stay as they are."""
-    if not about.unit:
+def scaled_to_mm(points: ExportedPoints, metadata: Metadata) -> ExportedPoints:
+    """Return points for a format that divides by 1000 for its metres.
+
+    Without a known scale they are multiplied by 1000, so that their numbers stay.
+    """
+    if not metadata.unit:
         return points
     return replace(
         points, points_mm=points.points_mm * np.float32(MM_PER_M), sigma_mm=points.sigma_mm * np.float32(MM_PER_M)

@@ -1,9 +1,8 @@
-"""Owns the E57 file: metres, one entry a scan, normals by the registered extension, sigma and further columns by one of
-our own.
+"""E57 files: metres, one entry a scan, normals by the registered extension, sigma and further columns by our extension.
 
-Places are single-precision floats: 0.06 µm at 1 m. Each scan is written about an origin of its own, with the way into
-the file's frame as its pose in double: where an object's scan lies, or the middle of what is far from its frame's
-origin. Readers that know neither extension pass over both. The file's GUID is made of its content, so that the same
+Places are single-precision floats: 0.06 µm at 1 m. Each scan is written about an origin of its own, with the transform
+into the file's frame as its pose in double: the scan's pose in its object, or the middle of points far from their
+frame's origin. Readers without the extensions ignore them. The file's GUID is made of its content, so that the same
 points give the same file. Sources: ASTM E2807-11; the extension for surface normals is that of libe57.org. Written by
 libE57Format, which pye57 (MIT) brings.
 """
@@ -30,85 +29,84 @@ from appliance.store import LocalFileSystem
 NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
 OWN = ("kf", "urn:kingfisher:e57:1")
 """Prefix and name of our extension: ``sigma``, the standard deviation of a point in metres, and further columns by
-their names: those in mm without it and in metres, like everything in the file (``deviation_mm`` is ``kf:deviation``).
-"""
+their names. Those in mm are without the unit and in metres, like all lengths in the file (``deviation_mm`` is
+``kf:deviation``)."""
 _MM = "_mm"
 _AXES = ("X", "Y", "Z")
 _GREY = (0.0, 255.0)
 _INVALID = "cartesianInvalidState"
 
 
-def write_points(path: Path, points: ExportedPoints, about: Metadata) -> None:
+def write_points(path: Path, points: ExportedPoints, metadata: Metadata) -> None:
     """Write one scan or surface.
 
     Raises StorageError, ValueError for one without points, MissingLibraryError where pye57 is absent.
     """
-    _replace(path, [(about.title, scaled_to_mm(points, about))], about)
+    _replace(path, [(metadata.title, scaled_to_mm(points, metadata))], metadata)
 
 
-def write_scans(path: Path, scans: Iterable[PlacedScan], about: Metadata) -> None:
-    """Write an object's scans, each about its own origin, with its place as its pose; one is held at a time.
+def write_scans(path: Path, scans: Iterable[PlacedScan], metadata: Metadata) -> None:
+    """Write an object's scans, each about its own origin, with its pose; one scan is held at a time.
 
     Raises what ``write_points`` and ``scans`` raise.
     """
     placed = (
-        (one.name, replace(points_of_scan(one.cloud), origin_mm=one.translation_mm, rotation=one.rotation))
-        for one in scans
+        (scan.name, replace(points_of_scan(scan.cloud), origin_mm=scan.translation_mm, rotation=scan.rotation))
+        for scan in scans
     )
-    _replace(path, placed, about)
+    _replace(path, placed, metadata)
 
 
-def _replace(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: Metadata) -> None:
-    # The library wants a name to write to, and gets that of the draft.
-    LocalFileSystem().replace_by(path, partial(_write, scans=scans, about=about))
+def _replace(path: Path, scans: Iterable[tuple[str, ExportedPoints]], metadata: Metadata) -> None:
+    # The library needs a name to write to, and gets that of the draft.
+    LocalFileSystem().replace_by(path, partial(_write, scans=scans, metadata=metadata))
 
 
-def _write(path: Path, scans: Iterable[tuple[str, ExportedPoints]], about: Metadata) -> None:
-    """Write the file at ``path``; ``about``: of all scans; each entry has it under its own title."""
+def _write(path: Path, scans: Iterable[tuple[str, ExportedPoints]], metadata: Metadata) -> None:
+    """Write the file at ``path`` with the metadata of all scans; each entry has them under its own title."""
     library = needed("pye57", "pye57", "an E57 file").libe57
     try:
         file = library.ImageFile(str(path), "w")
         try:
             entries = _begin(library, file)
-            keys = [_add(library, file, entries, points, replace(about, title=title)) for title, points in scans]
+            keys = [_add(library, file, entries, points, replace(metadata, title=title)) for title, points in scans]
             file.root().set("guid", library.StringNode(file, _guid(keys)))
         finally:
             file.close()
     except library.E57Exception as error:
-        # Its own errors are no OSErrors, although a full disk is what most of them are.
+        # The library's errors are no OSErrors, although most of them are a full disk.
         raise OSError(None, f"the E57 library could not write: {error}") from error
 
 
 def _guid(keys: Sequence[str], part: str = "") -> str:
-    whole = uuid.uuid5(uuid.NAMESPACE_URL, "\n".join(keys))
-    return f"{{{uuid.uuid5(whole, part) if part else whole}}}"
+    of_all = uuid.uuid5(uuid.NAMESPACE_URL, "\n".join(keys))
+    return f"{{{uuid.uuid5(of_all, part) if part else of_all}}}"
 
 
 def _columns(points: ExportedPoints) -> dict[str, NDArray[Any]]:
     if not len(points.grey):
         raise ValueError("an E57 file needs at least one point of each scan")
     metres = (points.points_mm / np.float32(MM_PER_M)).astype(np.float32)
-    known = finite(points.normals)
+    normals = finite(points.normals)
     return {
         **{f"cartesian{axis}": metres[:, k] for k, axis in enumerate(_AXES)},
-        # Every point is one: some readers refuse a file that does not say so. A column that can only be 0 takes no
-        # room.
+        # Mark every point as valid: some readers reject a file without that. A column that can only be 0 takes no room.
         _INVALID: np.zeros(len(metres), np.int8),
         "intensity": points.grey.astype(np.float32),
-        **{f"nor:normal{axis}": known[:, k] for k, axis in enumerate(_AXES)},
+        **{f"nor:normal{axis}": normals[:, k] for k, axis in enumerate(_AXES)},
         f"{OWN[0]}:sigma": points.sigma_mm / np.float32(MM_PER_M),
         **dict(_column(name, values) for name, values in points.more.items()),
     }
 
 
 def _column(name: str, values: NDArray[np.float32]) -> tuple[str, NDArray[np.float32]]:
-    # One unit in the whole file: a reader cannot know which columns differ.
+    # The file has one unit: a reader cannot know which columns differ.
     in_metres = name.endswith(_MM)
     return f"{OWN[0]}:{name.removesuffix(_MM)}", values / np.float32(MM_PER_M) if in_metres else values
 
 
 def _begin(library: Any, file: Any) -> Any:
-    """Write all but the GUID and the scans; return the node that takes the scans."""
+    """Write all but the GUID and the scans; return the node for the scans."""
     file.extensionsAdd("", library.E57_V1_0_URI)
     file.extensionsAdd(*NORMALS)
     file.extensionsAdd(*OWN)
@@ -124,31 +122,31 @@ def _begin(library: Any, file: Any) -> Any:
     return scans
 
 
-def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, about: Metadata) -> str:
-    """Write one scan; return a text that is another one for any other content."""
+def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, metadata: Metadata) -> str:
+    """Write one scan; return a text that differs for any other content."""
 
     def number(value: float) -> Any:
         return library.FloatNode(file, float(value))
 
-    columns, lines = _columns(points), about.lines("metre")
+    columns, lines = _columns(points), metadata.lines("metre")
     checksum = 0
     for values in columns.values():
         checksum = zlib.crc32(np.ascontiguousarray(values).tobytes(), checksum)
     key = f"{OWN[1]} {checksum:08x} {len(columns['intensity'])} {' '.join(lines)}"
     scan = library.StructureNode(file)
     scan.set("guid", library.StringNode(file, _guid([key], "scan")))
-    scan.set("name", library.StringNode(file, about.title.encode("ascii", "replace").decode("ascii")))
+    scan.set("name", library.StringNode(file, metadata.title.encode("ascii", "replace").decode("ascii")))
     scan.set("description", library.StringNode(file, "; ".join(lines)))
     origin_m = points.origin_mm / MM_PER_M
     if origin_m.any() or not np.array_equal(points.rotation, np.eye(3)):
-        pose, turn, shift = (library.StructureNode(file) for _ in range(3))
+        pose, rotation, shift = (library.StructureNode(file) for _ in range(3))
         quaternion = Rotation.from_matrix(points.rotation).as_quat(canonical=True, scalar_first=True)
         for name, value in zip("wxyz", quaternion, strict=True):
-            turn.set(name, number(value))
+            rotation.set(name, number(value))
         for name, value in zip("xyz", origin_m, strict=True):
             shift.set(name, number(value))
         scan.set("pose", pose)
-        pose.set("rotation", turn)
+        pose.set("rotation", rotation)
         pose.set("translation", shift)
         key += f" {quaternion.tolist()} {origin_m.tolist()}"
     bounds = library.StructureNode(file)
@@ -164,20 +162,20 @@ def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, about: Met
 
     prototype = library.StructureNode(file)
     buffers = library.VectorSourceDestBuffer()
-    kept = []
+    columns_kept = []
     for name, values in columns.items():
         flag = name == _INVALID
         prototype.set(
             name, library.IntegerNode(file, 0, 0, 0) if flag else library.FloatNode(file, 0.0, library.E57_SINGLE)
         )
         column = np.array(values, np.int8 if flag else np.float32)
-        # The library keeps a bare pointer: the array must live until the writer is closed.
-        kept.append(column)
+        # The library holds a bare pointer: the array must live until the writer is closed.
+        columns_kept.append(column)
         buffers.append(library.SourceDestBuffer(file, name, column, len(column), True, True))
     vector = library.CompressedVectorNode(file, prototype, library.VectorNode(file, True))
     scan.set("points", vector)
     scans.append(scan)
     writer = vector.writer(buffers)
-    writer.write(len(kept[0]))
+    writer.write(len(columns_kept[0]))
     writer.close()
     return key

@@ -1,4 +1,4 @@
-"""Owns how points and meshes become files, by their suffix, each whole or not at all."""
+"""Writing of points and meshes to files in the format of their suffix, each complete or not at all."""
 
 from __future__ import annotations
 
@@ -25,56 +25,58 @@ from appliance.desk.surface.mesh import Mesh
 from appliance.measure import OrganisedCloud
 
 
-def write_scan(path: Path, cloud: OrganisedCloud, about: Metadata) -> None:
-    """Write the points of one scan; the suffix says how (``SCAN_SUFFIXES``).
+def write_scan(path: Path, cloud: OrganisedCloud, metadata: Metadata) -> None:
+    """Write the points of one scan in the format of the suffix (``SCAN_SUFFIXES``).
 
     Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
     """
     suffix = check_suffix(path, SCAN_SUFFIXES, "a scan")
-    if any(one.suffix == suffix and "grid" in one.contents for one in FORMATS):
-        _writer(suffix, "grid")(path, cloud, about)
+    if any(row.suffix == suffix and "grid" in row.contents for row in FORMATS):
+        _writer(suffix, "grid")(path, cloud, metadata)
     else:
-        _writer(suffix, "points")(path, points_of_scan(cloud, about.unit or "mm"), about)
+        _writer(suffix, "points")(path, points_of_scan(cloud, metadata.unit or "mm"), metadata)
 
 
 def write_surface(
     path: Path,
     cloud: FusedCloud,
-    about: Metadata,
+    metadata: Metadata,
     deviation_mm: NDArray[np.float32] | None = None,
     origin_mm: NDArray[np.float64] | None = None,
 ) -> None:
-    """Write the points of a fused surface (``SURFACE_SUFFIXES``), with ``deviation_mm`` (n,) as a further column where
-    it is given. ``origin_mm`` (3,): place of their (0, 0, 0) in the frame of the file.
+    """Write the points of a fused surface (``SURFACE_SUFFIXES``), with ``deviation_mm`` (n,) as a further column.
 
-    Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
+    ``origin_mm`` (3,): place of their (0, 0, 0) in the frame of the file. Raises ExportError, StorageError, ValueError, and
+    MissingLibraryError where the format's library is absent.
     """
     suffix = check_suffix(path, SURFACE_SUFFIXES, "a surface of points")
     points = points_of_surface(cloud, origin_mm)
     if deviation_mm is not None:
         points = replace(points, more={**points.more, "deviation_mm": deviation_mm})
-    _writer(suffix, "points")(path, points, about)
+    _writer(suffix, "points")(path, points, metadata)
 
 
-def write_scans(path: Path, scans: Iterable[PlacedScan], about: Metadata) -> None:
-    """Write an object's single scans, unmoved, with where each lies (``OBJECT_SCANS_SUFFIXES``); one is held at a time.
+def write_scans(path: Path, scans: Iterable[PlacedScan], metadata: Metadata) -> None:
+    """Write the single scans of an object, unmoved, with their poses (``OBJECT_SCANS_SUFFIXES``).
 
-    Raises ExportError, StorageError, MissingLibraryError where the format's library is absent, and what ``scans``
-    raises.
+    One scan is held at a time. Raises ExportError, StorageError, MissingLibraryError where the format's library is absent,
+    and the errors of ``scans``.
     """
-    _writer(check_suffix(path, OBJECT_SCANS_SUFFIXES, "the scans of an object"), "scans")(path, scans, about)
+    _writer(check_suffix(path, OBJECT_SCANS_SUFFIXES, "the scans of an object"), "scans")(path, scans, metadata)
 
 
-def write_mesh(path: Path, mesh: Mesh, about: Metadata) -> None:
-    """Write a mesh (``MESH_SUFFIXES``). Raises ExportError, StorageError,
-    ValueError, and MissingLibraryError where the format's library is absent."""
-    _writer(check_suffix(path, MESH_SUFFIXES, "a mesh"), "mesh")(path, mesh, about)
+def write_mesh(path: Path, mesh: Mesh, metadata: Metadata) -> None:
+    """Write a mesh (``MESH_SUFFIXES``).
+
+    Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
+    """
+    _writer(check_suffix(path, MESH_SUFFIXES, "a mesh"), "mesh")(path, mesh, metadata)
 
 
 def _writer(suffix: str, content: str) -> Callable[[Path, Any, Metadata], None]:
     """Return the function of the format's module."""
-    module = next(one.module for one in FORMATS if one.suffix == suffix)
-    found: Callable[[Path, Any, Metadata], None] = getattr(
+    module = next(row.module for row in FORMATS if row.suffix == suffix)
+    writer: Callable[[Path, Any, Metadata], None] = getattr(
         importlib.import_module(f"appliance.desk.export.{module}"), f"write_{content}"
     )
-    return found
+    return writer

@@ -1,5 +1,4 @@
-"""Owns the table of formats, one row each, and what is refused by a suffix alone: light, so that a wrong one is told at
-once."""
+"""Table of file formats, one row each, and checks of a suffix: light, so that a wrong suffix is reported at once."""
 
 from __future__ import annotations
 
@@ -10,22 +9,22 @@ from appliance.base import require
 
 
 class ExportError(Exception):
-    """A file cannot be made; the text says which, why, and what to do."""
+    """A file cannot be made; the text names it, the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
     """One kind of file, by its suffix.
 
-    Its module has ``write_points``, ``write_grid``, ``write_scans`` or ``write_mesh``, each of a path, the content and what is said
-    about it, for each of ``contents``.
+    Its module has ``write_points``, ``write_grid``, ``write_scans`` or ``write_mesh``, each of a path, the content and its metadata,
+    for each of ``contents``.
     """
 
     suffix: str
     module: str
     """Name of the module beside this one."""
     contents: tuple[str, ...]
-    """``points``: of a scan or a surface; ``grid``: of a scan, pixel by pixel; ``scans``: of an object, each with its place; ``mesh``."""
+    """``points``: of a scan or a surface; ``grid``: of a scan, pixel by pixel; ``scans``: of an object, each with its pose; ``mesh``."""
     library: str | None = None
     """Name of the library that writes it; ``None``: ours."""
 
@@ -38,10 +37,10 @@ FORMATS = (
     Format(".stl", "stl", ("mesh",)),
     Format(".obj", "obj", ("mesh",)),
 )
-SCAN_SUFFIXES = tuple(one.suffix for one in FORMATS if one.contents != ("mesh",))
-OBJECT_SCANS_SUFFIXES = tuple(one.suffix for one in FORMATS if "scans" in one.contents)
-SURFACE_SUFFIXES = tuple(one.suffix for one in FORMATS if "points" in one.contents)
-MESH_SUFFIXES = tuple(one.suffix for one in FORMATS if "mesh" in one.contents)
+SCAN_SUFFIXES = tuple(row.suffix for row in FORMATS if row.contents != ("mesh",))
+OBJECT_SCANS_SUFFIXES = tuple(row.suffix for row in FORMATS if "scans" in row.contents)
+SURFACE_SUFFIXES = tuple(row.suffix for row in FORMATS if "points" in row.contents)
+MESH_SUFFIXES = tuple(row.suffix for row in FORMATS if "mesh" in row.contents)
 
 _TRIANGLES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SCAN_SUFFIXES)
 """Suffixes that only meshes have."""
@@ -52,18 +51,21 @@ SUFFIXES_BY_CONTENT = {
     "an object": tuple(dict.fromkeys((*SURFACE_SUFFIXES, *_TRIANGLES, *OBJECT_SCANS_SUFFIXES))),
     "a comparison": (*SURFACE_SUFFIXES, ".html"),
 }
-"""Suffixes by the thing that a verb is asked to write."""
+"""Allowed suffixes by the content that a verb writes."""
 
 
-def has_triangles(path: Path, wanted: bool = False) -> bool:
-    """Return whether a mesh is written to ``path``; ``wanted``: also where its suffix leaves the choice."""
+def has_triangles(path: Path, preferred: bool = False) -> bool:
+    """Return whether a mesh is written to ``path``; ``preferred``: also if its suffix leaves the choice."""
     suffix = path.suffix.lower()
-    return suffix in MESH_SUFFIXES if wanted else suffix in _TRIANGLES
+    return suffix in MESH_SUFFIXES if preferred else suffix in _TRIANGLES
 
 
 def check_file(path: Path, what: str) -> None:
-    """Raises ExportError for a suffix that ``what`` (``WRITTEN``) is not written with, and MissingLibraryError where
-    what writes it is absent: before minutes of work."""
+    """Check before minutes of work that a file can be written.
+
+    Raises ExportError for a suffix that ``what`` (a key of ``SUFFIXES_BY_CONTENT``) does not allow, and MissingLibraryError
+    where the library that writes it is absent.
+    """
     check_suffix(path, SUFFIXES_BY_CONTENT[what], what)
     require_library(path)
 
@@ -71,7 +73,7 @@ def check_file(path: Path, what: str) -> None:
 def check_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
     """Return the suffix of ``path`` in lower case.
 
-    Raises ExportError for one that is none of those ``allowed`` for ``what``.
+    Raises ExportError for a suffix that is not among those ``allowed`` for ``what``.
     """
     suffix = path.suffix.lower()
     if suffix not in allowed:
@@ -83,11 +85,13 @@ def check_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
 
 
 def require_library(path: Path) -> None:
-    """Raises MissingLibraryError where the library that writes files with the suffix of ``path`` is absent: before
-    minutes of work."""
+    """Raise MissingLibraryError where the library that writes files with the suffix of ``path`` is absent.
+
+    It is called before minutes of work.
+    """
     suffix = path.suffix.lower()
     if suffix == ".html":
         require("plotly", "plotly", "a page with a surface that can be turned")
-    for one in FORMATS:
-        if one.suffix == suffix and one.library is not None:
-            require(one.library, one.library, f"{'an' if suffix == '.e57' else 'a'} {suffix[1:].upper()} file")
+    for row in FORMATS:
+        if row.suffix == suffix and row.library is not None:
+            require(row.library, row.library, f"{'an' if suffix == '.e57' else 'a'} {suffix[1:].upper()} file")

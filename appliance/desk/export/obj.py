@@ -1,4 +1,4 @@
-"""Owns the OBJ file of a mesh: mm, as is the custom, and said in the file since the format has no unit.
+"""OBJ files of meshes: mm, as is the custom; the file says so, since the format has no unit.
 
 It has vertices with grey as colour (three numbers after the place, as MeshLab and most others read them) and normals.
 It has no room for sigma. Source: Wavefront, "Object Files (.obj)" (1990s).
@@ -17,18 +17,18 @@ from appliance.desk.surface.mesh import Mesh
 from appliance.store import LocalFileSystem
 
 _ROWS = 20_000
-"""Lines that are written at once: a list of all numbers of a large mesh would take gigabytes."""
+"""Number of lines that are written at once: a list of all numbers of a large mesh would take gigabytes."""
 
 
-def write_mesh(path: Path, mesh: Mesh, about: Metadata) -> None:
+def write_mesh(path: Path, mesh: Mesh, metadata: Metadata) -> None:
     """Write the file. Raises StorageError."""
-    LocalFileSystem().replace_file(path, *encode_obj(mesh, about))
+    LocalFileSystem().replace_file(path, *encode_obj(mesh, metadata))
 
 
-def encode_obj(mesh: Mesh, about: Metadata) -> list[bytes]:
-    """Return an OBJ file in pieces. Places have six decimals, of which the float32 behind them knows four or five."""
-    marks = about.mark_lines()
-    head = "".join(f"# {'' if line in marks else 'Kingfisher '}{line}\n" for line in about.lines("mm")) + "o mesh\n"
+def encode_obj(mesh: Mesh, metadata: Metadata) -> list[bytes]:
+    """Return an OBJ file in pieces. Places have six decimals, of which float32 holds four or five."""
+    marks = metadata.mark_lines()
+    head = "".join(f"# {'' if line in marks else 'Kingfisher '}{line}\n" for line in metadata.lines("mm")) + "o mesh\n"
     shade = mesh.grey.astype(np.float64)[:, None] / 255.0
     places = np.concatenate([mesh.vertices_mm.astype(np.float64), np.repeat(shade, 3, axis=1)], axis=1)
     # Indices begin with 1; each vertex has the normal of the same number.

@@ -1,4 +1,4 @@
-"""Owns the PLY file of a fused surface and of a mesh: normals, grey as colour, sigma, and faces where there are some.
+"""PLY files of fused surfaces and of meshes: normals, grey as colour, sigma, and faces of a mesh.
 
 Binary little-endian, mm. A raw scan has a PLY file of its own (``appliance.store.ply``), with a checksum and without
 normals. Source: G. Turk, "The PLY Polygon File Format" (1994); names of properties as MeshLab and CloudCompare read
@@ -35,42 +35,44 @@ _AT_ONCE = 1 << 16
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
-def write_points(path: Path, points: ExportedPoints, about: Metadata) -> None:
+def write_points(path: Path, points: ExportedPoints, metadata: Metadata) -> None:
     """Write points alone. Raises StorageError, ExportError."""
-    LocalFileSystem().replace_parts(path, encode_surface(points, about))
+    LocalFileSystem().replace_parts(path, encode_surface(points, metadata))
 
 
-def write_mesh(path: Path, mesh: Mesh, about: Metadata) -> None:
+def write_mesh(path: Path, mesh: Mesh, metadata: Metadata) -> None:
     """Write a mesh. Raises StorageError, ExportError."""
-    LocalFileSystem().replace_file(path, *encode_surface(points_of_mesh(mesh), about, mesh.faces))
+    LocalFileSystem().replace_file(path, *encode_surface(points_of_mesh(mesh), metadata, mesh.faces))
 
 
-def encode_surface(points: ExportedPoints, about: Metadata, faces: NDArray[np.int32] | None = None) -> Iterator[bytes]:
+def encode_surface(
+    points: ExportedPoints, metadata: Metadata, faces: NDArray[np.int32] | None = None
+) -> Iterator[bytes]:
     """Return header, vertices and faces ((m, 3) int32; ``None``: points alone). Unknown normals are (0, 0, 0).
 
-    Vertices are encoded as they are asked for: all of a large cloud need much room.
+    Vertices are encoded on demand: all of a large cloud need much memory.
     """
-    n, places = len(points.grey), single_precision(points, "PLY")
+    n, coordinates_mm = len(points.grey), single_precision(points, "PLY")
     columns = [*_FIXED, *((name, "<f4", "float") for name in points.more)]
     kinds = np.dtype([(name, kind) for name, kind, _ in columns])
 
-    def encoded(some: slice) -> bytes:
-        rows, known = np.empty(len(points.grey[some]), kinds), finite(points.normals[some])
+    def encoded(part: slice) -> bytes:
+        rows, normals = np.empty(len(points.grey[part]), kinds), finite(points.normals[part])
         for axis in range(3):
-            rows["xyz"[axis]] = places[some, axis]
-            rows[f"n{'xyz'[axis]}"] = known[:, axis]
+            rows["xyz"[axis]] = coordinates_mm[part, axis]
+            rows[f"n{'xyz'[axis]}"] = normals[:, axis]
         for name in ("red", "green", "blue"):
-            rows[name] = points.grey[some]
-        rows["sigma"] = points.sigma_mm[some]
+            rows[name] = points.grey[part]
+        rows["sigma"] = points.sigma_mm[part]
         for name, values in points.more.items():
-            rows[name] = values[some]
+            rows[name] = values[part]
         return rows.tobytes()
 
     header = ["ply", "format binary_little_endian 1.0"]
-    marks = about.mark_lines()
+    marks = metadata.mark_lines()
     # Marks stand as in the instrument's own clouds, behind "comment" alone: one reader knows both.
-    header += [f"comment {'' if line in marks else 'Kingfisher '}{line}" for line in about.lines("mm")]
-    header += [f"comment sigma: standard deviation in {about.unit or 'mm'}", f"element vertex {n}"]
+    header += [f"comment {'' if line in marks else 'Kingfisher '}{line}" for line in metadata.lines("mm")]
+    header += [f"comment sigma: standard deviation in {metadata.unit or 'mm'}", f"element vertex {n}"]
     header += [f"property {word} {name}" for name, _, word in columns]
     triangles = np.zeros(0 if faces is None else len(faces), _FACE)
     if faces is not None:

@@ -109,7 +109,7 @@ class ReferenceSurface(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FreeWay:
+class FreeDirection:
     """A direction that the shape does not hold, with the fit at both ends of its free range."""
 
     direction: Array
@@ -134,7 +134,7 @@ class SurfaceRegistration:
     lever_mm: float
     covariance: Array
     """(6, 6) of δ, mm², zero along free directions."""
-    free: tuple[FreeWay, ...]
+    free: tuple[FreeDirection, ...]
     """Directions along which the shape does not hold it."""
     fitting: float
     """Share of the points that lie within ``FITS_MM`` of the reference."""
@@ -192,7 +192,9 @@ def register_to_reference(
     return _result(best, fits, final_points, free)
 
 
-def _result(best: _Fit, fits: list[_Fit], points: OrientedPoints, free: tuple[FreeWay, ...]) -> SurfaceRegistration:
+def _result(
+    best: _Fit, fits: list[_Fit], points: OrientedPoints, free: tuple[FreeDirection, ...]
+) -> SurfaceRegistration:
     resistance = best.system.resistance()
     value, vector = np.linalg.eigh(resistance.stiffness)
     loose = resistance.significance < MIN_SIGNIFICANCE
@@ -322,7 +324,7 @@ def _free_way(
     slid_points: OrientedPoints,
     rough: _Sampled,
     reference: ReferenceSurface,
-) -> FreeWay:
+) -> FreeDirection:
     """Return the range along ``direction`` on which hardly a point changes, with the fit at its ends."""
     range_mm = _largest_amount_mm(fit, direction, rough)
     share_here = float(_shares(fit, direction, np.zeros(1), slid_points, rough)[0])
@@ -338,7 +340,9 @@ def _free_way(
         )
         rms.append(np.nan if end_fit is None else end_fit.rms_mm)
         fitting.append(0.0 if end_fit is None else end_fit.fitting)
-    return FreeWay(direction, _is_rotation(direction), (ends[0], ends[1]), (rms[0], rms[1]), (fitting[0], fitting[1]))
+    return FreeDirection(
+        direction, _is_rotation(direction), (ends[0], ends[1]), (rms[0], rms[1]), (fitting[0], fitting[1])
+    )
 
 
 def _distinct(fits: list[_Fit | None], points: OrientedPoints) -> list[_Fit]:
