@@ -157,7 +157,7 @@ class HeldSetting:
     """One setting as it was requested, and as the camera holds it."""
 
     feature: str
-    wanted: FeatureValue | None
+    requested: FeatureValue | None
     """Requested value; ``None``: the setting was only read."""
     held: FeatureValue | None
     """Value that was read back; ``None``: the camera has no such feature."""

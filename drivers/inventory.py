@@ -23,7 +23,7 @@ MOST = 32
 
 
 @dataclass(frozen=True, slots=True)
-class OnTheBuses:
+class BusInventory:
     """The devices on the buses, each in one line of words.
 
     A bus that could not be read has a line with the reason.
@@ -35,14 +35,14 @@ class OnTheBuses:
     connectors: tuple[str, ...] = ()
 
 
-def on_the_buses(wires: Wires, kind: str = USUAL, named: Sequence[str] = ()) -> OnTheBuses:
+def list_buses(wires: Wires, kind: str = USUAL, named: Sequence[str] = ()) -> BusInventory:
     """List the cameras of family ``kind``, ports, HID devices, and the connectors of all cards.
 
     The cards are those of ``wires`` and those that the rig file has ``named`` (``/dev/dri/card0``). Never raises for a
     device.
     """
     cards = (*named, *wires.cards())
-    return OnTheBuses(
+    return BusInventory(
         tuple(_limited(_cameras(wires, kind))),
         tuple(_limited(_ports())),
         tuple(_limited(_hid(wires.hidraw))),

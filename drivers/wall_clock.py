@@ -46,9 +46,9 @@ def set_from_outside() -> bool:
     except (OSError, AttributeError) as error:
         log.warning("nobody tells whether the clock is right: %s", error)
         return False
-    return believed(state, struct.unpack_from("=i", timex.raw, STATUS_OFFSET)[0])
+    return is_reliable(state, struct.unpack_from("=i", timex.raw, STATUS_OFFSET)[0])
 
 
-def believed(state: int, status: int) -> bool:
+def is_reliable(state: int, status: int) -> bool:
     """Interpret adjtimex's answer: return True if the clock is reliable."""
     return 0 <= state != TIME_ERROR and not status & STA_UNSYNC

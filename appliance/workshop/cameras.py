@@ -133,7 +133,7 @@ def _setting_text(setting: HeldSetting) -> str:
         return "not offered"
     held = f"{setting.held:g}" if isinstance(setting.held, float) else str(setting.held)
     # Both values are shown only where they differ, which is rare.
-    return held if setting.wanted in (None, setting.held) else f"{held} (asked for {setting.wanted})"
+    return held if setting.requested in (None, setting.held) else f"{held} (asked for {setting.requested})"
 
 
 def _dark(workplace: Workplace, bench: LightBench) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:
@@ -283,11 +283,11 @@ def judge_link(side: str, link_mbps: int | None, slow: str | None) -> Finding:
 def judge_settings(side: str, held: Sequence[HeldSetting]) -> tuple[Finding, Finding]:
     """Judge the settings that a camera holds, and whether its grey values are proportional to light."""
     name = f"camera.{side}"
-    assigned = [setting for setting in held if setting.wanted is not None]
-    wrong = [setting for setting in assigned if not _alike(setting.wanted, setting.held)]
+    assigned = [setting for setting in held if setting.requested is not None]
+    wrong = [setting for setting in assigned if not _alike(setting.requested, setting.held)]
     missing = [setting.feature for setting in held if setting.held is None]
     not_offered = f"; not offered: {', '.join(missing)}" if missing else ""
-    statement = ", ".join(f"{setting.feature} is {setting.held}, not {setting.wanted}" for setting in wrong)
+    statement = ", ".join(f"{setting.feature} is {setting.held}, not {setting.requested}" for setting in wrong)
     statement = statement or f"all {len(assigned)} settings read back as they were set{not_offered}"
     remedy = f"set them under [{name}.features] of the rig file, in an order that this camera takes"
     numbers: dict[str, float] = {"settings": len(assigned), "different": len(wrong)}

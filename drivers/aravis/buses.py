@@ -83,7 +83,7 @@ class UsbBus:
     def read_clock(self, clock: Clock) -> ClockReading | None:
         """Use the latch of GenCP."""
         device = self._device
-        return _latched(
+        return _latch_clock(
             clock,
             lambda: device.write(u3v.ABRM_TIMESTAMP_LATCH, (1).to_bytes(4, "little")),
             lambda: int.from_bytes(device.read(u3v.ABRM_TIMESTAMP, 8), "little"),
@@ -91,7 +91,7 @@ class UsbBus:
 
     def check(self) -> None:
         """Read a register that every camera has."""
-        _asked(self._device)
+        _require_answer(self._device)
 
     def block_id(self, frame_id: int) -> int | None:
         """Return the number itself: it has 64 bits and begins at 0 with each start."""
@@ -151,7 +151,7 @@ class NetworkBus:
         ticks_hz = _big(device, _GV_TICK_FREQUENCY_HZ)
         if not ticks_hz:
             return None
-        reading = _latched(
+        reading = _latch_clock(
             clock,
             lambda: device.write(_GV_TIMESTAMP_CONTROL, _GV_LATCH.to_bytes(4, "big")),
             lambda: _big(device, _GV_TIMESTAMP) * 1_000_000_000 // ticks_hz,
@@ -214,7 +214,7 @@ def _too_slow(speed_mbps: int | None, needed_mbps: int, name: str) -> str | None
     return f"the link runs at {speed_mbps} Mbit/s; {name} ({needed_mbps}) is needed"
 
 
-def _latched(clock: Clock, latch: Callable[[], None], value_ns: Callable[[], int]) -> ClockReading | None:
+def _latch_clock(clock: Clock, latch: Callable[[], None], value_ns: Callable[[], int]) -> ClockReading | None:
     """Return one reading, bracketed by the host's clock; ``None`` where the camera refuses to latch."""
     try:
         sent_ns = clock.now_ns()
@@ -225,7 +225,7 @@ def _latched(clock: Clock, latch: Callable[[], None], value_ns: Callable[[], int
         return None
 
 
-def _asked(device: AravisDevice) -> None:
+def _require_answer(device: AravisDevice) -> None:
     try:
         device.read(u3v.ABRM_GENCP_VERSION, 4)
     except DeviceGone:

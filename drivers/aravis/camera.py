@@ -26,7 +26,7 @@ from drivers.api import (
 )
 from drivers.aravis.buses import bus_of
 from drivers.aravis.device import AravisDevice
-from drivers.aravis.library import BUILT_IN, STUCK, Aravis, Listed, library
+from drivers.aravis.library import BUILT_IN, STUCK, Aravis, ListedCamera, library
 from drivers.aravis.stream import AravisStream
 from drivers.camera import u3v
 from drivers.camera.features import Features
@@ -285,10 +285,10 @@ def find_device(name: str, serial: str, aravis: Aravis) -> AravisDevice:
     if name in aravis.stuck:
         raise DeviceRefused(name, *STUCK)
     with aravis.finding:
-        return _found(name, serial, aravis)
+        return _search(name, serial, aravis)
 
 
-def _found(name: str, serial: str, aravis: Aravis) -> AravisDevice:
+def _search(name: str, serial: str, aravis: Aravis) -> AravisDevice:
     other_serials: list[str] = []
     silent: list[str] = []
     for listed in aravis.cameras():
@@ -328,21 +328,21 @@ def listed_cameras(aravis: Aravis) -> Iterator[str]:
             if listed.protocol == BUILT_IN:
                 continue
             try:
-                own_serial = _asked_serial(aravis, listed)
+                own_serial = _read_serial(aravis, listed)
             except DeviceError as error:
                 own_serial = f"serial number not readable ({error.message})"
             protocol = {"USB3Vision": "USB3 Vision", "GigEVision": "GigE Vision"}.get(listed.protocol, listed.protocol)
             yield f"{own_serial or 'no serial number'} ({protocol}, {listed.address or listed.id})"
 
 
-def _asked_serial(aravis: Aravis, listed: Listed) -> str:
+def _read_serial(aravis: Aravis, listed: ListedCamera) -> str:
     if listed.protocol != "USB3Vision" or aravis.serial_of(listed.id) is not None:
         return _own_serial(aravis, listed, None)
     with AravisDevice("cameras", aravis, listed) as device:
         return _own_serial(aravis, listed, device)
 
 
-def _own_serial(aravis: Aravis, listed: Listed, device: AravisDevice | None) -> str:
+def _own_serial(aravis: Aravis, listed: ListedCamera, device: AravisDevice | None) -> str:
     """Return the serial number that a camera itself reports: over USB the library lists that of the bus."""
     if listed.protocol != "USB3Vision":
         return listed.serial

@@ -7,7 +7,7 @@ import threading
 from typing import Self
 
 from drivers.api import DeviceError, DeviceGone, DeviceRefused
-from drivers.aravis.library import Aravis, AravisError, DeviceCode, Listed
+from drivers.aravis.library import Aravis, AravisError, DeviceCode, ListedCamera
 from drivers.camera.control import ControlRefused
 from drivers.camera.description import MAX_FILE_SIZE
 
@@ -27,7 +27,7 @@ class AravisDevice:
     refuses).
     """
 
-    def __init__(self, name: str, aravis: Aravis, listed: Listed) -> None:
+    def __init__(self, name: str, aravis: Aravis, listed: ListedCamera) -> None:
         """Open the device; Aravis fetches its description by that."""
         self.name = name
         self.listed = listed

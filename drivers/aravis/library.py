@@ -70,7 +70,7 @@ class AravisError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class ListedCamera:
     """One camera in the library's list. ``protocol`` is ``USB3Vision``, ``GigEVision`` or ``BUILT_IN``."""
 
     id: str
@@ -151,12 +151,12 @@ class Aravis:
         """Version of the library, as in ``0.8.26``."""
         return ".".join(str(getattr(self.call, f"arv_get_{part}_version")()) for part in ("major", "minor", "micro"))
 
-    def cameras(self) -> tuple[Listed, ...]:
+    def cameras(self) -> tuple[ListedCamera, ...]:
         """Return every camera on every interface. With a network this takes a second."""
         with self._listing:
             self.call.arv_update_device_list()
             return tuple(
-                Listed(
+                ListedCamera(
                     *(self._word(property_name, index) for property_name in ("id", "serial_nbr", "protocol", "address"))
                 )
                 for index in range(self.call.arv_get_n_devices())
@@ -214,7 +214,7 @@ class Aravis:
 
 
 @cache
-def loaded() -> Aravis:
+def load_library() -> Aravis:
     """Return the library, loaded at the first call. Raises the errors of ``Aravis``."""
     return Aravis()
 
@@ -225,7 +225,7 @@ def library(device: str) -> Aravis:
     Raises DeviceRefused, with the remedy, where it is not installed or too old.
     """
     try:
-        return loaded()
+        return load_library()
     except OSError as error:
         raise DeviceRefused(device, f"the library Aravis cannot be loaded ({error})", REMEDY) from error
     except AttributeError as error:

@@ -10,7 +10,7 @@ from drivers.api import CardGone, Clock, DeviceError, DeviceGone, DeviceRefused
 from drivers.output import drm
 from drivers.output.card import Buffer, Card, Connector
 from drivers.output.pacing import BlankCounter, Pacer
-from drivers.output.surface import Shown
+from drivers.output.surface import FlipStamp
 
 BUSY_TRIES = 20
 BUSY_PAUSE_S = 0.001
@@ -31,7 +31,7 @@ _NOT_MASTER = frozenset({errno.EACCES, errno.EPERM})
 
 
 @contextlib.contextmanager
-def explained(device: str, doing: str) -> Iterator[None]:
+def device_errors(device: str, doing: str) -> Iterator[None]:
     """Turn the kernel's errors into DeviceGone and DeviceRefused with the failed action and the remedy."""
     try:
         yield
@@ -73,7 +73,7 @@ class Head:
         black = self.create_picture()
         self._set_properties()
         try:
-            with explained(device, f"setting {mode} on {connector.name}"):
+            with device_errors(device, f"setting {mode} on {connector.name}"):
                 card.light(crtc, connector.id, mode, black)
         except DeviceError:
             self.close()
@@ -86,12 +86,12 @@ class Head:
 
     def create_picture(self) -> Buffer:
         """Make a black buffer of the mode's size; it is released with the head. Raises DeviceError."""
-        with explained(self.device, f"allocating a scan-out buffer of {self.size_px[0]}×{self.size_px[1]} px"):
+        with device_errors(self.device, f"allocating a scan-out buffer of {self.size_px[0]}×{self.size_px[1]} px"):
             buffer = self._card.create_buffer(*self.size_px)
         self._buffers.append(buffer)
         return buffer
 
-    def flip(self, picture: Buffer, timeout_s: float) -> Shown:
+    def flip(self, picture: Buffer, timeout_s: float) -> FlipStamp:
         """Show ``picture`` from the next vertical blank on and wait until it is visible.
 
         Raises DeviceGone when the report does not come within ``timeout_s``, when the cable was unplugged, or when the
@@ -108,7 +108,7 @@ class Head:
 
     def check_connection(self) -> None:
         """Raise DeviceGone if the driver noticed that the cable is out."""
-        with explained(self.device, f"asking {self.connector.name}"):
+        with device_errors(self.device, f"asking {self.connector.name}"):
             connected = self._card.is_connected(self.connector.id)
         if not connected:
             raise DeviceGone(self.device, f"{self.connector.name} was unplugged", "Check its cable and its power")
@@ -146,12 +146,12 @@ class Head:
                         f"still busy with an earlier flip after {BUSY_TRIES} tries",
                         "Restart the service; check the kernel log if it repeats",
                     ) from error
-                with explained(self.device, "page flip"):
+                with device_errors(self.device, "page flip"):
                     raise
         raise AssertionError  # the last try returned or raised
 
-    def _finish(self, token: int, timeout_s: float) -> Shown:
-        with explained(self.device, "waiting for a vertical blank"):
+    def _finish(self, token: int, timeout_s: float) -> FlipStamp:
+        with device_errors(self.device, "waiting for a vertical blank"):
             done = self._card.wait_flip(token, timeout_s)
         if done is None:
             self.check_connection()
@@ -160,12 +160,12 @@ class Head:
             )
         self._pending = None
         self._pacer.shown(done.time_ns)
-        return Shown(self._counter.extend(done.raw_sequence), done.time_ns)
+        return FlipStamp(self._counter.extend(done.raw_sequence), done.time_ns)
 
     # ---------------------------------------------------------------------------------- opening
 
     def _require_capabilities(self) -> None:
-        with explained(self.device, "asking the card's capabilities"):
+        with device_errors(self.device, "asking the card's capabilities"):
             dumb = self._card.capability(drm.CAP_DUMB_BUFFER)
             monotonic = self._card.capability(drm.CAP_TIMESTAMP_MONOTONIC)
         if not dumb:

@@ -11,7 +11,7 @@ from drivers.api import CardGone, DeviceError, DeviceGone, DeviceRefused, Displa
 from drivers.output.card import Card, Connector
 from drivers.output.choice import assign_crtcs, choose_connector, choose_mode
 from drivers.output.display import PictureDisplay
-from drivers.output.head import Head, explained
+from drivers.output.head import Head, device_errors
 from drivers.output.projector import PatternProjector
 from drivers.output.spec import OutputKind, OutputSpec
 from drivers.output.surface import Surface
@@ -96,7 +96,7 @@ class Outputs:
             return self._light(device, spec, self._card(device, spec.card))
 
     def _light(self, device: str, spec: OutputSpec, card: Card) -> Head:
-        with explained(device, f"reading the connectors of {spec.card}"):
+        with device_errors(device, f"reading the connectors of {spec.card}"):
             card.scan()
             connectors = card.connectors()
             connector = choose_connector(device, spec, connectors)
@@ -115,7 +115,7 @@ class Outputs:
                 continue
             named = next((c for c in connectors if c.name == other_spec.connector), None)
             if named is not None:  # a name that does not exist is reported when that output is opened
-                with explained(device, f"asking which CRTC can drive {named.name}"):
+                with device_errors(device, f"asking which CRTC can drive {named.name}"):
                     possible[other_device] = card.possible_crtcs(named)
         assigned = assign_crtcs(list(possible.values()))
         if assigned is None:

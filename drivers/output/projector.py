@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.api import DeviceError, Flip, Health
-from drivers.output.surface import P, Shown, Surface
+from drivers.output.surface import FlipStamp, P, Surface
 
 FLIP_TIMEOUT_S, FLIP_PERIODS = 1.0, 6
 """Longest time of a flip, in s and in periods, whichever is longer: after that the projector counts as lost."""
@@ -124,7 +124,7 @@ class PatternProjector(Generic[P]):
         """Switch the output off. Idempotent."""
         self._surface.close()
 
-    def _settle(self, idle: P) -> Shown:
+    def _settle(self, idle: P) -> FlipStamp:
         """Flip ``idle`` until its report shows whether blanks are counted."""
         shown = self._surface.flip(idle, self._timeout_s)
         for _ in range(COUNTER_TRIES - 1):
@@ -133,7 +133,7 @@ class PatternProjector(Generic[P]):
             shown = self._surface.flip(idle, self._timeout_s)
         return shown
 
-    def _blanks_between(self, before: Shown, now: Shown) -> int:
+    def _blanks_between(self, before: FlipStamp, now: FlipStamp) -> int:
         if before.sequence is not None and now.sequence is not None:
             return now.sequence - before.sequence
         return round((now.time_ns - before.time_ns) * 1e-9 * self._surface.refresh_hz)
@@ -142,7 +142,7 @@ class PatternProjector(Generic[P]):
         if ahead > MAX_LEAD_BLANKS:
             raise ValueError(f"play was to start {ahead} blanks ahead; allowed are 2..{MAX_LEAD_BLANKS}")
 
-    def _is_late(self, number: int, first: int | None, before: Shown, shown: Shown) -> bool:
+    def _is_late(self, number: int, first: int | None, before: FlipStamp, shown: FlipStamp) -> bool:
         if first is not None:
             return shown.sequence != first + number
         return number > 0 and (shown.time_ns - before.time_ns) * 1e-9 > LATE_FRACTION / self._surface.refresh_hz
@@ -163,5 +163,5 @@ def surface_health(surface: Surface[P]) -> Health:
     return Health(surface.device, True, summary, details)
 
 
-def _flip(index: int, shown: Shown) -> Flip:
+def _flip(index: int, shown: FlipStamp) -> Flip:
     return Flip(index, shown.sequence, shown.time_ns)

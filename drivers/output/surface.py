@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class FlipStamp:
     """One picture became visible. ``sequence`` counts vertical blanks, ``None`` without a counter."""
 
     sequence: int | None
@@ -39,7 +39,7 @@ class Surface(Protocol[P]):
     def create_picture(self) -> P:
         """Make a black picture of the surface's size; it lives as long as the surface. Raises DeviceError."""
 
-    def flip(self, picture: P, timeout_s: float) -> Shown:
+    def flip(self, picture: P, timeout_s: float) -> FlipStamp:
         """Show ``picture`` from the next vertical blank on and wait until it is visible. Raises DeviceGone."""
 
     def check_connection(self) -> None:

@@ -17,7 +17,7 @@ from drivers.api import Clock, DeviceGone, DeviceRefused
 from drivers.output.gl import make_exact
 from drivers.output.pacing import Pacer
 from drivers.output.spec import OutputSpec
-from drivers.output.surface import Shown
+from drivers.output.surface import FlipStamp
 
 _T = TypeVar("_T")
 _VERTEX = """
@@ -94,7 +94,7 @@ class Window:
             texture.swizzle = "BGR1"
         return WindowPicture(self, texture)
 
-    def flip(self, picture: WindowPicture, timeout_s: float) -> Shown:
+    def flip(self, picture: WindowPicture, timeout_s: float) -> FlipStamp:
         """Show a picture like ``Surface.flip``.
 
         ``timeout_s`` cannot be kept by a window system and is not used.
@@ -112,7 +112,7 @@ class Window:
             self._context.finish()
             time_ns = self._clock.now_ns()
         self._pacer.shown(time_ns)
-        return Shown(None, time_ns)
+        return FlipStamp(None, time_ns)
 
     def check_connection(self) -> None:
         """Handle the window's events. Raises DeviceGone when its user closed it."""

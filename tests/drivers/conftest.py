@@ -17,6 +17,6 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> Iterator[ForeignLibrary]:
     made = ForeignLibrary(SteppedClock())
     files = {"libaravis-0.8.so.0": made, "libgobject-2.0.so.0": made}
     monkeypatch.setattr(ctypes, "CDLL", lambda file: files[file])
-    library.loaded.cache_clear()
+    library.load_library.cache_clear()
     yield made
-    library.loaded.cache_clear()
+    library.load_library.cache_clear()

@@ -9,11 +9,11 @@ import pytest
 import usb.core
 
 from drivers.api import DeviceGone
-from drivers.inventory import MOST, OnTheBuses, on_the_buses
+from drivers.inventory import MOST, BusInventory, list_buses
 from tests.drivers.clock import SteppedClock
 
 
-def listed(monkeypatch: pytest.MonkeyPatch, ports: list[Any], hid: Any, devices: Any) -> OnTheBuses:
+def listed(monkeypatch: pytest.MonkeyPatch, ports: list[Any], hid: Any, devices: Any) -> BusInventory:
     def gone(path: str) -> object:
         raise DeviceGone(path, "does not exist", "Check")
 
@@ -25,7 +25,7 @@ def listed(monkeypatch: pytest.MonkeyPatch, ports: list[Any], hid: Any, devices:
         open_card=gone,
         cards=lambda: ("/dev/dri/card0", "/dev/dri/card1"),
     )
-    return on_the_buses(wires, "usb3vision", ["/dev/dri/card0", "/dev/dri/card0"])
+    return list_buses(wires, "usb3vision", ["/dev/dri/card0", "/dev/dri/card0"])
 
 
 def test_a_bus_that_cannot_be_asked_says_why(monkeypatch: pytest.MonkeyPatch) -> None:

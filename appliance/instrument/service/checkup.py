@@ -11,7 +11,7 @@ from appliance.instrument.service.devices import Devices
 from appliance.store import Rig, holder
 from drivers import rig as drivers_rig
 from drivers.api import DeviceError, DeviceRefused, Health, Projector, Wires
-from drivers.inventory import OnTheBuses, on_the_buses
+from drivers.inventory import BusInventory, list_buses
 
 THERE, NOTHING = "there", "nothing"
 """Name in a device's details of what its bus has, and what it says where that is nothing."""
@@ -37,12 +37,12 @@ def check(rig: Rig) -> list[Health]:
     ]
 
 
-def whatever_is_there(rig: Rig, wires: Wires) -> OnTheBuses:
+def whatever_is_there(rig: Rig, wires: Wires) -> BusInventory:
     """List what is on the buses, and on every graphics card. Never raises for a device."""
     outputs = (rig.projector, rig.display)
     # Named ones too, which may be no cards of this machine: their lines say why they could not be asked.
     named = [one.card for one in outputs if one.kind == "kms" and one.card is not None]
-    return on_the_buses(wires, rig.camera.kind, named)
+    return list_buses(wires, rig.camera.kind, named)
 
 
 def ask_devices(rig: Rig, wires: Wires, only: Collection[str] | None = None) -> list[Health]:
@@ -66,7 +66,7 @@ def ask_devices(rig: Rig, wires: Wires, only: Collection[str] | None = None) -> 
     return found
 
 
-def _there(device: str, there: OnTheBuses) -> tuple[str, ...]:
+def _there(device: str, there: BusInventory) -> tuple[str, ...]:
     """Return what is on the bus that ``device`` belongs on."""
     if device.startswith("camera."):
         return there.cameras

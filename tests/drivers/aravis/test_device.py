@@ -11,7 +11,7 @@ import pytest
 from drivers.api import DeviceError, DeviceGone, DeviceRefused
 from drivers.aravis import library
 from drivers.aravis.device import AravisDevice
-from drivers.aravis.library import Aravis, AravisError, BufferCode, DeviceCode, Listed
+from drivers.aravis.library import Aravis, AravisError, BufferCode, DeviceCode, ListedCamera
 from drivers.camera.control import ControlRefused
 from tests.drivers.aravis.foreign import ForeignLibrary
 
@@ -45,7 +45,7 @@ def test_cameras_are_looked_for_anew_each_time_and_each_is_released_once(foreign
     assert (aravis.version, foreign.enabled) == ("0.8.26", [b"Fake"])
     assert aravis.cameras() == ()
     foreign.add("USB3Vision", id="Reef-1", serial=" 0001 ", address=None)
-    assert aravis.cameras() == (Listed("Reef-1", "0001", "USB3Vision", ""),), "a word that is missing is empty"
+    assert aravis.cameras() == (ListedCamera("Reef-1", "0001", "USB3Vision", ""),), "a word that is missing is empty"
     assert foreign.looked == 2
     with AravisDevice("camera.left", aravis, aravis.cameras()[0]) as device:
         assert list(foreign.open) == [device.handle]

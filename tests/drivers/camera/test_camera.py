@@ -258,7 +258,7 @@ def test_place_and_trigger_line_are_the_rig_files_where_it_names_them() -> None:
 def test_what_a_camera_holds_now_is_read_back_beside_what_was_asked_for() -> None:
     device, camera = opened(xml=description(lacking=("ReverseX",)), settings=SETTINGS)
     device.set_feature("GammaEnable", 1)  # behind our back: what it is now counts
-    held = {one.feature: (one.wanted, one.held) for one in camera.read_back()}
+    held = {one.feature: (one.requested, one.held) for one in camera.read_back()}
     expected = {"TriggerMode": ("On", "On"), "Width": (64, 64), "GammaEnable": (False, True)}
     expected |= {"ExposureTime": (None, 8000.0), "ReverseX": (None, None)}
     assert {name: held[name] for name in expected} == expected

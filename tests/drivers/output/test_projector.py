@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.api import DeviceGone, Flip
 from drivers.output.display import PictureDisplay
 from drivers.output.projector import PatternProjector
-from drivers.output.surface import Shown
+from drivers.output.surface import FlipStamp
 
 PERIOD_NS = 16_666_667
 
@@ -46,14 +46,14 @@ class Lamp:
         self.pictures.append(Picture())
         return self.pictures[-1]
 
-    def flip(self, picture: Picture, timeout_s: float) -> Shown:
+    def flip(self, picture: Picture, timeout_s: float) -> FlipStamp:
         step = self.steps.pop(0) if self.steps else 1.0
         self._time_ns += round(step * PERIOD_NS)
         self._blank += max(1, round(step))
         self.shown.append(picture)
         self.timeouts_s.append(timeout_s)
         counted = self._counts_after is not None and len(self.shown) > self._counts_after
-        return Shown(self._blank if counted else None, self._time_ns)
+        return FlipStamp(self._blank if counted else None, self._time_ns)
 
     def check_connection(self) -> None:
         if not self.connected:
