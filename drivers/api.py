@@ -309,7 +309,10 @@ class Board(Protocol):
     def vsync(self) -> Vsync: ...
 
     def arm(self, pulses: int, at_vsync: int, delay_us: int, width_us: int) -> None:
-        """Raises DeviceRefused (busy, past, out of range), DeviceGone."""
+        """Fire ``pulses``, one per vertical sync from number ``at_vsync`` on.
+
+        Raises DeviceRefused (busy, past, out of range), DeviceGone.
+        """
 
     def live(self, every: int, delay_us: int, width_us: int) -> None: ...
 
@@ -427,7 +430,7 @@ class Projector(Protocol):
         number at which ``indices[0]`` must appear (at least two blanks ahead; ``None`` = as soon as possible). Where
         flips have no sequence number, it returns how many periods after that flip.
         Returns the flips of ``indices`` as they happened. A late flip is returned, not hidden, and ends the
-        play early, as does ``abort()`` (asked at every blank). Raises DeviceGone.
+        play early, as does ``abort()``, which is called at every blank. Raises DeviceGone.
         """
 
 

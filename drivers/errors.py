@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class DeviceError(Exception):
-    """A device failed. ``device`` names it as in the rig file (``camera.left``), ``remedy`` is the remedy."""
+    """A device failed. ``device`` names it as in the rig file (``camera.left``)."""
 
     def __init__(self, device: str, message: str, remedy: str) -> None:
         super().__init__(f"{device}: {message}. {remedy}")

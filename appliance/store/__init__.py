@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     )
     from .atomic import (
         Bytes,  # Content of a file in memory
-        FileSystem,  # The calls that change a disk, and what keeps its promises by their order
+        FileSystem,  # The calls that change a disk, and the durable operations that are made of them
         LocalFileSystem,  # The disk of this machine (POSIX)
         StorageError,  # Error of a failed call to the disk: the text has path, reason and remedy
     )

@@ -193,7 +193,7 @@ class FileSystem(ABC):
             with StorageError.naming("cannot write", path):
                 write(draft)
                 with draft.open("rb") as file:
-                    # fsync through any descriptor of a file makes its data durable, whoever wrote it.
+                    # fsync through any descriptor of a file makes its data durable, also those written through others.
                     os.fsync(file.fileno())
             with StorageError.naming("cannot replace", path):
                 self.rename(draft, path)
@@ -290,7 +290,7 @@ class _LocalFile:
 
     def write(self, data: Bytes) -> None:
         unwritten = memoryview(data).cast("B")
-        # write(2) may write less than asked, for example when a signal comes.
+        # write(2) may write fewer bytes than given, for example when a signal comes.
         while unwritten:
             unwritten = unwritten[os.write(self._descriptor, unwritten) :]
 

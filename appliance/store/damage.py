@@ -173,7 +173,7 @@ def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SalvagedScan:
-    """A scan whose lost frames were made up from the others."""
+    """A scan whose lost frames were computed from the others."""
 
     scan: StoredScan
     notes: tuple[str, ...]

@@ -97,9 +97,9 @@ class Instrument:
     def calibration(self) -> tuple[Calibration, tuple[Fault, ...]]:
         """Return the instrument's calibration, and its faults.
 
-        Where the file in use is missing, the nominal calibration is returned. Where it is damaged, of another
-        instrument or of other cameras, the latest kept one that fits is, else the nominal one; then with the condition
-        UNCALIBRATED, whose detail says which, and whose device is the camera that was exchanged (``cameras``: both).
+        Where the file in use is damaged, missing, of another instrument or of other cameras, it is the latest kept one
+        that fits, else the nominal one. Then the fault is UNCALIBRATED: its detail says which one is used, its device is
+        the camera that was exchanged (``cameras``: both).
         """
         calibration, problem = self._usable(self.calibration_file)
         if problem is None:
@@ -136,7 +136,7 @@ class Instrument:
     def response(self) -> Response | None:
         """Return the projector's measured response.
 
-        ``None`` if it was not measured or cannot be used (logged).
+        It is ``None`` if it was not measured or cannot be used, which is logged.
         """
         path = self.response_file
         try:
@@ -273,7 +273,7 @@ class Instrument:
     def exposure_of_scan(self, record: ScanRecord) -> Exposure:
         """Return the exposure that a stored scan was recorded with.
 
-        The rig file's where the scan does not say.
+        It is the rig file's where the scan has none.
         """
         return record.exposure or self.exposure
 

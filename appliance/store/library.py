@@ -157,7 +157,7 @@ class Library:
         try:
             manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)
             with StorageError.naming("cannot make durable", folder):
-                # The hidden name becomes durable here; what lies inside is durable already (``write_raw``).
+                # The hidden name becomes durable here; the files inside are durable already (``write_raw``).
                 self._fs.sync_folder(folder.parent)
         except (StorageError, ValueError):
             with suppress(StorageError):
@@ -209,7 +209,7 @@ class Library:
     def _recovered_manifest(self, folder: Path) -> Manifest | None:
         """Return the folder's manifest, marked as recovered and with intact files only.
 
-        ``None`` without all raw frames.
+        It is ``None`` unless all raw frames are intact.
         """
         try:
             manifest = form.read(folder)
@@ -472,7 +472,7 @@ class PendingScan:
     ) -> Path:
         if self._done:
             return self._folder
-        # After a failure everything but the raw frames is written anew: a failed fsync may have dropped it.
+        # After a failure all files but the raw frames are written anew: a failed fsync may have dropped them.
         final = scan.finish_scan(self._fs, self._folder, self._manifest, decision, record, cloud, preview_png, reason)
         target = self._root / folder_kind.value / self.scan_id
         if self._folder != target:

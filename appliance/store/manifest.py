@@ -142,9 +142,9 @@ class ScanRecord:
 
     @property
     def gap_mm(self) -> float | None:
-        """Median ray gap; ``None`` where it is not known.
+        """Median ray gap; ``None`` where it is unknown.
 
-        Nor is it known of a compensated scan: its rows come from the model, so that its rays always meet.
+        It counts as unknown for a compensated scan, too: its rows come from the model, so that its rays always meet.
         """
         return None if self.compensated else self.cloud.get("gap_mm")
 

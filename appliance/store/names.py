@@ -31,7 +31,7 @@ def spell_id(number: int) -> str:
 
 
 def take_number(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
-    """Return a number that was never used; on return this is durable. Raises StorageError."""
+    """Reserve a number that was never used, durably, and return it. Raises StorageError."""
     # The file alone would do; the folders' numbers count in case it is lost or damaged. The number of a scan that
     # failed is only in the file.
     number = max(1, _stored(root / NUMBER_FILE), max(used, default=0) + 1)
@@ -75,7 +75,7 @@ _KEPT = re.compile(r"[0-9]{4,9}-[A-Za-z0-9_-]{1,40}\.json")
 def component(name: str, what: str) -> str:
     """Return ``name`` if it is one component of a path, else raise ValueError.
 
-    ``what`` it is the name of is for the message.
+    ``what`` is the kind of the name, for the message.
     """
     if not is_component(name):
         raise ValueError(

@@ -146,7 +146,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
         return (
             "is one in air, which only calibrating in water begins with; give one made in water with --calibration FILE"
         )
-    # The very calibration that the scan was taken with fits it by definition, whatever serial numbers say.
+    # The calibration that the scan was taken with fits it by definition, with any serial numbers.
     if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
         return None
     mismatch = owner_misfit(calibration, _owner(scan))

@@ -26,7 +26,7 @@ Head = tuple[int, int, int]
 def picture_head(data: bytes | mmap) -> Head | None:
     """Return width, height and bits that the header states.
 
-    ``None`` for a damaged header or another format.
+    They are ``None`` for a damaged header or another format.
     """
     try:
         if data[:8] == b"\x89PNG\r\n\x1a\n" and data[12:16] == b"IHDR":

@@ -58,8 +58,8 @@ class EmptyCloud:
 def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement]) -> EmptyCloud | None:
     """Return the reason why ``cloud`` has (nearly) no points, with the remedy.
 
-    ``None`` where it has enough. ``pipeline`` still holds the decoded scan. Few points whose rays meet count: they are
-    of a small or hardly lit object.
+    It is ``None`` where the cloud has enough. ``pipeline`` still holds the decoded scan. Few points whose rays meet
+    count: they are of a small or hardly lit object.
     """
     mask = pipeline.decoded("left").mask
     decoded, points = int(np.count_nonzero(mask == Mask.VALID)), cloud.summary.points
@@ -154,8 +154,8 @@ def reprocess_scan(
 ) -> ReprocessedScan:
     """Reconstruct and judge a stored scan with ``calibration``, as the instrument does.
 
-    Of a bracket, its first sequence. ``settings``: those of its capture (``settings_of_scan``). ``limits`` ``None``:
-    those of the instrument. Faulty frames are reconstructed, too: the judgements name the faults.
+    Only the first sequence of a bracket is used. ``settings``: those of its capture (``settings_of_scan``). ``limits``
+    ``None``: those of the instrument. Faulty frames are reconstructed, too: the judgements name the faults.
     """
     water = scan.water(calibration)
     with Pipeline(calibration, water, scan.sequence, limits, noise=settings.noise) as pipeline:

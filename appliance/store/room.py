@@ -113,7 +113,7 @@ class Room(FileSystem):
     def held_bytes(self) -> int:
         """Space in bytes that the room takes on the disk."""
         try:
-            # st_blocks counts units of 512 bytes whatever the file system's block size (stat(2)).
+            # st_blocks counts units of 512 bytes on every file system (stat(2)).
             return sum(path.stat().st_blocks * 512 for path in self._folder.iterdir() if path.name != _SPARE)
         except OSError:
             return 0

@@ -35,7 +35,7 @@ class ScanOptions:
 def root_of(folder: Path) -> Path | None:
     """Return the storage root that a scan's folder lies in: ROOT of ROOT/scans/000001.
 
-    ``None`` outside of one.
+    It is ``None`` outside of one.
     """
     path = folder.absolute()
     root = path.parent.parent

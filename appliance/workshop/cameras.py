@@ -294,7 +294,7 @@ def judge_settings(side: str, held: Sequence[HeldSetting]) -> tuple[Finding, Fin
     settings = finding_of(f"{name} settings", not wrong, statement, "each as it was set", remedy, **numbers)
     # Reported even where the rig file sets it: scans assume grey values proportional to light.
     statement, remedy = "no gamma and no table is on", ""
-    if tone_features := _bent(held):
+    if tone_features := _tone_features(held):
         statement = f"{' and '.join(tone_features)} bends grey values"
         remedy = (
             f'set "{tone_features[0]}" under [{name}.features]: GammaEnable = false, Gamma = 1.0, LUTEnable = false'
@@ -302,7 +302,7 @@ def judge_settings(side: str, held: Sequence[HeldSetting]) -> tuple[Finding, Fin
     return settings, finding_of(f"{name} tone", not remedy, statement, "gamma 1 or off, tables off", remedy)
 
 
-def _bent(held: Sequence[HeldSetting]) -> list[str]:
+def _tone_features(held: Sequence[HeldSetting]) -> list[str]:
     """Return the names of features that make grey values no longer proportional to light."""
     values = {setting.feature: setting.held for setting in held}
     names = [name for name in ("GammaEnable", "LUTEnable") if values.get(name) is True]

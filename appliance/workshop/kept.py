@@ -49,7 +49,7 @@ class GuideState:
     rig_sha256: str
     """Checksum of the rig file as it was after the last step."""
     about: Mapping[str, tuple[str, ...]]
-    """Versions, and what was on the buses at the last call: lines by title."""
+    """Versions, and the devices on the buses at the last call: lines by title."""
     steps: Mapping[str, StepRecord]
 
 

@@ -240,7 +240,7 @@ def trials(timing: LightTiming, sub_frames: int, period_us: float) -> tuple[Tria
         times = [round(1000.0 * step) for step in STEPS_MS]
     combinations = set()
     for delay_us in delays:
-        # An exposure of all light, from before its first trial until after the last.
+        # An exposure of all light, from before its first window until after the last.
         times_of_all_light = [] if sub_frames > 1 else [100 * math.ceil((timing.ends_us + SLICE_US - delay_us) / 100.0)]
         for exposure_us in (*times, *times_of_all_light):
             fits = LEAST_US <= exposure_us <= MOST_US and delay_us + exposure_us <= end_us - MARGIN_US
@@ -254,8 +254,9 @@ def promising_trials(
 ) -> tuple[Trial, ...]:
     """Return those of ``candidates`` whose response may be straight by the light of each bit.
 
-    ``profiles`` are those of codes, from the blank of the flip on; delays count from ``first_us``. All are returned
-    where a bit was not measured, or bits do not add up to white, since the response cannot be predicted then.
+    At least a few are returned. ``profiles`` are those of codes, from the blank of the flip on; delays count from
+    ``first_us``. All are returned where a bit was not measured, or bits do not add up to white, since the response
+    cannot be predicted then.
     """
     bits = [2**k for k in range(8)]
     if any(bit not in profiles for bit in bits) or len(candidates) <= FEWEST:
@@ -281,8 +282,8 @@ def promising_trials(
 def best_offer(shapes: Mapping[Trial, ResponseShape], light_of: Callable[[Trial], float]) -> Offer | None:
     """Return the delay with the most good exposures, and these exposures; ``None`` if none is good.
 
-    ``light_of`` returns how much of a white picture's light a trial sees, in any unit: images that are partly saturated
-    do not show it.
+    Exposures of nearly the same light are left out. ``light_of`` returns how much of a white picture's light a trial
+    sees, in any unit: images that are partly saturated do not show it.
     """
     offers = []
     for delay_us in sorted({trial.delay_us for trial in shapes}):

@@ -266,7 +266,7 @@ def _orientation(views: Mapping[str, PictureView]) -> Finding:
 def raster_finding(lines: Mapping[str, LineLight], views: Mapping[str, PictureView]) -> Finding:
     """Return the finding on the picture's raster from single ``lines``, by direction.
 
-    ``seen`` has the size of the picture in each camera's images.
+    ``views`` have the size of the picture in each camera's images.
     """
     resolved = [ratio.px_per_px for ratio in views.values()]
     numbers: dict[str, float | None] = {

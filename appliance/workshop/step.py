@@ -101,7 +101,7 @@ class GuideStep:
     Steps with the same one are done together, from one measurement. Raises DeviceError, BringupError, GivenUp.
     """
     judge: Callable[[Any, Rig], StepOutcome] = outcome_itself
-    """Judges what ``do`` returned."""
+    """Judges the result of ``do``."""
     uses_written: bool = False
     """True if it depends on the keys that the guide itself writes, too."""
     writes: tuple[str, ...] = ()

@@ -153,7 +153,7 @@ def judge_stamps_of_syncs(stamps: Sequence[tuple[int, int]], refresh_hz: float) 
     period_us, begin_us = np.polyfit(numbers, times_us, 1)
     deviation_us = float(np.abs(times_us - period_us * numbers - begin_us).max())
     rate_hz = 1e6 / float(period_us)
-    # A whole multiple or a half is the tap's fault, anything else the mode's.
+    # A whole multiple or a half is the tap's fault, another factor the mode's.
     factor, remedy = rate_hz / refresh_hz, ""
     if abs(rate_hz - refresh_hz) > MOST_OFF_HZ:
         remedy = f"set refresh_hz of [projector] to the rate of the mode, or choose a mode of {refresh_hz:g} Hz"

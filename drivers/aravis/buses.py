@@ -18,7 +18,7 @@ from drivers.camera.control import ControlRefused
 from drivers.camera.features import Features, RegisterMemory
 
 NETWORK_MBPS = 1000
-"""Speed that two megapixels at 60 Hz need: 115 MB/s, just below what Gigabit Ethernet carries with large packets."""
+"""Speed that two megapixels at 60 Hz need: 115 MB/s, just below the capacity of Gigabit Ethernet with large packets."""
 _GV_STRINGS = {"vendor": (0x48, 32), "model": (0x68, 32), "version": (0x88, 32), "serial": (0xD8, 16)}
 _GV_TICK_FREQUENCY_HZ, _GV_TIMESTAMP_CONTROL, _GV_TIMESTAMP = 0x93C, 0x944, 0x948
 _GV_LATCH = 2

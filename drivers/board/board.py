@@ -424,7 +424,7 @@ class TriggerBoard:
         event = parse_report(sentence, now_ns)
         with self._state:
             if isinstance(event, BoardBooted):
-                self._next_report = None  # numbering starts anew, whatever came before
+                self._next_report = None  # numbering starts anew
                 self._latest = None
             elif isinstance(event, Telemetry):
                 self._latest = event

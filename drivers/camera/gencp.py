@@ -75,7 +75,7 @@ def parse_pending(payload: bytes) -> int:
 def parse_written(payload: bytes) -> int | None:
     """Return the number of bytes that a WRITEMEM acknowledge reports.
 
-    ``None`` if the device leaves it out.
+    It is ``None`` if the device leaves it out.
     """
     if len(payload) < _TWO_WORDS.size:
         return None

@@ -105,7 +105,7 @@ class CameraSetup:
     def read_back(self) -> tuple[HeldSetting, ...]:
         """Return every setting of the last ``apply``, in its order, as the camera holds it now.
 
-        Then the missing ones.
+        The missing ones follow.
         """
         features = self._features
         settings = [

@@ -192,7 +192,7 @@ class StreamReader:
         if trailer is None:
             status = FrameStatus.TRUNCATED if trailer_problem.startswith("no trailer") else FrameStatus.CORRUPT
             return self._frame(status, leader, trailer_problem)
-        # Leader and trailer of two frames around one payload: something in between was lost.
+        # Leader and trailer of two frames around one payload: packets in between were lost.
         if trailer.block_id != leader.block_id:
             return self._frame(FrameStatus.WRONG_ID, leader, f"leader {leader.block_id}, trailer {trailer.block_id}")
         if trailer.status != u3v.Status.SUCCESS:

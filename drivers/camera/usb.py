@@ -303,7 +303,7 @@ class UsbCamera:
             try:
                 self._backend.release_interface(handle, interface)
             except usb.core.USBError:
-                break  # unplugged: the kernel released everything
+                break  # unplugged: the kernel released all interfaces
         self._claimed.clear()
         self._backend.close_device(handle)
 

@@ -17,7 +17,7 @@ _ALL_BITS = 0x0F
 
 
 class MalformedReport(ValueError):
-    """The bytes are no report of the key pad."""
+    """The bytes are no report of the keypad."""
 
 
 @dataclass(frozen=True, slots=True)

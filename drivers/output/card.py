@@ -95,7 +95,7 @@ class Card:
     def close(self) -> None:
         self._node.close()
 
-    # ------------------------------------------------------------------------------ what is there
+    # ------------------------------------------------------------------------------ the card's parts
 
     def capability(self, capability: int) -> int:
         return int(self._call(drm.IOCTL_GET_CAP, drm.GET_CAP.pack(capability, 0), drm.GET_CAP)[1])

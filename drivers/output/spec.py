@@ -28,4 +28,4 @@ class OutputSpec:
     height_px: int
     refresh_hz: float
     all_channels: bool = False
-    """Draw what a projector plays into red, green and blue alike; else into green alone."""
+    """True: a projector's frames are drawn into red, green and blue alike; False: into green alone."""

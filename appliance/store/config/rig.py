@@ -150,7 +150,7 @@ class ProjectorRig(OutputRig):
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class DisplayRig(OutputRig):
     language: Literal["en", "de"] = "en"
-    """Language of everything the diver reads."""
+    """Language of all texts for the diver."""
 
 
 _ExposureMs = Annotated[_Real, Field(ge=0.05, le=16.6)]

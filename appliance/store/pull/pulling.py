@@ -40,9 +40,9 @@ from appliance.store.pull.taking import (
     NotYet,
     PullOutcome,
     RemoteRecording,
+    compare_present,
     find,
     outcomes_of_source,
-    present,
     present_bytes,
     take,
 )
@@ -81,7 +81,7 @@ class PullItem:
 
 @dataclass(slots=True)
 class PullResult:
-    """Result of a call."""
+    """Result of one scan transfer."""
 
     came: dict[str, PullItem] = field(default_factory=dict)
     """Results by path below the storage root."""
@@ -157,7 +157,7 @@ def pull_scans(
     link. Raises PullWordError before any file is made, MissingLibraryError, and as ``pull_from``.
     """
     fs, target = LocalFileSystem(), out.absolute()
-    opened = _opened(host, out, identity, known_hosts, limit_s)
+    opened = _opener(host, out, identity, known_hosts, limit_s)
     fs.make_folders(target)
     if not os.access(target, os.W_OK | os.X_OK):
         raise PullWordError(f"--out {target}: this user may not write there; give another folder, or change its owner")
@@ -166,7 +166,7 @@ def pull_scans(
         return pull_from(opened, target, fs, every=every, far=far, wait=threading.Event().wait)
 
 
-def _opened(host: str, out: Path, identity: Path | None, known_hosts: Path | None, limit_s: float) -> Open:
+def _opener(host: str, out: Path, identity: Path | None, known_hosts: Path | None, limit_s: float) -> Open:
     """Return the function that opens the source that ``host`` names.
 
     Raises PullWordError, MissingLibraryError.
@@ -250,7 +250,7 @@ def _attempt(source: Source, target: Path, fs: LocalFileSystem, done: PullResult
                 done.recordings[path] = recording
                 missing.append(recording)
             else:
-                present(recording, source, fs, local_folder)
+                compare_present(recording, source, fs, local_folder)
         except NotYet as reason:
             done.add(path, reason.outcome, str(reason))
     of_bytes = sum(

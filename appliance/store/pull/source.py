@@ -84,7 +84,7 @@ class FolderSource:
         self._root = root
 
     def listing(self, folder: str) -> list[RemoteEntry]:
-        with self._told(folder) as path:
+        with self._path_of(folder) as path:
             stats = [(child.name, child.lstat()) for child in sorted(path.iterdir())]
         return [
             entry
@@ -93,14 +93,14 @@ class FolderSource:
         ]
 
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
-        with self._told(path) as full_path, full_path.open("rb") as file:
+        with self._path_of(path) as full_path, full_path.open("rb") as file:
             file.seek(start)
             while start < end and (block := file.read(min(BLOCK_BYTES, end - start))):
                 start += len(block)
                 yield block
 
     @contextmanager
-    def _told(self, path: str) -> Iterator[Path]:
+    def _path_of(self, path: str) -> Iterator[Path]:
         """Yield the full path of ``path``, and turn OSError into the errors of ``Source``."""
         full_path = self._root / path
         if is_linked(self._root, path):
@@ -176,17 +176,17 @@ class SshLink:
         with asyncio.Runner() as runner:
             self._loop = loop = runner.get_loop()
             try:
-                connecting = asyncio.wait_for(self._connected(library), self.limit_s)
+                connecting = asyncio.wait_for(self._connect(library), self.limit_s)
                 connection, self._sftp = loop.run_until_complete(connecting)
             except (library.Error, OSError) as error:
-                raise self._meant(library, error) from error
+                raise self._error_of(library, error) from error
             self._linked = True
             try:
                 yield self
             finally:
                 connection.abort()
 
-    async def _connected(self, library: ModuleType) -> tuple[Any, Any]:
+    async def _connect(self, library: ModuleType) -> tuple[Any, Any]:
         """Return a connection to a host with a known key, and its SFTP client.
 
         Keys are the only authentication.
@@ -243,7 +243,7 @@ class SshLink:
     def _final(self, meaning: str) -> PullError:
         return PullError(f"{self.host}: {meaning}")
 
-    def _meant(self, library: ModuleType, error: Exception) -> LinkLost | PullError:
+    def _error_of(self, library: ModuleType, error: Exception) -> LinkLost | PullError:
         """Return the error of a link that failed: LinkLost where a later attempt may succeed, else PullError.
 
         After a first link, causes that may pass count as LinkLost.
@@ -274,7 +274,7 @@ class SshLink:
 
     def listing(self, folder: str) -> list[RemoteEntry]:
         """See ``Source``."""
-        return self._answer(self._listed(f"{SERVED}/{folder}"), folder)
+        return self._answer(self._list(f"{SERVED}/{folder}"), folder)
 
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
         """See ``Source``."""
@@ -286,7 +286,7 @@ class SshLink:
         # Where reading ends early the link ends, too, and the handle with it.
         self._answer(file.close(), path)
 
-    async def _listed(self, path: str) -> list[RemoteEntry]:
+    async def _list(self, path: str) -> list[RemoteEntry]:
         entries: list[RemoteEntry] = []
         async for name in self._sftp.scandir(path):
             attributes = name.attrs

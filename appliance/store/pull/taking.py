@@ -105,7 +105,7 @@ def find(source: Source, path: str) -> RemoteRecording:
     return RemoteRecording(path, content, manifest_name, files, label_bytes, manifest)
 
 
-def present(recording: RemoteRecording, source: Source, fs: LocalFileSystem, target: Path) -> None:
+def compare_present(recording: RemoteRecording, source: Source, fs: LocalFileSystem, target: Path) -> None:
     """Compare an existing ``target`` with the recording there, and always raise NotYet with the outcome.
 
     The same recording with more files (a cloud that was made at the desk) is the same recording. A missing label is

@@ -88,7 +88,7 @@ class BoardCore:
                 self._answered = command
             self._hardware.write(self._answer)
 
-    # ------------------------------------------------------------------------------------------ what happens by itself
+    # ------------------------------------------------------------------------------------------ events without a command
 
     def _look_at_syncs(self) -> bool:
         """Count the new syncs; return True if there were any."""

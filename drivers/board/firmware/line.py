@@ -110,7 +110,7 @@ def parsed(line: bytes) -> Command | None:
 def decimal(text: str, largest: int) -> int | None:
     """Return the number 0..``largest`` that ``text`` writes with up to ten digits alone.
 
-    Else ``None``.
+    Return ``None`` for any other text.
     """
     if not text.isdigit() or len(text) > 10:
         return None

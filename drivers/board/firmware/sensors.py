@@ -14,7 +14,7 @@ _TMP117_NOT_YET = 0x8000
 def tmp117_c(raw: bytes) -> float | None:
     """Return the temperature in a TMP117's two bytes, steps of 1/128 °C.
 
-    ``None`` before its first conversion.
+    It is ``None`` before the first conversion.
     """
     value = raw[0] << 8 | raw[1]
     if value == _TMP117_NOT_YET:
@@ -25,7 +25,7 @@ def tmp117_c(raw: bytes) -> float | None:
 def sht40(raw: bytes) -> tuple[float, float] | None:
     """Return temperature in °C and relative humidity in % of an SHT40's six bytes.
 
-    ``None`` if a checksum is wrong.
+    They are ``None`` if a checksum is wrong.
     """
     if len(raw) != 6 or crc8(raw[0:2]) != raw[2] or crc8(raw[3:5]) != raw[5]:
         return None

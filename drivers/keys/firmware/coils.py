@@ -39,7 +39,7 @@ class CoilFollower:
     def follow(self, count: int | None, raises: bool) -> None:
         """Take the next sample, ``None`` where the coil gave none.
 
-        ``raises``: a press raises the count, or lowers it.
+        ``raises``: True if a press raises the count, False if it lowers it.
         """
         if (count is None) == self.faulty:
             self._odd = 0

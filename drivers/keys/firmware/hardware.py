@@ -14,7 +14,7 @@ class PadHardware:
     def counts(self) -> list[int | None]:
         """Return the latest count of each coil, in the order of ``pins.COILS``.
 
-        ``None`` where a coil gives none.
+        It is ``None`` where a coil gives none.
         """
         raise NotImplementedError
 

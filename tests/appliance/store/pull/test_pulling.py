@@ -33,9 +33,9 @@ from appliance.store.pull.taking import (
     ROOM_LEFT_BYTES,
     NotYet,
     PullOutcome,
+    compare_present,
     draft_folder,
     find,
-    present,
     present_bytes,
     take,
 )
@@ -358,7 +358,7 @@ def test_a_recording_is_taken_in_pieces_and_only_where_it_leaves_some_room_on_th
     (draft_folder(target) / "cloud.ply").write_bytes(b"123")
     assert present_bytes(found, target) == 3
     with pytest.raises(NotYet) as caught:
-        present(found, source, FS, target)
+        compare_present(found, source, FS, target)
     assert caught.value.outcome is ALREADY
 
 
