@@ -64,7 +64,7 @@ class IncompleteRecording:
     """An incomplete recording as it lies on disk."""
 
     scan: StoredScan
-    """Its frames (n, h, w), n < those of its sequence, and its manifest, whose ``reason`` is that of the end."""
+    """Its frames (n, h, w), n < those of its sequence, and its manifest, whose ``reason`` tells why it broke off."""
     missing: tuple[str, ...]
     """Names of the patterns whose frames are missing."""
 
