@@ -1,4 +1,4 @@
-"""Cameras through the library Aravis: USB3 Vision, GigE Vision, and its own simulated camera.
+"""Cameras through the library Aravis: USB3 Vision, GigE Vision, and its own built-in camera.
 
 Features and order of settings are those of ``drivers.camera``.
 """

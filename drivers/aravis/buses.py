@@ -123,7 +123,7 @@ class UsbBus:
 
 
 class NetworkBus:
-    """GigE Vision, and Aravis' simulated camera, which has the same bootstrap registers."""
+    """GigE Vision, and Aravis' built-in camera, which has the same bootstrap registers."""
 
     def __init__(self, device: AravisDevice) -> None:
         self._device = device

@@ -319,7 +319,7 @@ def _search(name: str, serial: str, aravis: Aravis) -> AravisDevice:
 
 
 def listed_cameras(aravis: Aravis) -> Iterator[str]:
-    """Yield serial number, protocol and address of every camera but Aravis' simulated one.
+    """Yield serial number, protocol and address of every camera but Aravis' built-in one.
 
     For a camera that cannot be read the reason stands in place of the number.
     """

@@ -1,4 +1,4 @@
-"""The family of cameras of the library Aravis: USB3 Vision, GigE Vision, and its simulated one."""
+"""The family of cameras of the library Aravis: USB3 Vision, GigE Vision, and its built-in one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def open_camera(spec: CameraSpec, wires: Wires) -> AbstractContextManager[Camera
 
 
 def list_cameras(wires: Wires) -> Iterator[str]:
-    """Yield every camera on this machine's interfaces that the library sees, but not its simulated one.
+    """Yield every camera on this machine's interfaces that the library sees, but not its built-in one.
 
     Raises DeviceRefused where the library is not installed.
     """

@@ -178,7 +178,7 @@ def free_port() -> int:
 
 def test_nobody_there_is_told_at_first_and_waited_for_once_there_was_a_link(serve: Callable[..., Server]) -> None:
     both = "[Errno 111] Connect call failed ('::1', 9, 0, 0), [Errno 111] Connect call failed ('127.0.0.1', 9)"
-    found = linked("reef", 9)._meant(asyncssh, OSError(f"Multiple exceptions: {both}"))
+    found = linked("reef", 9)._error_of(asyncssh, OSError(f"Multiple exceptions: {both}"))
     assert (type(found), "port 9" in str(found)) == (PullError, True), "at any address of a name"
     port = free_port()
     assert f"port {port}" in refused(linked("127.0.0.1", port))
