@@ -31,21 +31,21 @@ if TYPE_CHECKING:
         ASHORE,  # What to do ashore about a fault, by its code
     )
     from .service.air_live import (
-        LiveOptions,  # The way in which boards are recorded
-        opened,  # Return cameras, board and projector
-        record_views,  # Fill target up to the wanted number of views
+        LiveOptions,  # Options for recording boards
+        open_devices,  # Return cameras, board and projector, once all are open. Raises DeviceError for a missing one
+        record_views,  # Record views into target up to the requested number; return how many are new
     )
     from .service.app import (
-        run,  # Run the instrument until it is switched off; returns the process's exit code
+        run,  # Run the instrument until it is switched off; return the process's exit code
     )
     from .service.checkup import (
-        ask_devices,  # Open each device, or only those of these names, one after the other
-        check,  # Open every device once, one after the other, through the shipped drivers
-        whatever_is_there,  # List what is on the buses, and on every graphics card. Never raises for a device
+        ask_devices,  # Open each device, or only those of these names; return the health or the error of each
+        check,  # Open every device once, one after the other, through the shipped drivers, and collect their health
+        connected_devices,  # List the devices on the buses and on every graphics card. Never raises for a device
     )
     from .service.devices import (
         Devices,  # All devices, each kept open by its supervisor. A context manager
-        output_spec,  # Return what is to be opened for an output of the rig file
+        output_spec,  # Return the driver's specification of an output in the rig file
     )
     from .service.recording import (
         DrawnPatterns,  # The sequence in use and its pictures. For the thread that owns GL

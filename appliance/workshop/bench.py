@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument import CaptureReport, Devices, FrameStore, Grabber, ScanRecorder, ScanSettings, opened
+from appliance.instrument import CaptureReport, Devices, FrameStore, Grabber, ScanRecorder, ScanSettings, open_devices
 from appliance.measure import SIDES, Fault
 from appliance.store import Rig, hold_lock
 from appliance.workshop.finding import BringupError
@@ -175,7 +175,7 @@ class LightBench:
         projector = replace(self._rig.projector, channels="all" if all_channels else "green")
         self._stack, self._all_channels = ExitStack(), all_channels
         devices = self._stack.enter_context(Devices(replace(self._rig, projector=projector), self._wires, _nothing))
-        self._devices = opened(devices, self._wires.clock)
+        self._devices = open_devices(devices, self._wires.clock)
 
 
 def _nothing(_projector: Projector) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from appliance.instrument import Devices, Grabber, SideRecording, Timeouts, opened
+from appliance.instrument import Devices, Grabber, SideRecording, Timeouts, open_devices
 from appliance.workshop.finding import BringupError, Finding, finding_of
 from appliance.workshop.step import StepOutcome, Workplace
 from appliance.workshop.trigger import PULSES
@@ -115,7 +115,7 @@ def do(workplace: Workplace) -> StepOutcome:
         projector.show(0)
 
     with Devices(rig, workplace.wires, load) as devices:
-        grabbers, board, _ = opened(devices, workplace.wires.clock)
+        grabbers, board, _ = open_devices(devices, workplace.wires.clock)
         endured = _run_endurance(workplace, grabbers, board)
     warm_c = {"projector": rig.limits.projector_warm_c, "case": rig.limits.case_warm_c}
     return StepOutcome(judge_endurance(endured, warm_c))

@@ -12,7 +12,7 @@ from typing import Any
 
 import appliance
 from appliance.base import Progress
-from appliance.instrument import whatever_is_there
+from appliance.instrument import connected_devices
 from appliance.store import Rig, hold_lock, load_rig
 from appliance.workshop import steps
 from appliance.workshop.bench import light_bench
@@ -247,7 +247,7 @@ def projector_report(rig: Rig, rig_text: str, say: Progress) -> ProjectorReport:
 
 def _about(rig: Rig, wires: Wires) -> dict[str, tuple[str, ...]]:
     """Return versions, and the devices that are on the buses now."""
-    inventory = whatever_is_there(rig, wires)
+    inventory = connected_devices(rig, wires)
     versions = (
         f"kingfisher {appliance.__version__}",
         f"Python {platform.python_version()}",

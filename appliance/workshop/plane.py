@@ -24,7 +24,15 @@ from numpy.typing import NDArray
 import appliance
 from appliance.base import draw_curves, png
 from appliance.desk import work_through
-from appliance.instrument import CaptureReport, Devices, DrawnPatterns, FrameStore, ScanRecorder, ScanSettings, opened
+from appliance.instrument import (
+    CaptureReport,
+    Devices,
+    DrawnPatterns,
+    FrameStore,
+    ScanRecorder,
+    ScanSettings,
+    open_devices,
+)
 from appliance.measure import (
     SIDES,
     CameraDecoder,
@@ -220,7 +228,7 @@ def _record(workplace: Workplace, patterns: DrawnPatterns, exposure: Exposure) -
         FrameStore(len(sequence), left.height_px, left.width_px) as store,
         Devices(rig, workplace.wires, patterns.load) as devices,
     ):
-        grabbers, board, projector = opened(devices, workplace.wires.clock)
+        grabbers, board, projector = open_devices(devices, workplace.wires.clock)
         devices.expose(exposure)
         recorder = ScanRecorder(grabbers, board, projector, workplace.wires.clock, settings)
         fault = None

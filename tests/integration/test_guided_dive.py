@@ -104,13 +104,13 @@ class GuidedDive:
     def aimed(self) -> set[str]:
         """Words of the guidance as they were drawn."""
         aimed = (view for view in self.told if isinstance(view, AimView))
-        return {view.guidance.whole for view in aimed if view.guidance is not None}
+        return {view.guidance.english for view in aimed if view.guidance is not None}
 
     @property
     def reviewed(self) -> list[str]:
         """Words about the overlap as they were drawn."""
         reviewed = (view for view in self.told if isinstance(view, ReviewView))
-        return list(dict.fromkeys(worded(view.overlap.words) for view in reviewed if view.overlap is not None))
+        return list(dict.fromkeys(worded(view.overlap.label) for view in reviewed if view.overlap is not None))
 
     def clouds(self) -> list[Array]:
         """Return the points of every kept scan in the main's own frame, mm."""

@@ -1,1 +1,1 @@
-"""The service: opens the devices, runs the heartbeat, executes what the machine asks for."""
+"""The service: opens the devices, runs the cycle, and executes the machine's effects."""

@@ -1,7 +1,7 @@
-"""Owns the recording of boards in air with the running instrument: pairs from the shipped drivers, judged at once.
+"""Recording views of a board in air with the running instrument, each judged at once.
 
-A take is a short sequence of one light, recorded as any scan is: both cameras fired by the same pulses, audited by the
-same ledger. A view is kept when the board rested, both cameras see it, and it is somewhere new.
+A take is a short sequence of one constant pattern, recorded like a scan: both cameras are fired by the same pulses, and
+the ledger is audited. A view is kept if the board rested, both cameras see it, and its position is new.
 """
 
 from __future__ import annotations
@@ -30,26 +30,28 @@ from drivers.api import Board, Clock, DeviceError, Projector, Wires
 Image = NDArray[np.uint8]
 
 PICTURES = 4
-"""Pictures of each camera in a take: their mean has half the noise, and between first and last (50 ms) a board shows
-its motion."""
+"""Images of each camera in a take.
+
+Their mean has half the noise, and between first and last (50 ms) a board shows its motion.
+"""
 OPEN_TIMEOUT_S = 20.0
 POLL_S = 0.05
 BETWEEN_TAKES_S = 0.3
 MOST_FAULTS = 5
-"""Largest number of faults in a row; then it is not the board."""
+"""Largest number of consecutive faults; beyond, the devices are to blame."""
 
 
 class LiveError(Exception):
-    """No more views can be recorded; the text says why and what to do. Those that were are kept."""
+    """No more views can be recorded; the text has reason and remedy. Earlier views are kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """The way in which boards are recorded."""
+    """Options for recording boards."""
 
     views: int = 20
     projector_light: bool = True
-    """The projector lights the board; else the room does."""
+    """True if the projector illuminates the board, not the room."""
     exposure_ms: float | None = None
     """``None``: the rig file's."""
     patience_s: float = 300.0
@@ -57,65 +59,66 @@ class LiveOptions:
 
 
 def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callable[[str], None]) -> int:
-    """Fill ``target`` up to the wanted number of views; how many are new. What was recorded before counts.
+    """Record views into ``target`` up to the requested number; return how many are new.
 
-    ``say`` is told of every view, what is wrong with the board, and what is still missing. Raises LiveError,
-    DeviceError, StorageError.
+    Earlier views count. ``say`` is called for every view, with the board's faults and the missing regions. Raises
+    LiveError, DeviceError, StorageError.
     """
     if options.exposure_ms is not None:
         left, right = (replace(c, exposure_ms=options.exposure_ms) for c in (rig.camera.left, rig.camera.right))
         rig = replace(rig, camera=replace(rig.camera, left=left, right=right))
     size_px = (rig.camera.left.width_px, rig.camera.left.height_px)
-    known = _known(target, size_px)
-    if known:
-        say(f"{len(known)} views are there already")
+    views = _stored_views(target, size_px)
+    if views:
+        say(f"{len(views)} views are there already")
     new = 0
     with hold_lock(rig.storage.root), ExitStack() as stack:
         status = stack.enter_context(_status(rig.storage.root))
         wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))
         take = stack.enter_context(_takes(rig, wires, options.projector_light))
-        clock, told, faults = wires.clock, "", 0
+        clock, last_message, faults = wires.clock, "", 0
         last_ns = clock.now_ns()
-        while len(known) < options.views:
-            # Since the last new view, not since the start: who gets on may take an hour.
+        while len(views) < options.views:
+            # Since the last new view, not since the start: a complete recording may take an hour.
             if clock.now_ns() - last_ns > options.patience_s * 1e9:
-                raise LiveError(f"no new view in {options.patience_s:g} s ({told or 'no board'}); start again to go on")
+                raise LiveError(
+                    f"no new view in {options.patience_s:g} s ({last_message or 'no board'}); start again to go on"
+                )
             name = target.next_name()
             pictures = take()
             if isinstance(pictures, Fault):
                 faults += 1
-                # A single fault (a late flip, a frame lost) happens and costs nothing here: the next take follows at
-                # once.
+                # A single fault (a late flip, a lost frame) does no harm here: the next take follows at once.
                 if faults > MOST_FAULTS:
                     raise LiveError(f"{faults} takes failed one after the other: {pictures.detail}; check the devices")
                 continue
             faults = 0
-            view = view_of(name, *pictures, known, target.design)
+            view = view_of(name, *pictures, views, target.design)
             if isinstance(view, NoBoard):
-                # Every take is judged anew; what was said last is not repeated.
-                if _without_name(view.reason, name) != told:
-                    told = _without_name(view.reason, name)
-                    say(told)
+                # Every take is judged, but the last message is not repeated.
+                if _without_name(view.reason, name) != last_message:
+                    last_message = _without_name(view.reason, name)
+                    say(last_message)
                 clock.sleep_s(BETWEEN_TAKES_S)
                 continue
-            # Durable before it counts: whoever switches off now goes on with this view the next time.
+            # Saved before it counts: after switching off now, the next call goes on with this view.
             target.save(name, *(mean_of(p) for p in pictures))
-            known.append(view)
-            new, told, last_ns = new + 1, "", clock.now_ns()
-            missing = coverage(known, *size_px).missing
+            views.append(view)
+            new, last_message, last_ns = new + 1, "", clock.now_ns()
+            missing = coverage(views, *size_px).missing
             say(
-                f"view {name}: {len(view.corners_mm)} corners ({len(known)} of {options.views}); "
+                f"view {name}: {len(view.corners_mm)} corners ({len(views)} of {options.views}); "
                 f"{'; '.join(missing) or 'all regions seen'}"
             )
             status(f"VIEW_{name}")
     return new
 
 
-def _known(target: ViewFolder, size_px: tuple[int, int]) -> list[BoardView]:
+def _stored_views(target: ViewFolder, size_px: tuple[int, int]) -> list[BoardView]:
     if not any(target.folder.glob("*/left.png")):
         return []
-    found = find_boards(target.folder, target.design, size_px, silent)
-    return list(found.views)
+    boards = find_boards(target.folder, target.design, size_px, silent)
+    return list(boards.views)
 
 
 def _without_name(reason: str, name: str) -> str:
@@ -123,17 +126,16 @@ def _without_name(reason: str, name: str) -> str:
 
 
 @contextmanager
-def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Image, Image] | Fault]]:
-    """Inside: a function that takes PICTURES pictures with each camera, (n, h, w), or tells what went wrong."""
-    kind = Kind.BRIGHT if lit else Kind.DARK
+def _takes(rig: Rig, wires: Wires, is_lit: bool) -> Iterator[Callable[[], tuple[Image, Image] | Fault]]:
+    """Yield a function that takes PICTURES images with each camera, (n, h, w), or returns a fault."""
+    kind = Kind.BRIGHT if is_lit else Kind.DARK
     pattern = Pattern(kind, Direction.X, 0, rig.scan.period_px, rig.projector.width_px)
     shown = np.ascontiguousarray(
         np.broadcast_to(pattern.codes(), (rig.projector.height_px, rig.projector.width_px)), np.uint8
     )
 
     def load(projector: Projector) -> None:
-        # In the place of the dark picture behind the patterns: between two takes the light stays on, to aim the board
-        # by.
+        # In place of the dark picture after the patterns: the light stays on between two takes, to place the board.
         projector.load([shown] * (PICTURES + 1))
         projector.show(PICTURES)
 
@@ -145,42 +147,45 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
     )
     left = rig.camera.left
     with FrameStore(PICTURES, left.height_px, left.width_px) as store, Devices(rig, wires, load) as devices:
-        grabbers, board, projector = opened(devices, wires.clock)
+        grabbers, board, projector = open_devices(devices, wires.clock)
         recorder = ScanRecorder(grabbers, board, projector, wires.clock, settings)
 
         def take() -> tuple[Image, Image] | Fault:
             report = recorder.record((pattern,) * PICTURES, store, lambda _side, _index: None, lambda: None)
             if report.fault is not None:
                 return report.fault
-            # The store's memory is written to again by the next take.
+            # Copied, since the next take overwrites the store.
             return store.frames("left").copy(), store.frames("right").copy()
 
         yield take
 
 
-def opened(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, Projector]:
-    """Return cameras, board and projector, once all are there. Raises DeviceError with the reason of what is not."""
-    wanted: list[DeviceSupervisor[Any]] = [*devices.cameras.values(), devices.board, devices.projector]
+def open_devices(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, Projector]:
+    """Return cameras, board and projector, once all are open. Raises DeviceError for a missing one."""
+    supervisors: list[DeviceSupervisor[Any]] = [*devices.cameras.values(), devices.board, devices.projector]
     end_ns = clock.now_ns() + int(OPEN_TIMEOUT_S * 1e9)
     reason = "does not answer"
     while True:
-        for supervisor in wanted:
+        for supervisor in supervisors:
             change = supervisor.poll()
             reason = getattr(change, "reason", reason)
-        # Keys and display are not asked for: there is nobody in the water.
+        # Keys and display are not needed in air.
         grabbers = {side: k.value for side, k in devices.cameras.items() if k.value is not None}
         board, projector = devices.board.value, devices.projector.value
         if len(grabbers) == len(SIDES) and board is not None and projector is not None:
             return grabbers, board, projector
         if clock.now_ns() > end_ns:
-            lost = ", ".join(supervisor.device.value for supervisor in wanted if supervisor.value is None)
+            lost = ", ".join(supervisor.device.value for supervisor in supervisors if supervisor.value is None)
             raise DeviceError(lost, reason, "Check the connectors, or ask `kingfisher check`")
         clock.sleep_s(POLL_S)
 
 
 @contextmanager
 def _status(root: Path) -> Iterator[Callable[[str], None]]:
-    """``run/status.json`` meanwhile, as ``docs/protocols/status.md`` has it; it is worth nothing after the end."""
+    """Yield a function that writes ``run/status.json``; remove the file at the end.
+
+    ``docs/protocols/status.md`` describes it.
+    """
     path = root / "run" / "status.json"
 
     def write(result: str | None) -> None:

@@ -1,10 +1,9 @@
-"""Owns the start and the end of the service: what is opened in which order, and the exit code.
+"""Start and end of the service: the order of opening, and the exit code.
 
 run                        the service, until it is switched off
-this_run, recovered        what the diver is told of the start before: how it ended, what became of an update, which
-                           scans were found unpublished
+this_run, recovered        news of the previous run: its end, the fate of an update, recovered scans
 installation               name of the installed version
-ask_power_off, …           the flag file that makes a unit switch the machine off
+ask_power_off, …           the flag file that makes a unit switch the computer off
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from appliance.instrument.service.calibrating import CalibrationController
 from appliance.instrument.service.devices import Devices
 from appliance.instrument.service.gallery import GalleryController
 from appliance.instrument.service.loop import Drawing, Service
-from appliance.instrument.service.parts import Beginning, Parts
+from appliance.instrument.service.parts import Parts, StartFacts
 from appliance.instrument.service.ranging import RangingController
 from appliance.instrument.service.recording import DrawnPatterns
 from appliance.instrument.service.remembered import BeamsFile, ChoicesFile
@@ -44,7 +43,7 @@ from drivers.output.gl import open_gl
 log = logging.getLogger("kingfisher")
 
 RUNNING = "running"
-"""A file in the service's run-time folder, which is memory: there while a run has not ended well."""
+"""A file in the service's run-time folder, in memory: it exists until a run has ended well."""
 MOST_BYTES = 1 << 16
 
 
@@ -55,9 +54,9 @@ def installation(prefix: Path) -> str:
 
 @contextmanager
 def this_run(environment: Mapping[str, str], prefix: Path) -> Iterator[tuple[Fault, ...]]:
-    """Find what the diver is to be told of the run before; a block that is left without an error has ended well.
+    """Yield news of the previous run; a block that ends without an exception has ended well.
 
-    Nothing is remembered where ``environment`` is not a service's.
+    Without a service's ``environment`` the end is not recorded.
     """
     runtime = environment.get("RUNTIME_DIRECTORY")
     mark = None if not runtime else Path(runtime.split(":")[0]) / RUNNING
@@ -67,16 +66,15 @@ def this_run(environment: Mapping[str, str], prefix: Path) -> Iterator[tuple[Fau
     if mark is not None:
         with suppress(OSError):
             mark.touch()
-    # No `finally`: an error must leave the mark behind.
+    # No `finally`: after an error the mark must stay.
     yield tuple(news)
     if mark is not None:
         with suppress(OSError):
             mark.unlink(missing_ok=True)
 
 
-def recovered(scans: Sequence[str]) -> tuple[Fault, ...]:
-    """Return what the diver is told of scans that an earlier run, or a loss of power, left unpublished and that were
-    whole."""
+def recovery_news(scans: Sequence[str]) -> tuple[Fault, ...]:
+    """Return the news of complete scans that an earlier run, or a loss of power, left unpublished."""
     return (Fault(FaultCode.SCAN_RECOVERED, f"scan {', '.join(scans)}"),) if scans else ()
 
 
@@ -87,7 +85,7 @@ def _restarted(mark: Path | None) -> Fault | None:
 
 
 def _undone(prefix: Path) -> Fault | None:
-    """Return how the last trial ended, as ``systemd/kingfisher_setup`` has written it beside the versions."""
+    """Return the fault of an update that was undone, as ``systemd/kingfisher_setup`` has written it."""
     if not _is_installed(prefix):
         return None
     try:
@@ -105,29 +103,30 @@ def _is_installed(prefix: Path) -> bool:
 
 
 def run(rig: Rig) -> int:
-    """Run the instrument until it is switched off; returns the process's exit code.
+    """Run the instrument until it is switched off; return the process's exit code.
 
     Raises DeviceError when there is no GL or no wires, StorageError when the disk refuses the library, LockError when
-    another service runs on the same storage. Devices that are missing do not end it.
+    another service runs on the same storage. Missing devices do not end it.
     """
     with ExitStack() as stack:
         take_back_power_off(os.environ)
-        # First of all that stays: a start that fails further down is still told to whoever started it.
+        # First, so that a failed start is reported to the manager, too.
         manager = stack.enter_context(ServiceManager.of(os.environ))
         news = stack.enter_context(this_run(os.environ, Path(sys.prefix)))
-        # Before anything is read below the root, and before any device: a second service would take the cameras from
-        # the first.
+        # Before any file or device: a second service would take the cameras from the first.
         stack.enter_context(hold_lock(rig.storage.root))
         rig = Instrument(rig).with_measured_noise()
         room = Room(rig.storage.root, LocalFileSystem())
         library = Library(rig.storage.root, room)
         library.prepare()
-        # Before the worker and the devices: what the power left is put right while nothing writes.
+        # Before the worker and the devices: unpublished scans are recovered while nothing writes.
         recovery = library.recover()
         if recovery.recovered or recovery.set_aside:
-            found, aside = (", ".join(ids) or "none" for ids in (recovery.recovered, recovery.set_aside))
-            log.warning("scans recovered: %s; set aside: %s", found, aside)
-        news = (*news, *recovered(recovery.recovered))  # last, for it says more than that the run before ended
+            recovered_ids, set_aside_ids = (
+                ", ".join(ids) or "none" for ids in (recovery.recovered, recovery.set_aside)
+            )
+            log.warning("scans recovered: %s; set aside: %s", recovered_ids, set_aside_ids)
+        news = (*news, *recovery_news(recovery.recovered))  # last, since it says more than the end of the previous run
         stopping = stack.enter_context(_signals())
         wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))
         calibration, conditions = Instrument(rig).calibration()
@@ -138,8 +137,8 @@ def run(rig: Rig) -> int:
         patterns = DrawnPatterns(gl, rig, chosen.period_px, response)
         water = Water(chosen.water_c, chosen.salinity_psu, rig.water.wavelength_nm)
         setup = MeasuringSetup(calibration, patterns.sequence, Instrument(rig).noise(), response, water)
-        # The order of this stack is that of closing, turned round: devices first, so that no camera writes into memory
-        # that is gone; then whoever works on frames; the lock last.
+        # The stack closes in reverse order: devices first, so that no camera writes into freed memory; then all that
+        # work on frames; the lock last.
         scans = stack.enter_context(ScanController(rig, setup, ScanStorage(library, room), wires.clock, wires.calendar))
         calibrating = stack.enter_context(CalibrationController(rig, scans))
         live_s = rig.board.live_every_vsyncs / rig.projector.refresh_hz
@@ -157,7 +156,7 @@ def run(rig: Rig) -> int:
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         gallery = GalleryController(library, scans.submit)
         parts = Parts(devices, scans, calibrating, gallery, ranging, aiming, TransferSwitch(os.environ))
-        beginning = Beginning(choices, conditions, news)
+        beginning = StartFacts(choices, conditions, news)
         service = Service(
             rig, parts, Drawing(patterns, painter), status, wires.clock, beginning, lambda: stopping.reason
         )
@@ -169,14 +168,14 @@ def run(rig: Rig) -> int:
 
 
 def ask_power_off(environment: Mapping[str, str]) -> None:
-    """Leave the note that makes the unit switch the machine off after the service has ended; nothing at a desk."""
+    """Create the flag file by which a unit switches the computer off afterwards; no effect at a desk."""
     note = _power_off_note(environment)
     if note is not None:
         note.touch()
 
 
 def take_back_power_off(environment: Mapping[str, str]) -> None:
-    """Take away the note of an earlier run, which does not count."""
+    """Remove the flag file of an earlier run."""
     note = _power_off_note(environment)
     if note is not None:
         note.unlink(missing_ok=True)
@@ -188,7 +187,7 @@ def _power_off_note(environment: Mapping[str, str]) -> Path | None:
 
 
 class _Stopping:
-    """Set by SIGTERM and SIGINT."""
+    """Signal handler that records SIGTERM and SIGINT."""
 
     def __init__(self) -> None:
         self.reason: str | None = None

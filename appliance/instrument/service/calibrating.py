@@ -1,11 +1,10 @@
-"""Owns the calibration under way: its session on the disk, and its long computations in the background.
+"""The calibration in water: its session on the disk, and its long computations in the background.
 
-    CalibrationController    session, recordings and answers; neither a device nor a decision
+    CalibrationController    session, recordings and answers
     Background               one process for long computations, so that neither keys nor screen wait for them
 
-A job is a function of a module, its arguments, and a progress; all of them travel between processes. One job is done at
-a time, and the process stays warm for the next one. One that dies, or is no longer wanted, is killed; the next job
-starts another.
+A job is a function of a module, its arguments, and a progress callback; all are sent between processes. One job runs at
+a time, and the process stays warm for the next one. A process that died, or whose job is no longer needed, is replaced.
 """
 
 from __future__ import annotations
@@ -46,51 +45,52 @@ from appliance.measure import Calibration, CalibrationError, Fault, FaultCode, V
 from appliance.store import Instrument, Rig, ScanError, StorageError
 
 NICENESS = 10
-"""Priority of the process, behind the heartbeat, the cameras and the reconstruction."""
+"""Priority of the process, below the service, the cameras and the worker."""
 
 Job = Callable[..., Any]
 """Called with its arguments and a ``Progress``."""
 
 
 class Background:
-    """The parent's end. ``poll`` and all else are called by one thread, and none of it waits for the job."""
+    """The parent's end. Called by one thread; never waits for the job."""
 
     def __init__(self) -> None:
         self._child = ChildProcess("kf-calibrate", _serve)
         self._ticket = 0
         self.busy = False
-        """A job's answer is awaited."""
+        """True while the result of a job is awaited."""
 
     def start(self) -> None:
-        """Start the process where there is none, so that the first job finds it warm. Raises OSError."""
+        """Start the process if there is none, to warm it for the first job. Raises OSError."""
         if not self._child.runs:
             self._child.start()
 
     def ask(self, job: Job, *arguments: Any) -> None:
-        """Begin a job; its answer comes through ``poll``. A job that was still running is given up."""
+        """Begin a job; its result comes through ``poll``. A job that was still running is given up."""
         if self.busy:
             self.stop()
         try:
             self.start()
         except OSError:
-            self.busy = True  # poll says why
+            self.busy = True  # poll returns the failure
             return
-        # An answer may be on its way already when the next job is asked for; its ticket tells that it is not this
-        # one's.
+        # The ticket distinguishes this job's result from one of an earlier job that is still on its way.
         self._ticket += 1
         self.busy = True
         self._child.send((self._ticket, job, arguments))
 
     def poll(self) -> object | None:
-        """Return the next thing that is known of the job that was asked for last: CalibrationProgressed, the Failure
-        that it came to where it raised or its process is gone, or its answer."""
+        """Return the next message about the latest job, or ``None``.
+
+        It is CalibrationProgressed, the job's result, or a Failure if the job raised or its process ended.
+        """
         if not self._child.runs:
             if self.busy:
                 self.busy = False
                 return Failure(FailureKind.BROKEN_OFF, "no process could be started; restart the instrument")
             return None
         try:
-            # Past what earlier jobs still say, up to the first word on this one: one for each heartbeat is enough.
+            # Messages of earlier jobs are skipped; one message of this job for each cycle is enough.
             while (message := self._child.receive()) is not None:
                 outcome = self._of_this_job(message)
                 if outcome is not None:
@@ -121,9 +121,9 @@ class Background:
 def _serve(pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    # It may compute for minutes, on the processor that plays the patterns.
+    # A job may compute for minutes, on the processor that plays the patterns.
     os.nice(NICENESS)
-    logging.disable()  # a job answers or raises; it has nobody to tell on the way
+    logging.disable()  # a job returns or raises; it has no log
     try:
         while True:
             ticket, job, arguments = pipe.recv()
@@ -136,7 +136,7 @@ def _serve(pipe: Connection) -> None:
                 outcome = job(*arguments, report)
             except (EOFError, BrokenPipeError):
                 raise
-            except Exception as error:  # the one place where it can still be named
+            except Exception as error:  # the last place where it can be reported
                 outcome = _failure(error)
             pipe.send((ticket, outcome))
     except (EOFError, OSError):
@@ -159,18 +159,18 @@ _FAILURES = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Changed:
-    """The session on the disk; with the calibration in use and what is wrong with it, where that may have changed."""
+class _SessionChange:
+    """The session on the disk, and the calibration in use with its faults, if it may have changed."""
 
     session: Session
     in_use: tuple[Calibration, tuple[Fault, ...]] | None = None
 
 
 class CalibrationController:
-    """Everything about the calibration that is neither a device nor a decision. A context manager."""
+    """Control of the calibration in water. A context manager."""
 
     def __init__(self, rig: Rig, scans: ScanController) -> None:
-        """Disk work goes through the thread of ``scans``."""
+        """Prepare; disk work runs in the thread of ``scans``."""
         self._rig = rig
         self._scans = scans
         self._store = Calibrations(rig.storage.root, rig.rig.serial)
@@ -180,12 +180,12 @@ class CalibrationController:
         self._verified: Verified | None = None
         """Length check of the latest recording of VERIFY."""
         self._passed: deque[str] = deque(maxlen=1)
-        """Length checks that are on the disk and found lengths right, from the disk's thread: what they say."""
-        self._answers: list[Future[_Changed]] = []
+        """Descriptions of stored length checks with right lengths, from the disk's thread."""
+        self._answers: list[Future[_SessionChange]] = []
         self._events: list[on.Event] = []
 
     def __enter__(self) -> Self:
-        self._ask(lambda: _Changed(self._store.session()))
+        self._ask(lambda: _SessionChange(self._store.session()))
         return self
 
     def __exit__(
@@ -196,7 +196,7 @@ class CalibrationController:
     # ------------------------------------------------------------------------------------- what is wanted
 
     def warm(self) -> None:
-        """Somebody calibrates: let the first recording find the process ready."""
+        """Start the process for the first recording, as the diver begins to calibrate."""
         try:
             self._background.start()
         except OSError as error:
@@ -219,13 +219,13 @@ class CalibrationController:
         verified = self._verified
 
         def entered(scan_id: str) -> list[on.Event]:
-            # In the disk's thread, behind the publication: the session never names a scan that is not there (ADR 0020).
+            # In the disk's thread, after the publication: the session only names scans on the disk (ADR 0020).
             session = self._store.session().with_check(replace(check, scan_id=scan_id))
             if check.step is Step.VERIFY:
                 session = replace(session, verified=verified)
             session = self._store.write(session)
             if check.step is Step.VERIFY and session.right and session.length_error is not None:
-                # Left for the heartbeat: the watch over the ray gaps is changed by one thread only.
+                # Left for the service's thread, which alone changes the trend of the ray gaps.
                 self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
             return [session]
 
@@ -238,28 +238,27 @@ class CalibrationController:
         )
 
     def use_solved(self) -> None:
-        """Answer the Session or a Failure; the calibration in use is another from then on."""
+        """Put the solved calibration in use; answer the Session or a Failure."""
         date = self._scans.calendar.today().utc.date().isoformat()
-        # Read back from the disk behind the change: what is measured with from now on is what the next start would
-        # find.
-        self._ask(lambda: _Changed(self._store.use_solved(date), Instrument(self._rig).calibration()))
+        # Read back from the disk after the change, so that the calibration in use is that of the next start.
+        self._ask(lambda: _SessionChange(self._store.use_solved(date), Instrument(self._rig).calibration()))
 
     def restore(self) -> None:
-        """Go back to the file of before; answer as ``use_solved``."""
-        self._ask(lambda: _Changed(self._store.restore(), Instrument(self._rig).calibration()))
+        """Put the former file in use again; answer as ``use_solved``."""
+        self._ask(lambda: _SessionChange(self._store.restore(), Instrument(self._rig).calibration()))
 
     def begin(self) -> None:
         """Begin a new session; answer the Session or a Failure."""
-        self._ask(lambda: _Changed(self._store.begin()))
+        self._ask(lambda: _SessionChange(self._store.begin()))
 
     def cancel(self) -> None:
-        """Give up what is computed: it is no longer wanted."""
+        """Give up the computation, which is no longer needed."""
         self._background.stop()
 
     # ------------------------------------------------------------------------------------- answers
 
     def poll(self) -> list[on.Event]:
-        """Return what the disk and the background answered since the last call."""
+        """Return the answers of disk and background since the last call."""
         events, self._events = self._events, []
         done = [answer for answer in self._answers if answer.done()]
         self._answers = [answer for answer in self._answers if not answer.done()]
@@ -281,18 +280,18 @@ class CalibrationController:
                 events.append(failure)
             case None:
                 pass
-            # A job answers what it likes: one that fits nothing must not leave the diver waiting.
-            case other:
-                events.append(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(other).__name__}"))
+            # An unexpected result must not leave the diver waiting.
+            case result:
+                events.append(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(result).__name__}"))
         return events
 
     @property
     def busy(self) -> bool:
-        """Something is on its way to the disk."""
+        """True while disk work is pending."""
         return bool(self._answers)
 
     def _lengths_right(self, evidence: str) -> list[on.Event]:
-        """Answer an alarm of the ray gaps, as a bar was measured right: what they show now is normal."""
+        """End the alarm of the ray gaps, as a bar was measured right: they count as normal from now on."""
         write = self._scans.watch.answer(evidence)
         if write is None:
             return []
@@ -304,13 +303,13 @@ class CalibrationController:
         for warning in solution.solved.warnings:
             log.warning("calibration: %s", warning)
 
-        def write() -> _Changed:
+        def write() -> _SessionChange:
             session = replace(self._store.session(), solved=solution.solved, verified=solution.verified)
-            return _Changed(self._store.write_solved(solution.calibration, session, solution.report))
+            return _SessionChange(self._store.write_solved(solution.calibration, session, solution.report))
 
         self._ask(write)
 
-    def _changed(self, answer: Future[_Changed]) -> list[on.Event]:
+    def _changed(self, answer: Future[_SessionChange]) -> list[on.Event]:
         try:
             changed = answer.result()
         except (StorageError, SessionError, CalibrationError) as error:
@@ -321,19 +320,19 @@ class CalibrationController:
             calibration, faults = changed.in_use
             log.info("in use: %s of %s", calibration.method, calibration.made_at)
             self._scans.use(calibration)
-            # Cleared first, then raised where they hold for the new one: both conditions are about the calibration of
-            # before.
+            # Both conditions refer to the former calibration: they are cleared, and raised again if they hold for the
+            # new one.
             events += [on.ConditionCleared(code) for code in (FaultCode.UNCALIBRATED, FaultCode.VERIFY_CALIBRATION)]
-            held = self._scans.watch.fault
-            events += [on.ConditionRaised(fault) for fault in (*faults, held) if fault is not None]
+            alarm = self._scans.watch.fault
+            events += [on.ConditionRaised(fault) for fault in (*faults, alarm) if fault is not None]
         return events
 
-    def _ask(self, work: Callable[[], _Changed]) -> None:
+    def _ask(self, work: Callable[[], _SessionChange]) -> None:
         self._answers.append(self._scans.submit(work))
 
 
 def _failure(error: Exception) -> Failure:
-    """Return what an exception means to the diver; one may have an ``about``, its subject in a word."""
+    """Return the failure of an exception; its attribute ``about``, if any, names the step."""
     kind = _FAILURES.get(type(error), FailureKind.BROKEN_OFF)
     return Failure(kind, str(error) or type(error).__name__, str(getattr(error, "about", "")))
 

@@ -1,4 +1,4 @@
-"""Owns what ``kingfisher check`` finds: each device as it identifies itself, and what the rig file wants otherwise."""
+"""The checks of ``kingfisher check``: each device as it identifies itself, compared with the rig file."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from drivers.api import DeviceError, DeviceRefused, Health, Projector, Wires
 from drivers.inventory import BusInventory, list_buses
 
 THERE, NOTHING = "there", "nothing"
-"""Name in a device's details of what its bus has, and what it says where that is nothing."""
+"""Key in a device's details for the entries of its bus, and the value if there are none."""
 
 
 def check(rig: Rig) -> list[Health]:
-    """Open every device once, one after the other, through the shipped drivers, and collect what each says about
-    itself.
+    """Open every device once, one after the other, through the shipped drivers, and collect their health.
 
-    A device that is missing, refused, or not what the rig file states is not ``ok``; its summary says why, and what to
-    do. Raises DeviceError where the wires themselves cannot be had, or the running instrument has the devices.
+    A device that is missing, refused, or not as the rig file states is not ``ok``; its summary has the reason and the
+    remedy. Raises DeviceError if the wires cannot be opened, or the running instrument has the devices.
     """
-    # A camera serves one program at a time: asked beside a running instrument, it would be lost to that.
+    # A camera serves one program at a time: the running instrument would lose it.
     running = holder(rig.storage.root)
     if running is not None:
         raise DeviceRefused("instrument", f"is running (process {running})", "Stop it first: systemctl stop kingfisher")
     with drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires:
-        # Before any device is opened: a card has one master, and a camera that is in use does not tell its number.
-        there = whatever_is_there(rig, wires)
-        found = ask_devices(rig, wires)
+        # Before any device is opened: a card has one master, and a camera in use does not report its serial number.
+        buses = connected_devices(rig, wires)
+        healths = ask_devices(rig, wires)
     return [
-        replace(one, details={**one.details, THERE: "; ".join(_there(one.device, there)) or NOTHING}) for one in found
+        replace(health, details={**health.details, THERE: "; ".join(_on_bus(health.device, buses)) or NOTHING})
+        for health in healths
     ]
 
 
-def whatever_is_there(rig: Rig, wires: Wires) -> BusInventory:
-    """List what is on the buses, and on every graphics card. Never raises for a device."""
+def connected_devices(rig: Rig, wires: Wires) -> BusInventory:
+    """List the devices on the buses and on every graphics card. Never raises for a device."""
     outputs = (rig.projector, rig.display)
-    # Named ones too, which may be no cards of this machine: their lines say why they could not be asked.
-    named = [one.card for one in outputs if one.kind == "kms" and one.card is not None]
+    # Cards of the rig file as well, even if this computer lacks them: their lines give the reason.
+    named = [output.card for output in outputs if output.kind == "kms" and output.card is not None]
     return list_buses(wires, rig.camera.kind, named)
 
 
 def ask_devices(rig: Rig, wires: Wires, only: Collection[str] | None = None) -> list[Health]:
-    """Open each device, or ``only`` those of these names, one after the other; what each says, or why it does not."""
-    found: list[Health] = []
-    wanted = _wanted_firmware(rig)
+    """Open each device, or ``only`` those of these names; return the health or the error of each."""
+    healths: list[Health] = []
+    firmware = _wanted_firmware(rig)
 
     def nothing_to_load(projector: Projector) -> None:
         projector.load([np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)])
@@ -58,19 +58,19 @@ def ask_devices(rig: Rig, wires: Wires, only: Collection[str] | None = None) -> 
             if only is not None and name not in only:
                 continue
             try:
-                # Closed again before the next one: what fails at one device must not keep the others from being asked.
+                # Closed before the next one, so that a failure of one device does not affect the others.
                 with opened() as device:
-                    found.append(_compared(device.health(), wanted.get(name)))
+                    healths.append(_with_firmware_checked(device.health(), firmware.get(name)))
             except DeviceError as error:
-                found.append(Health(name, False, f"{error.message}. {error.remedy}"))
-    return found
+                healths.append(Health(name, False, f"{error.message}. {error.remedy}"))
+    return healths
 
 
-def _there(device: str, there: BusInventory) -> tuple[str, ...]:
-    """Return what is on the bus that ``device`` belongs on."""
+def _on_bus(device: str, buses: BusInventory) -> tuple[str, ...]:
+    """Return the entries of the bus to which ``device`` belongs."""
     if device.startswith("camera."):
-        return there.cameras
-    return {"board": there.ports, "keys": there.hid}.get(device, there.connectors)
+        return buses.cameras
+    return {"board": buses.ports, "keys": buses.hid}.get(device, buses.connectors)
 
 
 def _wanted_firmware(rig: Rig) -> Mapping[str, str | None]:
@@ -82,11 +82,10 @@ def _wanted_firmware(rig: Rig) -> Mapping[str, str | None]:
     }
 
 
-def _compared(health: Health, firmware: str | None) -> Health:
-    """Return ``health``, not ok where the firmware is another than the rig file states: the device is not the one that
-    was tested."""
-    there = health.details.get("firmware")
-    if not health.ok or firmware is None or there == firmware:
+def _with_firmware_checked(health: Health, firmware: str | None) -> Health:
+    """Return ``health``, not ok if the firmware differs from the tested one in the rig file."""
+    actual = health.details.get("firmware")
+    if not health.ok or firmware is None or actual == firmware:
         return health
-    wrong = f"firmware {there}; the rig file wants {firmware}. Update the device, or correct firmware in the rig file"
+    wrong = f"firmware {actual}; the rig file wants {firmware}. Update the device, or correct firmware in the rig file"
     return replace(health, ok=False, summary=wrong)

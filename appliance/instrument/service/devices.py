@@ -1,4 +1,4 @@
-"""Owns the devices of a rig: which there are, how each is opened, and how it is kept open. The composition root.
+"""The devices of a rig: how each is opened and kept open. The composition root.
 
 Devices             all devices; a context manager
 DeviceSupervisor    one device: opened in the background, closed when lost, opened again with growing pauses
@@ -45,7 +45,7 @@ PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 class DeviceRejected(DeviceError):
-    """The device is there but not fit for use; ``code`` is the precise name of what is wrong with it."""
+    """The device is present but not fit for use; ``code``: its precise fault."""
 
     def __init__(self, device: str, message: str, remedy: str, code: FaultCode) -> None:
         super().__init__(device, message, remedy)
@@ -53,9 +53,9 @@ class DeviceRejected(DeviceError):
 
 
 class DeviceSupervisor(Generic[T]):
-    """Keeps one device open. All methods are for the service's thread; only opening and closing run in ``executor``.
+    """Keeps one device open. Methods are for the service's thread, which never waits for the device.
 
-    ``executor`` ``None`` opens in the calling thread, for devices that belong to it.
+    Opening and closing run in ``executor``; ``None`` opens in the calling thread, for devices that belong to it.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class DeviceSupervisor(Generic[T]):
         self._next_try_ns = clock.now_ns()
         self._reported: str | None = None
         self.tried = False
-        """The first attempt has ended, one way or the other."""
+        """True if the first attempt has ended, with or without success."""
 
     @property
     def value(self) -> T | None:
@@ -84,7 +84,7 @@ class DeviceSupervisor(Generic[T]):
         return self._value
 
     def poll(self) -> DeviceUp | DeviceDown | None:
-        """Go on opening; returns what changed since the last call. Never blocks with an executor."""
+        """Go on opening; return the change since the last call. Never blocks with an executor."""
         if self._value is not None:
             return None
         if self._pending is None:
@@ -93,7 +93,7 @@ class DeviceSupervisor(Generic[T]):
             if self._executor is not None:
                 self._pending = self._executor.submit(self._enter)
                 return None
-            # A future all the same, so that both ways of opening end in the lines below.
+            # A future as well, so that both ways of opening end in the lines below.
             pending: Future[tuple[AbstractContextManager[T], T]] = Future()
             try:
                 pending.set_result(self._enter())
@@ -113,13 +113,12 @@ class DeviceSupervisor(Generic[T]):
         return DeviceUp(self.device)
 
     def lose(self, reason: str) -> list[DeviceDown]:
-        """Close a device that no longer works and begin anew; return that it went, or nothing when that is known
-        already."""
+        """Close a device that no longer works and plan to open it; return its loss, if it is new."""
         context, self._context, self._value = self._context, None, None
         if context is None:
             return []
         if self._executor is not None:
-            # Closing takes its time (a thread to join, a transfer to end); the heartbeat must not wait with it.
+            # Closing may take long (a thread to join, a transfer to end); the service's cycle must not wait for it.
             self._executor.submit(_leave, context)
         else:
             _leave(context)
@@ -129,9 +128,9 @@ class DeviceSupervisor(Generic[T]):
 
     @contextmanager
     def watched(self, inbox: list[Event]) -> Iterator[None]:
-        """Work with the device inside; one that fails is lost, and ``inbox`` hears of it as of any other event.
+        """Work with the device inside; if it fails, it is lost, and ``inbox`` gets the event.
 
-        Raises CardGone: GL is lost with the graphics card, and comes back in another process only.
+        Raises CardGone: GL is lost with the graphics card, and needs another process.
         """
         try:
             yield
@@ -141,11 +140,10 @@ class DeviceSupervisor(Generic[T]):
             inbox += self.lose(error.message)
 
     def close(self) -> None:
-        """Close for good. Waits for an opening that is under way."""
+        """Close for good. Waits for a pending opening."""
         if self._pending is not None:
             try:
-                # An opening cannot be cancelled half-way; closed only after it has ended, or its device would stay
-                # taken.
+                # A pending opening cannot be cancelled; its device is closed after it has ended.
                 self._context, _ = self._pending.result(timeout=30.0)
             except (DeviceError, TimeoutError):
                 self._context = None
@@ -160,7 +158,7 @@ class DeviceSupervisor(Generic[T]):
 
     def _failed(self, error: DeviceError) -> DeviceDown | None:
         self._plan()
-        # A device that is not there fails every few seconds: said once, and again when the reason is another one.
+        # An absent device fails every few seconds: reported once, and again for another reason.
         if self._reported == error.message:
             return None
         self._reported = error.message
@@ -185,7 +183,7 @@ JOIN_TIMEOUT_S = 2.0
 
 
 class KeyReader:
-    """Reads a key pad in its own thread. When 64 events wait unread, newer ones are dropped: nobody is listening."""
+    """Reads the keypad in its own thread. With 64 unread events, newer ones are dropped."""
 
     def __init__(self, keys: Keys) -> None:
         self._keys = keys
@@ -204,7 +202,7 @@ class KeyReader:
         self._thread.join(JOIN_TIMEOUT_S)
 
     def take(self) -> list[KeyEvent]:
-        """Return what happened since the last call, in order."""
+        """Return the events since the last call, in order."""
         events: list[KeyEvent] = []
         while len(events) < QUEUE_SIZE:
             try:
@@ -221,7 +219,7 @@ class KeyReader:
                 event = KeysLost(error.message)
             if event is None:
                 continue
-            # One thread puts: where there is room, putting does not wait.
+            # Only this thread puts, so that putting never waits.
             if not self._queue.full():
                 self._queue.put_nowait(event)
             if isinstance(event, KeysLost):
@@ -232,7 +230,7 @@ class Devices:
     """All devices, each kept open by its supervisor. A context manager."""
 
     def __init__(self, rig: Rig, wires: Wires, load_projector: Callable[[Projector], None]) -> None:
-        """``load_projector`` is called with each newly opened projector, to give it its patterns."""
+        """Prepare; ``load_projector`` is called with each newly opened projector, to load its patterns."""
         self._rig = rig
         self._wires = wires
         self._timeouts = Timeouts(rig.projector.refresh_hz)
@@ -247,7 +245,7 @@ class Devices:
         }
         self.board: DeviceSupervisor[Board] = DeviceSupervisor(Device.BOARD, self._board, clock, self._executor)
         self.keys: DeviceSupervisor[KeyReader] = DeviceSupervisor(Device.KEYS, self._keys, clock, self._executor)
-        # No executor: outputs draw by GL, whose context belongs to the heartbeat's thread.
+        # No executor: outputs draw by GL, whose context belongs to the service's main thread.
         self.display: DeviceSupervisor[Display] = DeviceSupervisor(Device.DISPLAY, self._display, clock, None)
         self.projector: DeviceSupervisor[Projector] = DeviceSupervisor(Device.PROJECTOR, self._projector, clock, None)
 
@@ -265,11 +263,11 @@ class Devices:
 
     @property
     def all_tried(self) -> bool:
-        """Every device was tried once."""
+        """True if every device was tried once."""
         return all(supervisor.tried for supervisor in self._supervisors())
 
     def openers(self) -> dict[str, Callable[[], AbstractContextManager[Any]]]:
-        """Return how to open each device once, by its name in the rig file, to ask its health."""
+        """Return for each device, by its name in the rig file, a function that opens it for a health check."""
         wires, rig = self._wires, self._rig
         keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
         return {
@@ -286,10 +284,10 @@ class Devices:
         return [*self.cameras.values(), self.keys, self.board, self.projector, self.display]
 
     def poll(self) -> list[DeviceUp | DeviceDown]:
-        """Return what came and went since the last call."""
+        """Return the devices that came and went since the last call."""
         changes: list[DeviceUp | DeviceDown | None] = []
         for camera in self.cameras.values():
-            # A grabber that lost its camera says so itself: its thread cannot close what the heartbeat may be using.
+            # A grabber reports the loss of its camera: its thread cannot close it while the cycle may use it.
             reason = camera.value.lost if camera.value is not None else None
             changes += camera.lose(reason) if reason is not None else [camera.poll()]
         changes += [self.display.poll(), self.board.poll(), self.keys.poll(), self.projector.poll()]
@@ -300,9 +298,9 @@ class Devices:
         with ExitStack() as stack:
             try:
                 camera, settings = self._configured(side, stack)
-            except DeviceRefused as error:  # it is there: its plug is not what to look at
-                said = f"{error.message}; {error.remedy}"
-                raise DeviceRejected(error.device, said, error.remedy, FaultCode.CAMERA_REFUSED) from error
+            except DeviceRefused as error:  # it is present: the plug is not the cause
+                message = f"{error.message}; {error.remedy}"
+                raise DeviceRejected(error.device, message, error.remedy, FaultCode.CAMERA_REFUSED) from error
             yield stack.enter_context(Grabber(side, camera, self._wires.clock, settings, self._timeouts))
 
     def _configured(self, side: str, stack: ExitStack) -> tuple[Camera, CameraSettings]:
@@ -318,9 +316,9 @@ class Devices:
 
     @contextmanager
     def _set_up(self, side: str) -> Iterator[Camera]:
-        """Inside: a camera that took its settings, unless its link is slow, which it says by itself."""
+        """Open a camera and configure it, unless its link is slow, which its health check reports."""
         with self.open_camera(side) as camera:
-            # Setting it is half of the check: what a camera refuses is known before the first scan.
+            # Configuring is part of the check, so that refusals are known before the first scan.
             if camera.slow_link is None:
                 camera.configure(self._settings(side))
             yield camera
@@ -330,7 +328,7 @@ class Devices:
         return CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
 
     def open_camera(self, side: str) -> AbstractContextManager[Camera]:
-        """Open one camera once, for whoever only wants to look at it: it is not set."""
+        """Open one camera once, without configuring it."""
         camera = self._camera_rig(side)
         spec = drivers_rig.CameraSpec(
             f"camera.{side}",
@@ -347,9 +345,9 @@ class Devices:
         return of_side(self._rig.camera, side)
 
     def expose(self, exposure: Exposure) -> None:
-        """Expose both cameras so from their next image on; one that comes later is told then.
+        """Set the exposure of both cameras from their next image on; a camera that comes later gets it then.
 
-        Where the rig file sets the right camera otherwise than the left one, it keeps the difference.
+        If the rig file sets the right camera differently from the left one, the difference is kept.
         """
         left, right = self._rig.camera.left, self._rig.camera.right
         for side, spec in (("left", left), ("right", right)):
@@ -362,7 +360,7 @@ class Devices:
     def _board(self) -> Iterator[Board]:
         with drivers_rig.open_board(drivers_rig.BoardSpec(self._rig.board.url), self._wires) as board:
             board.stop()
-            # Whatever a process before this one has left on.
+            # An earlier process may have left them on.
             board.set_lasers(False, False)
             yield board
 
@@ -384,7 +382,7 @@ class Devices:
 
 
 def output_spec(spec: OutputRig) -> drivers_rig.OutputSpec:
-    """Return what is to be opened for an output of the rig file."""
+    """Return the driver's specification of an output in the rig file."""
     return drivers_rig.OutputSpec(
         drivers_rig.OutputKind(spec.kind), spec.card, spec.connector, spec.width_px, spec.height_px, spec.refresh_hz
     )

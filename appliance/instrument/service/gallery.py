@@ -1,4 +1,4 @@
-"""Owns what the gallery shows: scans read from the disk by its own thread, so that the screen never waits for them."""
+"""Scans for the gallery, read from the disk in its own thread, so that the screen never waits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_PREVIEW_BYTES = 20_000_000
 
 
 class GalleryController:
-    """Lists and loads in ``submit``'s thread; the latest wish counts."""
+    """Lists and loads in ``submit``'s thread; a later request replaces the former."""
 
     def __init__(self, library: Library, submit: Callable[[Callable[[], None]], Future[None]]) -> None:
         self._library, self._submit = library, submit
@@ -33,12 +33,12 @@ class GalleryController:
         self._tasks.append(self._submit(self._list))
 
     def show(self, scan_id: str) -> None:
-        """``shown`` becomes this one."""
+        """Load a scan into ``shown``."""
         self._wanted = scan_id
         self._tasks.append(self._submit(lambda: self._load(scan_id)))
 
     def status_of(self, scan_id: str | None) -> Mapping[str, Any] | None:
-        """Return what the status file says of the scan that the diver looks at; ``None`` until it was read."""
+        """Return the status file's entry for the shown scan; ``None`` until it was read."""
         shown = self.shown
         if shown is None or shown.scan_id != scan_id:
             return None
@@ -46,14 +46,14 @@ class GalleryController:
         return {"scan": shown.scan_id, "damaged": shown.damaged, "grade": word, "taken": shown.taken}
 
     def poll(self) -> list[on.Event]:
-        """Return what the disk answered since the last call."""
+        """Return the disk's answers since the last call."""
         self._tasks = [task for task in self._tasks if not task.done()]
         listed, self._listed = self._listed, None
         return [] if listed is None else [on.ScansListed(listed)]
 
     def _list(self) -> None:
         try:
-            # One assignment: the heartbeat sees the old tuple or the new one.
+            # One assignment: the service's thread sees the old tuple or the new one.
             self._listed = tuple(reversed(self._library.ids()))
         except StorageError:
             self._listed = ()
@@ -64,7 +64,7 @@ class GalleryController:
 
 
 def read(library: Library, scan_id: str) -> StoredScan:
-    """Read one scan from the disk. Never raises: what cannot be read is damaged."""
+    """Read one scan from the disk. Never raises: an unreadable scan counts as damaged."""
     try:
         entry = library.entry(scan_id)
     except (StorageError, UnknownScan):
@@ -91,7 +91,7 @@ def read(library: Library, scan_id: str) -> StoredScan:
 
 
 def _preview(entry: ScanEntry) -> tuple[NDArray[np.uint8] | None, bool]:
-    """Return the picture, and whether it is as it should be: there and readable, or never made."""
+    """Return the preview image, and False if it is missing or damaged although it was written."""
     path = entry.preview_file
     if path is None:
         return None, True

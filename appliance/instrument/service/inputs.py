@@ -1,4 +1,4 @@
-"""Owns what the keys and the board report, turned into the machine's events, and the latest telemetry."""
+"""Events from keys and board for the machine, and the latest telemetry."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from drivers.api import (
 log = logging.getLogger("kingfisher")
 
 MAX_BOARD_EVENTS = 200
-"""Reports of the board that one heartbeat reads at most: a board that floods its line must not stop the heart."""
+"""Most reports of the board in one cycle: a board that floods its line must not stop the service."""
 
 
 class Inputs:
-    """Reads the key pad and the board. Called by the heartbeat only; nothing in it waits."""
+    """Reads the keypad and the board. Called only by the service's cycle; never waits."""
 
     def __init__(self, devices: Devices, ranging: RangingController) -> None:
-        """``ranging`` hears of the lasers' state as the board reports it."""
+        """Prepare; ``ranging`` gets the lasers' state as the board reports it."""
         self._devices, self._ranging = devices, ranging
         self.telemetry: Telemetry | None = None
-        """The board's latest; ``None`` before the first."""
+        """The board's latest report; ``None`` before the first."""
 
     def poll(self) -> list[on.Event]:
-        """Return what happened since the last call: keys first, then the board."""
+        """Return the events since the last call: keys first, then the board."""
         events = self.keys()
         board = self._devices.board.value
         if board is not None:
@@ -53,12 +53,12 @@ class Inputs:
         return events
 
     def keys(self) -> list[on.Event]:
-        """Return what the diver did since the last call."""
+        """Return the events of the keys since the last call."""
         reader = self._devices.keys.value
         return [] if reader is None else [event for key in reader.take() for event in self._key(key)]
 
     def board_event(self, event: BoardEvent) -> list[on.Event]:
-        """Return what one report of the board means, whoever read it."""
+        """Return the events for one report of the board."""
         match event:
             case Telemetry():
                 self.telemetry = event
@@ -76,7 +76,7 @@ class Inputs:
                 assert_never(event)
 
     def temperatures_c(self) -> dict[str, float | None]:
-        """Return the latest temperature of each part in °C, by its name in a scan's record; ``None`` where nobody says."""
+        """Return the latest temperature of each part in °C, by its name in a scan's record, or ``None``."""
         t = self.telemetry
         values: dict[str, float | None] = {
             "projector": t.temperature_projector_c if t else None,

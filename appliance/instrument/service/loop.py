@@ -1,6 +1,6 @@
-"""Owns the heartbeat: one thread that gathers what happened, lets the machine decide, does what it wants, and draws.
+"""The service's cycle: gather events, let the machine decide, execute its effects, and draw.
 
-The thread is the process's main one and the sole owner of GL. A heartbeat is paced by the display's vertical blank.
+It is the main thread of the process and the only owner of GL. The display's vertical blank paces it.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from appliance.instrument.machine.step import step
 from appliance.instrument.machine.words import Language, Text
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.service.inputs import Inputs
-from appliance.instrument.service.parts import Beginning, LiveViews, Parts
+from appliance.instrument.service.parts import LiveViews, Parts, StartFacts
 from appliance.instrument.service.recording import DrawnPatterns, SequenceRecorder
 from appliance.instrument.service.settings import machine_settings
 from appliance.instrument.service.status import StatusFile
-from appliance.instrument.service.view import Facts, Surroundings, held_against, view_of
+from appliance.instrument.service.view import Facts, Surroundings, scan_faults, view_of
 from appliance.instrument.service.watchdog import Watchdog
 from appliance.measure import GRADE_NAME as GRADE
 from appliance.measure import (
@@ -51,7 +51,7 @@ from drivers.api import Clock, Key, KeyPress
 log = logging.getLogger("kingfisher")
 
 PRESENT_TIMEOUT_S, PRESENT_PERIODS = 0.5, 4
-"""Longest time that a picture may take to the diver's display, in s and in periods of it: the longer of both holds."""
+"""Longest time to show a picture on the diver's display, in s and in periods: the longer of both holds."""
 BEAT_WITHOUT_DISPLAY_S = 0.05
 QUIT_TIMEOUT_S = 30.0
 
@@ -74,10 +74,10 @@ class Service:
         drawing: Drawing,
         status: StatusFile,
         clock: Clock,
-        beginning: Beginning,
+        beginning: StartFacts,
         stop_reason: Callable[[], str | None],
     ) -> None:
-        """``stop_reason`` says why the process should end; ``None``: it should not."""
+        """Set the instrument up; ``stop_reason`` returns why the process should end, or ``None``."""
         chosen, lost = beginning.choices.read()
         self._rig = rig
         self._parts = parts
@@ -87,12 +87,12 @@ class Service:
         self._clock = clock
         self._stop_reason = stop_reason
         self.machine: Machine = boot(
-            clock.now_ns(), machine_settings(rig, replace(chosen, transfer=parts.transfer.wanted))
+            clock.now_ns(), machine_settings(rig, replace(chosen, transfer=parts.transfer.is_on))
         )
         self._inbox: list[on.Event] = []
-        """Events for the next heartbeat.
+        """Events for the next cycle.
 
-        Everybody who works within one adds to the same list: it is emptied, never replaced.
+        All parts add to the same list: it is emptied, never replaced.
         """
         self._inputs = Inputs(parts.devices, parts.ranging)
         self._live = LiveViews(rig, parts, self._inbox)
@@ -122,11 +122,11 @@ class Service:
         self._quit: do.Quit | None = None
 
     def run(self, watchdog: Watchdog) -> do.Quit:
-        """Beat until the machine wants to quit, then finish what is being written."""
+        """Run cycles until the machine wants to quit, then finish pending writes."""
 
         def beat() -> None:
             self.beat()
-            watchdog.beaten(self.machine, worker_answers=self._parts.scans.worker.answers)
+            watchdog.report_cycle(self.machine, worker_answers=self._parts.scans.worker.answers)
 
         self._parts.scans.test_storage()
         self._parts.scans.count_objects()
@@ -134,34 +134,33 @@ class Service:
             beat()
         watchdog.stopping()
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
-        # The heart goes on beating: SAVING stays on the screen, and the watchdog does not take a slow disk for a hang.
+        # The cycle goes on: SAVING stays on the screen, and the watchdog does not take a slow disk for a hang.
         while (self._parts.scans.busy or self._parts.calibrating.busy) and self._clock.now_ns() < end_ns:
             beat()
         self._tell_status()
         return self._quit
 
     def beat(self) -> None:
-        """Do one heartbeat. It waits for the display and, while patterns are played, for the projector; for nothing
-        else."""
+        """Run one cycle. It waits only for the display and, during a sequence, for the projector."""
         for event in self._gather():
             self._handle(event)
-        # The tick behind the news: an answer that came in time must not be judged by a deadline first.
+        # The tick comes after the events, so that an answer in time precedes its deadline.
         self._handle(on.Tick(self._clock.now_ns()))
-        # Behind the tick: what the machine wanted in this heartbeat is begun in the same one.
+        # After the tick, so that requests of this cycle begin in it.
         for event in self._recorder.go_on():
             self._handle(event)
         self._tell_status()
         self._draw()
 
     def _tell_status(self) -> None:
-        at = self.machine.gallery
-        shown = None if at is None else self._parts.gallery.status_of(at.scan_id)
+        gallery = self.machine.gallery
+        shown = None if gallery is None else self._parts.gallery.status_of(gallery.scan_id)
         self._status.update(self.machine, self._parts.scans.worker.pid, shown)
 
     # --------------------------------------------------------------------------------- what happened
 
     def _gather(self) -> list[on.Event]:
-        # What the last beat left comes first: it happened before anything that is read now.
+        # Events of the last cycle come first, since they are older.
         events = list(self._inbox)
         self._inbox.clear()
         parts = self._parts
@@ -172,7 +171,7 @@ class Service:
         events += parts.gallery.poll()
         events += parts.ranging.poll()
         events += parts.aiming.poll()
-        events += parts.transfer.poll(self._clock.now_ns(), wanted=self.machine.choices.transfer)
+        events += parts.transfer.poll(self._clock.now_ns(), is_on=self.machine.choices.transfer)
         events += self._live.switch_lasers_on()
         if not self._boot_told and parts.devices.all_tried:
             self._boot_told = True
@@ -184,21 +183,21 @@ class Service:
 
     def _handle(self, event: on.Event) -> None:
         before = self.machine
-        self.machine, wanted = step(before, event)
+        self.machine, effects = step(before, event)
         if self.machine.state is not before.state:
             log.info("%s → %s (%s)", before.state.value, self.machine.state.value, type(event).__name__)
             if self.machine.state is State.CALIBRATE:
                 self._parts.calibrating.warm()
             elif before.state is State.CALIBRATE and self.machine.calibrating is None:
                 self._parts.calibrating.cancel()  # its process takes memory
-            # The picture is read back from GL, in this thread, while the painter still has the cloud; only if it was
-            # drawn at all.
+            # The preview is read back from GL, in this thread, while the painter still has the cloud; only if the
+            # cloud was drawn.
             if before.state is State.REVIEW and self._drawn is State.REVIEW:
                 self._parts.scans.preview = self._painter.preview()
-        line = spoken(event)
+        line = log_line(event)
         if line is not None:
             log.log(*line)
-        for effect in wanted:
+        for effect in effects:
             self._execute(effect)
 
     # --------------------------------------------------------------------------------- what is wanted
@@ -211,9 +210,9 @@ class Service:
                 aiming = self.machine.state is State.AIM
                 self._live.begin(effect, aiming=aiming, belongs_to=self.machine.choices.object)
             case do.Arm():
-                self._recorder.want(effect)
+                self._recorder.request(effect)
             case do.Capture():
-                # For the next heartbeat, not handled here: the effects behind this one are still to be executed.
+                # The event is left for the next cycle, since more effects are still to be executed.
                 self._inbox.append(self._recorder.play(effect.number, self._draw, self._abort))
             case do.StoreRaw():
                 self._parts.scans.store_raw(effect.number)
@@ -240,20 +239,20 @@ class Service:
                 assert_never(effect)
 
     def _abort(self) -> Fault | None:
-        """Return why the sequence that plays is to end: the system or the diver wants it; ``None``: nobody does."""
+        """Return why the playing sequence must end, for the system or the diver; ``None``: it goes on."""
         reason = self._stop_reason()
         if reason is not None:
             return Fault(FaultCode.CAPTURE_TIMEOUT, f"stopped: {reason}")
         pressed = self._inputs.keys()
-        self._inbox += pressed  # the machine hears of every key, also of those that end nothing
+        self._inbox += pressed  # the machine gets every key, also those that do not end the sequence
         if any(isinstance(e, KeyPress) and meaning(self.machine, e.key) is Key.BACK for e in pressed):
             return Fault(FaultCode.CAPTURE_TIMEOUT, "stopped by the diver")
         return None
 
     def _use(self, before: Choices, now: Choices) -> None:
-        """Let choices take effect, and remember them."""
+        """Apply choices and store them."""
         if now.period_px != before.period_px:
-            self._recorder.want_period(now.period_px)
+            self._recorder.request_period(now.period_px)
         if (now.salinity_psu, now.water_c) != (before.salinity_psu, before.water_c):
             self._parts.scans.use_water(now.salinity_psu, now.water_c)
         if now.transfer is not before.transfer:
@@ -271,8 +270,8 @@ class Service:
         summary = scan.full.summary if scan is not None and scan.full is not None else None
         verdict = None
         if summary is not None:
-            # The word that the diver was shown is stored with the scan: nobody judges it by other limits later.
-            word = grade(summary.coverage_percent, summary.noise_mm, held_against(self.machine))
+            # The grade that the diver saw is stored with the scan, whatever limits hold later.
+            word = grade(summary.coverage_percent, summary.noise_mm, scan_faults(self.machine))
             numbers = {LENGTHS_DOUBTFUL: float(lengths_doubtful(self.machine))}
             verdict = Verdict(GRADE, word is not Grade.BAD, numbers, word.value)
         self._parts.scans.publish(number, self._parts.scans.preview, verdict)
@@ -289,7 +288,7 @@ class Service:
     def _draw(self) -> None:
         display = self._parts.devices.display
         if display.value is None:
-            # Nothing paces the heartbeat now: without this pause it would take a whole processor.
+            # Without a display the cycle has no pace: this pause keeps it from using a full processor.
             self._clock.sleep_s(BEAT_WITHOUT_DISPLAY_S)
             return
         self._live.take()
@@ -303,7 +302,7 @@ class Service:
             facts=self._facts(),
             marks=self._parts.ranging.marks,
         )
-        # Asked at each picture, so that a language chosen in the menu shows at once.
+        # Set for each picture, so that a language chosen in the menu shows at once.
         self._painter.language = Language(self.machine.choices.language)
         picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
         self._drawn = self.machine.state
@@ -312,9 +311,11 @@ class Service:
             display.value.present(picture, limit_s)
 
 
-def spoken(event: on.Event) -> tuple[int, str] | None:
-    """Return level and text of a log line; ``None`` for what needs none: it is seen in the states, or comes all the
-    time."""
+def log_line(event: on.Event) -> tuple[int, str] | None:
+    """Return level and text of a log line; ``None``: the event needs none.
+
+    States show it, or it comes all the time.
+    """
     match event:
         case on.DeviceUp(device):
             return logging.INFO, f"{device.value} works"
@@ -330,18 +331,21 @@ def spoken(event: on.Event) -> tuple[int, str] | None:
         case News(number, PatternIdentity(judgement)) if judgement.fault is not None:
             return logging.WARNING, f"scan {number} of this start was not reconstructed: {fault_text(judgement.fault)}"
         case News(number, Verdicts(judgements) | FullCloud(_, judgements)) if warnings := faults_in(judgements):
-            # What the screen has room for names the fault; what to do about it in full stands here.
-            return logging.INFO, f"scan {number} of this start: {'; '.join(fault_text(one) for one in warnings)}"
+            # The screen only has room for the fault's name; the log has the details.
+            return (
+                logging.INFO,
+                f"scan {number} of this start: {'; '.join(fault_text(warning) for warning in warnings)}",
+            )
         case _:
             return None
 
 
 def fault_text(fault: Fault) -> str:
-    """Return code, device, the detector's words and its numbers, in one line."""
+    """Return code, device, detail and numbers of a fault in one line."""
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in fault.numbers.items())
-    of = "" if fault.device is None else f" of {fault.device}"
+    device = "" if fault.device is None else f" of {fault.device}"
     detail = "; ".join(filter(None, (fault.detail, numbers)))
-    return f"{fault.code.value}{of}" + (f": {detail}" if detail else "") + _ashore(fault.code)
+    return f"{fault.code.value}{device}" + (f": {detail}" if detail else "") + _ashore(fault.code)
 
 
 def _ashore(code: FaultCode) -> str:

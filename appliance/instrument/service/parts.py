@@ -1,8 +1,8 @@
-"""Owns what the heartbeat works with: one controller per duty, made by ``app`` and called by ``loop`` alone.
+"""Devices and controllers that the cycle works with, made by ``app`` and called only by ``loop``.
 
 Parts        devices and controllers of the running instrument
-Beginning    what is known before the first heartbeat
-LiveViews    cameras fired without a sequence, their light and their lasers, and the latest image of each
+Beginning    facts that are known before the first cycle
+LiveViews    live views: pulses, light, lasers, and the latest image of each camera
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from appliance.store import Rig
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """The devices and the controllers of the running instrument."""
+    """Devices and controllers of the running instrument."""
 
     devices: Devices
     scans: ScanController
@@ -40,15 +40,15 @@ class Parts:
 
 
 @dataclass(frozen=True, slots=True)
-class Beginning:
-    """The knowledge that there is before the first heartbeat."""
+class StartFacts:
+    """Facts that are known before the first cycle."""
 
     choices: ChoicesFile
-    """The file of what the diver chose before."""
+    """File with the diver's earlier choices."""
     conditions: tuple[Fault, ...]
-    """Faults that hold from the start (uncalibrated …)."""
+    """Faults from the start (uncalibrated …)."""
     news: tuple[Fault, ...]
-    """Faults of the run before, which are told once."""
+    """Faults of the previous run, which are shown once."""
 
 
 GUIDES = "left"
@@ -56,23 +56,25 @@ GUIDES = "left"
 
 
 class LiveViews:
-    """Switches live views on and off and takes their images. Called by the heartbeat only."""
+    """Switches live views on and off and takes their images. Called only by the service's cycle."""
 
     def __init__(self, rig: Rig, parts: Parts, inbox: list[on.Event]) -> None:
-        """``inbox`` takes what happens meanwhile, for the next heartbeat."""
+        """Prepare; ``inbox`` takes events for the next cycle."""
         self._rig, self._parts, self._inbox = rig, parts, inbox
         self.images: dict[str, NDArray[np.uint8]] = {}
-        """The latest image of each camera, (h, w) uint8, by side; nothing of a camera that is lost."""
+        """The latest image of each camera, (h, w) uint8, by side; a lost camera has none."""
         self._number = dict.fromkeys(SIDES, 0)
         self._guided: int | None = None
-        """Number of the object that the diver is guided for; ``None``: there is none, or nothing lights it."""
+        """Number of the object that the diver is guided for; ``None``: none, or there is no light."""
 
-    def begin(self, wanted: do.GoLive, *, aiming: bool, belongs_to: int | None) -> None:
-        """Light and fire the cameras as ``wanted``, with the lasers off; ``aiming``: the diver aims by it, at an object
-        of that number."""
+    def begin(self, order: do.GoLive, *, aiming: bool, belongs_to: int | None) -> None:
+        """Start light and pulses as ordered, with the lasers off.
+
+        ``aiming``: the diver aims, at the object of number ``belongs_to``.
+        """
         devices, scans = self._parts.devices, self._parts.scans
-        shown = len(scans.sequence) + (1 if wanted.light else 0)  # behind the patterns: dark, live light
-        devices.expose(wanted.exposure)
+        shown = len(scans.sequence) + (1 if order.light else 0)  # behind the patterns: dark, live light
+        devices.expose(order.exposure)
         for camera in devices.cameras.values():
             if camera.value is not None:
                 camera.value.live()
@@ -82,19 +84,18 @@ class LiveViews:
         with devices.board.watched(self._inbox):
             board = devices.board.value
             if board is not None:
-                # Stopped before it fires anew, and dark before it is lit: a sequence or lasers of before must not go
-                # on.
+                # Stopped and dark first, so that no earlier sequence or laser goes on.
                 board.stop()
                 board.set_lasers(False, False)
-                board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, wanted.exposure.time_us)
+                board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, order.exposure.time_us)
         calibration, index = scans.calibration, scans.water.index
-        # The lasers go on later, by `switch_lasers_on`: the first images are the proof that they were off (ADR 0024).
-        self._parts.ranging.live(wanted.lasers, calibration, index)
-        self._inbox += self._parts.aiming.live(wanted.light and aiming, calibration, index, wanted.exposure)
-        self._guided = belongs_to if wanted.light and aiming else None
+        # `switch_lasers_on` follows later: the first images are the proof that the lasers were off (ADR 0024).
+        self._parts.ranging.live(order.lasers, calibration, index)
+        self._inbox += self._parts.aiming.live(order.light and aiming, calibration, index, order.exposure)
+        self._guided = belongs_to if order.light and aiming else None
 
     def end(self) -> None:
-        """Make everything dark: projector, lasers, and no image is asked for."""
+        """Switch projector, lasers and pulses off."""
         devices = self._parts.devices
         self._parts.ranging.stop()
         self._inbox += self._parts.aiming.stop()
@@ -108,7 +109,7 @@ class LiveViews:
                 devices.board.value.stop()
 
     def switch_lasers_on(self) -> list[on.Event]:
-        """Switch the lasers on as soon as the live images were seen without them; return what that led to."""
+        """Switch the lasers on once live images have shown them off; return the resulting events."""
         board = self._parts.devices.board
         if board.value is None or not self._parts.ranging.wants_lasers:
             return []
@@ -118,7 +119,7 @@ class LiveViews:
         return events
 
     def take(self) -> None:
-        """Take each camera's latest image and show it to whoever measures in live images."""
+        """Take each camera's latest image and pass it to ranging, aiming checks and guidance."""
         for side, camera in self._parts.devices.cameras.items():
             latest = camera.value.latest(self._number[side]) if camera.value is not None else None
             if latest is not None:
@@ -126,9 +127,9 @@ class LiveViews:
                 self._parts.ranging.see(side, latest[1])
                 self._parts.aiming.see(side, *latest)
                 if side == GUIDES and self._guided is not None:
-                    # It takes one now and then; those between are of no interest.
+                    # The worker takes an image now and then and skips those between.
                     self._parts.scans.worker.look(latest[1], self._guided)
             elif camera.value is None:
-                # Its numbers begin anew when it comes back, and an old image must not be taken for a live one.
+                # Its numbers begin again when it comes back, and an old image must not pass for a live one.
                 self.images.pop(side, None)
                 self._number[side] = 0

@@ -1,8 +1,8 @@
-"""Owns the measuring of the distance on live images: which pairs are measured, when the lasers may go on, who is told.
+"""Control of the ranging in live images: choice of stereo pairs, release of the lasers, and events.
 
-The work is done in a thread of its own, ``kf-ranging``, on one pair at a time; a pair that comes while it works is left
-out, since the next one comes a tenth of a second later. Every live view begins with the lasers off: what looks like a
-dot then is remembered, and is a laser that ignores its switch if it looks no brighter with the lasers on.
+The work is done in a thread of its own, ``kf-ranging``, on one pair at a time; pairs that come meanwhile are skipped,
+since the next one follows a tenth of a second later. Every live view begins with the lasers off: spots that look like a
+dot then are recorded. If they are no brighter with the lasers on, a laser ignored its switch.
 """
 
 from __future__ import annotations
@@ -30,40 +30,41 @@ from drivers.api import Clock, LaserState
 log = logging.getLogger("kingfisher")
 
 SETTLE_NS, SETTLE_IMAGES = 200_000_000, 2.0
-"""Images after the lasers or the light were switched that may still be from before: two. Here and below: at least the
-time, and more where live images come more slowly than ten a second."""
+"""Time and number of images after switching lasers or light that may still show the state before.
+
+Here and below: at least the time, and longer where live images come more slowly than ten a second.
+"""
 PAIR_NS, PAIR_IMAGES = 50_000_000, 0.5
-"""Both images of a pair arrive within this; the next pair comes twice as late."""
+"""Largest time between both images of a pair; the next pair comes after twice the time."""
 DARK_PAIRS = 2
-"""Pairs looked at before the lasers go on, and then again with them on."""
+"""Number of pairs examined before the lasers go on, and again with them on."""
 NO_BRIGHTER = 1.5
-"""A dot of a laser that was just switched on is so much brighter than print or pebble were there before."""
+"""Ratio by which the dot of a laser that was just switched on exceeds print or pebbles there before."""
 CLEAR_PAIRS = 10
-"""Number of pairs without a dot after which a laser that ignored its switch has gone off."""
+"""Number of pairs without a dot after which a laser that ignored its switch counts as off."""
 HEARTBEATS_NS = 1_000_000_000
 """Two heartbeats of the board."""
 SHINING_TIMEOUT_S = 3.0
-"""Longest wait for one pair of images, behind another one: a hundred times what they take, and shorter than the
-watchdog's patience."""
+"""Longest wait for one pair of images, after another one.
+
+A hundred times their duration, and shorter than the watchdog's limit.
+"""
 STALE_NS, STALE_IMAGES = 1_000_000_000, 10.0
 IMAGES = "images"
-"""The witness named in the fault, besides the board's read-back, which clears only its own."""
+"""Witness named in the fault; the board, the other witness, clears only its own."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Measured:
+class _Measurement:
     live: int
-    """Number of the live view that it was measured in."""
-    lit: bool
+    """Number of the live view in which it was measured."""
+    is_on: bool
     dots: Dots
     range: Range | None
 
 
 class RangingController:
-    """Everything about the laser dots in live images that is neither a device nor a decision. A context manager.
-
-    Called by the heartbeat only.
-    """
+    """Control of the ranging in live images. A context manager; called only by the service's cycle."""
 
     def __init__(
         self,
@@ -75,10 +76,10 @@ class RangingController:
         memory: BeamsFile | None = None,
         submit: Callable[[Callable[[], None]], object] | None = None,
     ) -> None:
-        """Nothing is measured without ``pointers``.
+        """Prepare; without ``pointers`` there is no ranging.
 
-        ``live_s``: from one live image to the next. ``memory``: of the beams, over a restart; written to in
-        ``submit``'s thread whenever live views end.
+        ``live_s``: from one live image to the next. ``memory``: file of the corrected beams; written in ``submit``'s
+        thread whenever live views end.
         """
         live_ns = live_s * 1e9
         self._settle_ns = round(max(SETTLE_NS, SETTLE_IMAGES * live_ns))
@@ -88,22 +89,22 @@ class RangingController:
         self._calibration, self._water_index = calibration, water_index
         self._memory, self._submit = memory, submit
         self._written = 0
-        """Dots that had taught the beams as they are on the disk."""
+        """Number of dots in the beams on the disk."""
         self._marks: Marks | None = None
-        """Made in ``kf-ranging``, whenever a dot has taught a beam; shown by the heartbeat."""
+        """Made in ``kf-ranging``, whenever a dot has updated a beam; shown by the service."""
         self._executor = ThreadPoolExecutor(1, "kf-ranging")
         self._ranger: Ranger | None = None
-        """Made and used in ``kf-ranging`` alone."""
-        self._work: Future[_Measured] | None = None
+        """Made and used only in ``kf-ranging``."""
+        self._work: Future[_Measurement] | None = None
         self._images: dict[str, tuple[int, NDArray[np.uint8]]] = {}
         self._live = 0
-        self._wanted = self._lit = False
+        self._wanted = self._is_on = False
         self._ready_ns = 0
-        """Time from which on images show the lasers as they are."""
+        """Time from which images show the present state of the lasers."""
         self._dark: list[Dots] = []
-        self._lit_first: list[Dots] = []
+        self._first_on: list[Dots] = []
         self._clear = 0
-        self._lit_ns = 0
+        self._on_ns = 0
         self._failed: set[str] = set()
         self._shown: Range | None = None
         self._shown_ns = 0
@@ -118,16 +119,16 @@ class RangingController:
 
     @property
     def ranger(self) -> Ranger | None:
-        """The object that measures, once a pair was measured."""
+        """The ranger, once a pair was measured."""
         return self._ranger
 
     @property
     def marks(self) -> Marks | None:
-        """The places where the dots are going to be seen; ``None`` while the lasers are not on, or nobody knows yet."""
-        return self._marks if self._lit else None
+        """Positions where the dots will appear; ``None`` while the lasers are off, or before the first pair."""
+        return self._marks if self._is_on else None
 
     def live(self, lasers: bool, calibration: Calibration, water_index: float) -> None:
-        """Live views begin, with the lasers off; ``lasers``: they may go on when they were seen to be off."""
+        """Begin live views, with the lasers off; ``lasers``: they may go on after a check."""
         self._end()
         if calibration is not self._calibration or water_index != self._water_index:
             self._calibration, self._water_index, self._ranger = calibration, water_index, None
@@ -136,44 +137,44 @@ class RangingController:
         self._ready_ns = self._clock.now_ns() + self._settle_ns
 
     def stop(self) -> None:
-        """Live views end; the lasers go off."""
+        """End the live views; the lasers go off."""
         self._end()
 
     def see(self, side: str, image: NDArray[np.uint8]) -> None:
-        """Take in a new live image of one camera, (h, w) uint8; it must not change any more."""
+        """Take a new live image of one camera, (h, w) uint8; it must not change any more."""
         now_ns = self._clock.now_ns()
         if self._pointers is None or now_ns < self._ready_ns:
             return
         self._images[side] = now_ns, image
-        if any(one not in self._images for one in SIDES):
+        if any(name not in self._images for name in SIDES):
             return
-        (left_ns, left), (right_ns, right) = (self._images[one] for one in SIDES)
-        # While the lasers are about to go on, a pair might be half dark and half lit.
+        (left_ns, left), (right_ns, right) = (self._images[name] for name in SIDES)
+        # While the lasers are about to go on, the images of a pair might differ in that.
         if abs(left_ns - right_ns) > self._pair_ns or self._work is not None or self.wants_lasers:
             return
         self._images.clear()
-        live, lit = self._live, self._lit
+        live, is_on = self._live, self._is_on
         shining = ("laser.left" not in self._failed, "laser.right" not in self._failed)
-        self._work = self._executor.submit(self._measure, live, lit, shining, left, right)
+        self._work = self._executor.submit(self._measure, live, is_on, shining, left, right)
 
     @property
     def wants_lasers(self) -> bool:
-        """The dark was looked at: the lasers may go on now."""
-        return self._wanted and not self._lit and len(self._dark) >= DARK_PAIRS and self._work is None
+        """True if the images without lasers were examined, so that they may go on."""
+        return self._wanted and not self._is_on and len(self._dark) >= DARK_PAIRS and self._work is None
 
     def switched_on(self, state: LaserState) -> list[on.Event]:
-        """Take over that the lasers were switched on, and what was read back of them."""
-        self._lit = True
+        """Record that the lasers were switched on, and check the state that the board read back."""
+        self._is_on = True
         self._images.clear()
-        self._lit_ns = self._clock.now_ns()
-        # Images on their way still show the dark: measured as lit ones, they would have no dots.
-        self._ready_ns = self._lit_ns + self._settle_ns
+        self._on_ns = self._clock.now_ns()
+        # Images that are on their way still show no dots.
+        self._ready_ns = self._on_ns + self._settle_ns
         return self._read_back(state)
 
     def heard(self, state: LaserState) -> list[on.Event]:
-        """Take in what a heartbeat of the board read back of the lasers."""
-        old = self._clock.now_ns() < self._lit_ns + HEARTBEATS_NS  # it may be from before they were switched on
-        return self._read_back(state) if self._lit and not old else []
+        """Check the lasers' state in a heartbeat of the board."""
+        old = self._clock.now_ns() < self._on_ns + HEARTBEATS_NS  # the report may be older than the switching
+        return self._read_back(state) if self._is_on and not old else []
 
     def _read_back(self, state: LaserState) -> list[on.Event]:
         events: list[on.Event] = []
@@ -189,7 +190,7 @@ class RangingController:
         return events
 
     def poll(self) -> list[on.Event]:
-        """Return what was measured since the last call."""
+        """Return the results since the last call."""
         if self._work is not None and self._work.done():
             work, self._work = self._work, None
             error = work.exception(0.0)
@@ -198,7 +199,7 @@ class RangingController:
                 return []
             measured = work.result(0.0)
             # Lasers or light may have been switched while it was measured.
-            if measured.live == self._live and measured.lit == self._lit:
+            if measured.live == self._live and measured.is_on == self._is_on:
                 return self._judge(measured)
         if self._shown is not None and self._clock.now_ns() - self._shown_ns > self._stale_ns:
             self._shown = None
@@ -206,10 +207,9 @@ class RangingController:
         return []
 
     def shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
-        """Return the fault of a laser that shone in a sequence although it was switched off, from its bright and its
-        dark frames.
+        """Return a fault if a laser shone in a sequence, from its bright and its dark frames.
 
-        One of two witnesses: where it comes to no result, that is logged, and the board's read-back stands alone.
+        One of two witnesses: if it has no result, that is logged, and the board's report stands alone.
         """
         if self._pointers is None:
             return None
@@ -219,63 +219,65 @@ class RangingController:
         except TimeoutError:
             pending.cancel()
             log.warning("lasers in the dark frame: no answer within %g s", SHINING_TIMEOUT_S)
-        except Exception as error:  # whatever it is, the scan is not to blame
+        except Exception as error:  # an error of this check must not spoil the scan
             log.exception("lasers in the dark frame: not judged: %s", error)
         return None
 
     # ------------------------------------------------------------------------------------------ kf-ranging
 
     def _measure(
-        self, live: int, lit: bool, shining: tuple[bool, bool], left: NDArray[np.uint8], right: NDArray[np.uint8]
-    ) -> _Measured:
-        ranger = self._made()
-        dots = ranger.find((left, right), shining if lit else (True, True))
-        known = ranger.beams
-        if lit:
+        self, live: int, is_on: bool, shining: tuple[bool, bool], left: NDArray[np.uint8], right: NDArray[np.uint8]
+    ) -> _Measurement:
+        ranger = self._current_ranger()
+        dots = ranger.find((left, right), shining if is_on else (True, True))
+        earlier_beams = ranger.beams
+        if is_on:
             ranger.learn(dots)
-        if self._marks is None or ranger.beams != known:
+        if self._marks is None or ranger.beams != earlier_beams:
             self._marks = ranger.marks()
-        return _Measured(live, lit, dots, ranger.range_of(dots) if lit else None)
+        return _Measurement(live, is_on, dots, ranger.range_of(dots) if is_on else None)
 
     def _shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
-        found = shines_in_the_dark(self._made(), (bright["left"], bright["right"]), (dark["left"], dark["right"]))
-        if not found:
+        sides = shines_in_the_dark(
+            self._current_ranger(), (bright["left"], bright["right"]), (dark["left"], dark["right"])
+        )
+        if not sides:
             return None
-        return Fault(FaultCode.LASER_ON, f"dot of the {' and '.join(found)} laser in the dark frame", device=IMAGES)
+        return Fault(FaultCode.LASER_ON, f"dot of the {' and '.join(sides)} laser in the dark frame", device=IMAGES)
 
-    def _made(self) -> Ranger:
+    def _current_ranger(self) -> Ranger:
         if self._ranger is None:
             assert self._pointers is not None
             calibration, memory = self._calibration, self._memory
             measured = calibration.method != DRAWN
-            # Rays of cameras that were never measured meet beside the light: they teach no beam (`Ranger.learn`).
+            # With a nominal calibration rays do not meet at the dot, so there are no corrected beams (`Ranger.learn`).
             beams = memory.read(calibration.hash) if measured and memory is not None else self._pointers.beams()
             self._ranger = Ranger(calibration.rig, self._water_index, beams, measured)
-            self._written = _taught(beams)
+            self._written = _dot_count(beams)
         return self._ranger
 
     # ------------------------------------------------------------------------------------------ what it means
 
     def _end(self) -> None:
-        # At the end of a live view, not after each dot: the disk is for scans.
+        # Written at the end of a live view, not after each dot, to keep the disk free for scans.
         self._remember()
         self._live += 1
         if self._work is not None and self._work.cancel():
             self._work = None
-        self._wanted = self._lit = False
+        self._wanted = self._is_on = False
         self._images.clear()
         self._dark.clear()
-        self._lit_first.clear()
+        self._first_on.clear()
         self._clear = 0
         self._shown = None
 
     def _remember(self) -> None:
-        """Let the disk have what the beams have learned since."""
+        """Let the disk's thread write the beams, if they have changed."""
         ranger, memory = self._ranger, self._memory
-        if ranger is None or memory is None or self._submit is None or _taught(ranger.beams) == self._written:
+        if ranger is None or memory is None or self._submit is None or _dot_count(ranger.beams) == self._written:
             return
         beams, calibration_hash = ranger.beams, self._calibration.hash
-        self._written = _taught(beams)
+        self._written = _dot_count(beams)
 
         def write() -> None:
             try:
@@ -285,26 +287,26 @@ class RangingController:
 
         self._submit(write)
 
-    def _judge(self, measured: _Measured) -> list[on.Event]:
-        if not measured.lit:
+    def _judge(self, measured: _Measurement) -> list[on.Event]:
+        if not measured.is_on:
             self._dark.append(measured.dots)
-            # The latest ones: what lay before the instrument at first may have been moved away since.
+            # Only the latest ones, since the scene may have changed.
             del self._dark[:-DARK_PAIRS]
             return self._cleared(measured.dots)
         events: list[on.Event] = [on.RangeMeasured(measured.range)]
         self._shown, self._shown_ns = measured.range, self._clock.now_ns()
-        if len(self._lit_first) < DARK_PAIRS:
-            self._lit_first.append(measured.dots)
-            if len(self._lit_first) == DARK_PAIRS:
+        if len(self._first_on) < DARK_PAIRS:
+            self._first_on.append(measured.dots)
+            if len(self._first_on) == DARK_PAIRS:
                 events += self._compared()
         return events
 
     def _compared(self) -> list[on.Event]:
-        """Return the fault of dots that were there with the lasers off and are no brighter with them on."""
+        """Return a fault if dots were there with the lasers off and are no brighter with them on."""
         ignored = [
             side
             for side in SIDES
-            if all(_same_dot(before, after) for before, after in _of(side, self._dark, self._lit_first))
+            if all(_same_dot(before, after) for before, after in _of(side, self._dark, self._first_on))
         ]
         if not ignored:
             return []
@@ -316,23 +318,23 @@ class RangingController:
     def _cleared(self, dots: Dots) -> list[on.Event]:
         shines = any(dot.cameras == 2 and dot.contrast_dn >= SURELY_A_DOT_DN for dot in dots.present)
         self._clear = 0 if shines else self._clear + 1
-        # Only while the lasers may not be on, as they may not while the condition lasts.
+        # Only while the lasers are off, as they are while the condition lasts.
         if self._clear != CLEAR_PAIRS or self._wanted:
             return []
         return [on.ConditionCleared(FaultCode.LASER_ON, IMAGES)]
 
 
-def _taught(beams: tuple[PointerBeam, PointerBeam]) -> int:
-    """Return how many dots taught the beams."""
+def _dot_count(beams: tuple[PointerBeam, PointerBeam]) -> int:
+    """Return the number of dots that updated the beams."""
     return sum(beam.learned for beam in beams)
 
 
-def _of(side: str, dark: list[Dots], lit: list[Dots]) -> list[tuple[Dot | None, Dot | None]]:
-    return [(of_side(before, side), of_side(after, side)) for before, after in zip(dark, lit, strict=True)]
+def _of(side: str, dark: list[Dots], lasers_on: list[Dots]) -> list[tuple[Dot | None, Dot | None]]:
+    return [(of_side(before, side), of_side(after, side)) for before, after in zip(dark, lasers_on, strict=True)]
 
 
 def _same_dot(before: Dot | None, after: Dot | None) -> bool:
-    """Tell whether both cameras saw the dot before as after, and no brighter after."""
+    """Return True if both cameras saw the dot before and after, and no brighter after."""
     if before is None or after is None or before.cameras < 2 or after.cameras < 2:
         return False
     return before.contrast_dn >= SURELY_A_DOT_DN and after.contrast_dn <= NO_BRIGHTER * before.contrast_dn

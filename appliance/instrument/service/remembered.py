@@ -1,11 +1,10 @@
-"""Owns what is remembered over a restart: two small files, each with its checksum.
+"""Files that keep choices and laser beams over a restart, each with its checksum.
 
-    ChoicesFile    <root>/choices.json              what the diver chose
-    BeamsFile      <root>/calibration/beams.json    what was learned of the laser pointers' beams
+    ChoicesFile    <root>/choices.json              the diver's choices
+    BeamsFile      <root>/calibration/beams.json    corrections of the laser pointers' beams
 
-Of the choices only what differs from the rig file is written, so that a corrected rig file still counts for the rest.
-What was learned of the beams belongs to one calibration, whose frame it is in, and to one drawing: a file of others is
-not used.
+Only choices that differ from the rig file are written, so that a corrected rig file still holds for the others.
+Corrected beams belong to one calibration, whose frame they are in, and to one design: a file of others is not used.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ from appliance.store import CALIBRATION_FILE, FileSystem, LocalFileSystem
 log = logging.getLogger("kingfisher")
 
 MOST_OBJECTS = 999_999
-"""Largest number of an object that is believed."""
+"""Largest object number that is accepted."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Chosen:
-    """All that is remembered."""
+class _StoredChoices:
+    """All stored choices."""
 
     exposure_us: Annotated[int, Within(50, 16_600)]
     gain_db: Annotated[float, Within(0.0, 48.0)]
@@ -46,48 +45,48 @@ class _Chosen:
 
 
 @dataclass(frozen=True, slots=True)
-class _Differing:
-    """Content of the file: what differs from the rig file."""
+class _ChangedChoices:
+    """Content of the file: choices that differ from the rig file."""
 
     chosen: Mapping[str, Any]
 
 
-CHOICES = SealedFile(_Differing, schema=1, max_bytes=10_000)
+CHOICES = SealedFile(_ChangedChoices, schema=1, max_bytes=10_000)
 
 
 class ChoicesFile:
-    """The memory of one instrument. One thread at a time."""
+    """File with the diver's choices on one instrument. One thread at a time."""
 
     def __init__(self, root: Path, standard: Choices, fs: FileSystem | None = None) -> None:
-        """Remember where to store; ``standard`` is what the rig file states."""
+        """Set the place of the file; ``standard``: the choices by the rig file."""
         self.path = root / "choices.json"
         self._standard = standard
         self._fs: FileSystem = fs or LocalFileSystem()
 
     def read(self) -> tuple[Choices, Fault | None]:
-        """Read the diver's choices; the rig file's values, with a condition, where the file cannot be used."""
+        """Read the diver's choices; if that fails, return the rig file's values and a condition."""
         try:
-            found = CHOICES.load(self.path, name="")
-            if found is None:
+            stored = CHOICES.load(self.path, name="")
+            if stored is None:
                 return self._standard, None
-            chosen = shaped(_Chosen, {**asdict(_spelled(self._standard)), **found.chosen})
+            chosen = shaped(_StoredChoices, {**asdict(_spelled(self._standard)), **stored.chosen})
             if chosen.object is not None and chosen.object > chosen.objects:
                 raise ContentError("", f"object is {chosen.object}", f"1..{chosen.objects}, the largest number of one")
         except ContentError as error:
             log.warning("%s: %s; the rig file's values hold until something is chosen anew", self.path, error)
             return self._standard, Fault(FaultCode.SETTINGS_LOST, f"{self.path.name}: {error}")
-        known = {name: value for name, value in asdict(chosen).items() if name not in ("exposure_us", "gain_db")}
-        return replace(self._standard, exposure=Exposure(chosen.exposure_us, chosen.gain_db), **known), None
+        values = {name: value for name, value in asdict(chosen).items() if name not in ("exposure_us", "gain_db")}
+        return replace(self._standard, exposure=Exposure(chosen.exposure_us, chosen.gain_db), **values), None
 
     def write(self, choices: Choices) -> None:
-        """Write it all down; it is durable on return. Raises StorageError."""
+        """Write the choices; durable on return. Raises StorageError."""
         standard, chosen = asdict(_spelled(self._standard)), asdict(_spelled(choices))
         content = {name: value for name, value in chosen.items() if value != standard[name]}
-        self._fs.replace_file(self.path, CHOICES.encode(_Differing(content)))
+        self._fs.replace_file(self.path, CHOICES.encode(_ChangedChoices(content)))
 
 
-def _spelled(choices: Choices) -> _Chosen:
-    return _Chosen(
+def _spelled(choices: Choices) -> _StoredChoices:
+    return _StoredChoices(
         choices.exposure.time_us,
         choices.exposure.gain_db,
         choices.period_px,
@@ -100,27 +99,30 @@ def _spelled(choices: Choices) -> _Chosen:
 
 
 MOST_SIGMAS = 6.0
-"""A beam farther from the drawing than its tolerance explains is not one that was learned."""
+"""Largest distance of a corrected beam from the nominal one, in sigmas of its tolerance."""
 _Real = Annotated[float, FINITE]
 
 
 @dataclass(frozen=True, slots=True)
 class _StoredBeam:
-    """A beam as it is written, which says nothing that no dot could have taught."""
+    """A beam as it is written, with checks of its values."""
 
     z0_mm: float
     line: tuple[_Real, _Real, _Real, _Real]
     covariance: tuple[tuple[_Real, ...], ...]
     learned: Annotated[int, Within(0, 2**53, integers_only=True)]
     last_z_mm: Annotated[float, Within(-999_999.0, 999_999.0)] | None
-    """``None``: it has seen no dot yet; JSON has no word for infinity."""
+    """``None`` before the first dot, since JSON has no infinity."""
 
     def of(self, drawn: PointerBeam) -> PointerBeam:
-        """Return the beam that ``drawn`` became. Raises ValueError for what no dot could have taught it."""
+        """Return the beam as a correction of the nominal one, ``drawn``.
+
+        Raises ValueError for values that no dots can have produced.
+        """
         P = np.asarray(self.covariance)
         if P.shape != (4, 4):
             raise ValueError("a beam has four values and their covariance")
-        # Every dot makes a beam more certain than drawn; 1.001 and 1e-9 leave room for rounding.
+        # Every dot makes a beam more certain than the nominal one; 1.001 and 1e-9 allow for rounding.
         variances = np.diag(np.asarray(drawn.covariance))
         if (np.diag(P) > 1.001 * variances).any() or np.linalg.eigvalsh(
             0.5 * (P + P.T)
@@ -143,34 +145,37 @@ BEAMS = SealedFile(_StoredBeams, schema=1, max_bytes=20_000)
 
 
 class BeamsFile:
-    """The memory of one instrument's pointers. One thread at a time."""
+    """File with the corrected beams of one instrument. One thread at a time."""
 
     def __init__(self, root: Path, pointers: Pointers, fs: FileSystem | None = None) -> None:
-        """Remember beams below ``root``; ``pointers`` are as the rig file draws them."""
+        """Set the place of the file below ``root``; ``pointers``: as the rig file states them."""
         self.path = (root / CALIBRATION_FILE).with_name("beams.json")
         self._pointers = pointers
         self._fs: FileSystem = fs or LocalFileSystem()
 
     def read(self, calibration_hash: str) -> tuple[PointerBeam, PointerBeam]:
-        """Read the beams learned with that calibration; the drawing's where there are none, or none that can be
-        used."""
+        """Read the beams corrected with that calibration; the nominal ones if there are none that can be used."""
         left, right = drawn = self._pointers.beams()
         try:
-            found = BEAMS.load(self.path, self._learned_with(calibration_hash))
-            return drawn if found is None else (found.beams[0].of(left), found.beams[1].of(right))
+            stored = BEAMS.load(self.path, self._learned_with(calibration_hash))
+            return drawn if stored is None else (stored.beams[0].of(left), stored.beams[1].of(right))
         except (ContentError, ValueError) as error:
             log.warning("%s: %s; the laser beams are learned anew from the drawing", self.path, error)
             return drawn
 
     def write(self, calibration_hash: str, beams: tuple[PointerBeam, PointerBeam]) -> None:
-        """Write it all down; it is durable on return. Raises StorageError."""
-        left, right = (_StoredBeam(one.z0_mm, one.line, one.covariance, one.learned, one.last_z_mm) for one in beams)
+        """Write the beams; durable on return. Raises StorageError."""
+        left, right = (
+            _StoredBeam(beam.z0_mm, beam.line, beam.covariance, beam.learned, beam.last_z_mm) for beam in beams
+        )
         self._fs.make_folders(self.path.parent)
         self._fs.replace_file(
             self.path, BEAMS.encode(_StoredBeams((left, right)), self._learned_with(calibration_hash))
         )
 
     def _learned_with(self, calibration_hash: str) -> dict[str, Any]:
-        """Return what a file must say: a beam is a correction of the drawing in the frame of one calibration, and means
-        nothing with another of either."""
+        """Return the keys that a usable file must have.
+
+        A corrected beam is valid only with the same design and in the frame of the same calibration.
+        """
         return {"calibration": calibration_hash, "drawn": plain(self._pointers)}

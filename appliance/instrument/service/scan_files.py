@@ -1,13 +1,13 @@
-"""Owns the disk work for scans: the thread that does it, its tasks, and the values that they work on.
+"""Disk work for scans: its thread, its tasks, and their values.
 
-    DiskQueue       the thread ``kf-storage``: one task after the other, in the order in which they were asked for
-    ScanRoom        the room for the next scan: allocated before the capture, counted, and asked for again if missing
-    ScanInMemory    what is known of the scan in hand, from its first frame to its folder; values only
+    DiskQueue       the thread ``kf-storage``: one task after the other, in the order of the requests
+    ScanRoom        reserved space for the next scan: allocated before the capture, counted, tried again if missing
+    ScanInMemory    the data of the scan in hand, from its first frame to its folder; values only
     ScanFiles       the tasks: write raw frames, publish or reject a scan, test the disk
 
-Each task of ``ScanFiles`` returns events for the machine. ``ScanController`` (``scans.py``) asks for the tasks;
-``WorkerReports`` (``worker_reports.py``) enters clouds and verdicts into ``ScanInMemory``. What lies on the disk, and
-in which form, is the business of ``appliance.store``.
+Each task of ``ScanFiles`` returns events for the machine. ``ScanController`` (``scans.py``) requests the tasks;
+``WorkerReports`` (``worker_reports.py``) enters clouds and verdicts into ``ScanInMemory``. ``appliance.store`` defines
+the files and their formats.
 """
 
 from __future__ import annotations
@@ -46,14 +46,17 @@ from drivers.api import Clock
 
 Answer = TypeVar("Answer")
 NICENESS = 10
-"""Steps of priority behind the heartbeat, and so behind the worker, too: where processors are short, the diver has the
-cloud first, and the frames are durable at about the same time, since both have to be done."""
+"""Steps of priority below the service and the worker.
+
+Where processors are short, the diver gets the cloud first; the frames are durable at about the same time, since both
+have to be done.
+"""
 
 
 class DiskQueue:
-    """Does disk work in the order in which it was asked for. A context manager; called by the heartbeat only.
+    """Does disk work in the order of the requests. A context manager; called only by the service's cycle.
 
-    One thread is what keeps the order: a task may rely on everything that was asked for before it having ended.
+    One thread keeps the order: a task can rely on the end of all earlier ones.
     """
 
     def __init__(self) -> None:
@@ -66,30 +69,30 @@ class DiskQueue:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._executor.shutdown(wait=True)  # whatever is being written is finished first
+        self._executor.shutdown(wait=True)  # pending writes are finished first
 
     @property
     def busy(self) -> bool:
-        """Something that was asked for has not been answered, or its answer was not fetched."""
+        """True while a task has not ended, or its events were not fetched."""
         return bool(self._answers)
 
     def submit(self, work: Callable[[], Answer]) -> Future[Answer]:
-        """Begin work whose answer somebody else waits for; it does not make the queue ``busy``."""
+        """Begin work whose result the caller waits for; it does not make the queue ``busy``."""
         return self._executor.submit(work)
 
     def ask(self, work: Callable[[], list[on.Event]]) -> None:
-        """Begin work that is answered by events, which ``answered`` returns."""
+        """Begin work that ends with events, which ``results`` returns."""
         self._answers.append(self._executor.submit(work))
 
-    def answered(self) -> list[list[on.Event]]:
-        """Return the events of each task that ended since the last call, and forget it. Raises what a task raised."""
+    def results(self) -> list[list[on.Event]]:
+        """Return the events of each task that ended since the last call. Raises the exceptions of tasks."""
         done = [answer for answer in self._answers if answer.done()]
         self._answers = [answer for answer in self._answers if not answer.done()]
         return [answer.result() for answer in done]
 
 
 def _step_back() -> None:
-    """Let other threads go first; Linux has a priority for each."""
+    """Lower the priority of this thread; Linux has one for each."""
     thread = threading.get_native_id()
     os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + NICENESS)
 
@@ -97,29 +100,31 @@ def _step_back() -> None:
 log = logging.getLogger("kingfisher")
 
 ASK_AGAIN_S = 5.0
-"""Time between two questions to a full disk whether there is room for a scan by now."""
+"""Time between two checks whether a full disk has space again."""
 FREED_SCANS = 3
-"""Number of scans from whose room on it is told that some came from nowhere: logs and other programs take and give some
-all the time, and a number that goes up after a save would not be believed."""
+"""Number of scans by which free space must grow before the diver sees it.
+
+Logs and other programs take and free some all the time, and a number that grows after a save would not be believed.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class CountedRoom:
-    """The room on the disk as the diver was told of it."""
+    """Space on the disk as it was shown to the diver."""
 
     scans: int
-    """Scans that were on the disk."""
+    """Number of scans on the disk."""
     left: int
-    """Scans that had room besides."""
+    """Number of scans that still fit."""
     scan_bytes: int
-    """Bytes that one of them takes."""
+    """Size of one scan."""
 
 
-def steady(before: CountedRoom | None, now: CountedRoom) -> CountedRoom:
-    """Return what to tell after ``before``: ``now``, but no more scans than before while nothing noticeable was freed.
+def steady_count(before: CountedRoom | None, now: CountedRoom) -> CountedRoom:
+    """Return the count to show after ``before``: ``now``, without small increases.
 
-    Scans that were taken away, scans of another size, a disk that was full, and room for ``FREED_SCANS`` more count as
-    freed.
+    The number of remaining scans grows only after a noticeable change: scans were removed, their size changed, the disk
+    was full, or there is space for ``FREED_SCANS`` more.
     """
     if before is None or before.scan_bytes != now.scan_bytes or now.scans < before.scans or before.left == 0:
         return now
@@ -127,45 +132,48 @@ def steady(before: CountedRoom | None, now: CountedRoom) -> CountedRoom:
 
 
 class ScanRoom:
-    """``counted`` runs in the disk's thread, the rest in the heartbeat's; they share one reference at a time."""
+    """Reserved space for the next scan. ``count`` runs in the disk's thread, the rest in the service's.
+
+    They share one reference at a time.
+    """
 
     def __init__(self, library: Library, room: Room | None, reserve_bytes: int, clock: Clock) -> None:
-        """``room``: the library's file system, where it allocates space; without one, space is only counted."""
+        """Prepare; ``room``: the library's file system, or ``None`` where space can only be counted."""
         self._library, self._room = library, room
         self.reserve_bytes = reserve_bytes
-        """Space that nothing of a scan may take."""
+        """Space that scans must leave free."""
         self._clock = clock
         self._counted_ns = 0
         self._scan_bytes = 1
         self._plan: dict[str, int] = {}
         self._shown: CountedRoom | None = None
         self.missing: Fault | None = None
-        """The fault for which no scan may begin; ``None``: there is room."""
+        """Fault for which no scan may begin; ``None``: there is space."""
 
     def size(self, frames: int, width_px: int, height_px: int) -> None:
-        """Count with scans of another size from now on."""
+        """Set the size of the scans from now on."""
         self._scan_bytes = size_bytes(frames, width_px, height_px)
         self._plan = Room.plan(frames, width_px, height_px)
 
     @property
     def due(self) -> bool:
-        """It is time to count again: there was no room, and some time has passed."""
+        """True if it is time to count again, after a lack of space."""
         return self.missing is not None and self._clock.now_ns() - self._counted_ns > ASK_AGAIN_S * 1e9
 
     @property
     def summary(self) -> Label:
-        """The self-test's words for the room, after ``counted``."""
+        """Text of the self-test about the space, after ``count``."""
         allocates = self._room is not None and self._room.allocates
         return f"{self._scan_bytes / 1e6:.0f} MB / SCAN" if allocates else Text.COUNTED_ONLY
 
-    def counted(self) -> list[on.Event]:
-        """Allocate what the next scan needs; how many there are, how many more fit, and what the disk has against it.
+    def count(self) -> list[on.Event]:
+        """Allocate space for the next scan; return events with the counts and the disk's conditions.
 
-        Raises StorageError where the scans cannot be listed.
+        Raises StorageError if the scans cannot be listed.
         """
         fault = self._refused()
         left = self._library.scans_left(self._scan_bytes, self.reserve_bytes)
-        # What cannot be allocated is not free, whatever the disk's own count says.
+        # Space that cannot be allocated is not free, whatever the disk reports.
         if fault is not None and fault.code is FaultCode.STORAGE_FULL:
             left = 0
         elif fault is None and left == 0:
@@ -173,17 +181,17 @@ class ScanRoom:
         self.missing, self._counted_ns = fault, self._clock.now_ns()
         scans = self._library.count()
         if left is not None:
-            self._shown = steady(self._shown, CountedRoom(scans, left, self._scan_bytes))
+            self._shown = steady_count(self._shown, CountedRoom(scans, left, self._scan_bytes))
             left = self._shown.left
         events: list[on.Event] = [on.StorageCounted(scans, self._library.last_id(), left)]
-        # STORAGE_FULL is not among them: the machine raises it from the count.
+        # The machine raises STORAGE_FULL itself, from the count.
         for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
-            there = fault is not None and fault.code is code
-            events.append(on.ConditionRaised(fault) if fault is not None and there else on.ConditionCleared(code))
+            is_present = fault is not None and fault.code is code
+            events.append(on.ConditionRaised(fault) if fault is not None and is_present else on.ConditionCleared(code))
         return events
 
     def _refused(self) -> Fault | None:
-        """Return why the space cannot be allocated; ``None`` where it is."""
+        """Return the fault for which the space cannot be allocated; ``None``: it is."""
         if self._room is None:
             return None
         try:
@@ -197,7 +205,7 @@ class ScanRoom:
 
 @dataclass(slots=True)
 class SecondInMemory:
-    """A second sequence of the scan in work, from its first frame until the points of both are one cloud."""
+    """A second sequence of the current scan, from its first frame until both are merged."""
 
     number: int
     begun_ns: int
@@ -205,7 +213,7 @@ class SecondInMemory:
     record: SecondSequence | None = None
     merged: bool = False
     stored: bool = False
-    """The second sequence's frames are durable."""
+    """True if the second sequence's frames are durable."""
 
 
 @dataclass(slots=True)
@@ -216,7 +224,7 @@ class ScanInMemory:
     begun_ns: int
     exposure: Exposure
     origin: ScanOrigin
-    """The calibration and the rig it is recorded with."""
+    """Calibration and rig of the scan."""
     belongs_to: int | None = None
     """Number of its object."""
     record: ScanRecord | None = None
@@ -226,18 +234,18 @@ class ScanInMemory:
     raw: Future[PendingScan] | None = None
     second: SecondInMemory | None = None
     times_s: dict[str, float] = field(default_factory=dict)
-    """Times since the key press and processor times by stage, as ``ScanRecord.stage_times_s``."""
+    """Times since the key press, and processor times, by stage, as ``ScanRecord.stage_times_s``."""
 
     def enter(self, verdict: Verdict) -> None:
-        """Write a verdict down, in place of an earlier one of its name."""
+        """Add a verdict, in place of an earlier one of its name."""
         if self.record is not None:
-            # A new record each time: the disk's thread may be writing the one of before.
-            others = tuple(one for one in self.record.verdicts if one.name != verdict.name)
-            self.record = replace(self.record, verdicts=(*others, verdict))
+            # A new record each time: the disk's thread may be writing the former one.
+            remaining = tuple(earlier for earlier in self.record.verdicts if earlier.name != verdict.name)
+            self.record = replace(self.record, verdicts=(*remaining, verdict))
 
     @property
-    def whole(self) -> ScanRecord:
-        """The record as it is to be written down: with the second sequence, once the scan is of both."""
+    def full_record(self) -> ScanRecord:
+        """The record to write: with the second sequence, once it is merged."""
         if self.record is None:
             raise ValueError("nothing was recorded")
         second = self.second
@@ -249,7 +257,7 @@ class ScanInMemory:
 
     @property
     def cloud(self) -> Cloud | None:
-        """The best cloud there is."""
+        """The best cloud so far."""
         return self.full or self.coarse
 
 
@@ -258,10 +266,10 @@ PROBE_CONTENT = b"written and read back at every start\n"
 
 
 class ScanFiles:
-    """Writes scans into the library. All of it runs in the disk's thread, but for ``use``, and is answered by events.
+    """Writes scans into the library. Methods run in the disk's thread, except ``use``, and return events.
 
-    A scan that could not be written stays in memory and is written from there when it is published or rejected: every
-    method does first what failed before.
+    A scan that could not be written stays in memory, and is written when it is published or rejected: every method
+    first repeats failed writes.
     """
 
     def __init__(self, library: Library, room: ScanRoom, store: FrameStore, clock: Clock) -> None:
@@ -270,11 +278,11 @@ class ScanFiles:
         self._fs = LocalFileSystem()
 
     def use(self, store: FrameStore) -> None:
-        """Take frames from another store from now on. Call when nothing is on its way to the disk."""
+        """Take frames from another store from now on. Call when no task is pending."""
         self._store = store
 
     def raw_stored(self, scan: ScanInMemory) -> list[on.Event]:
-        """Answer RawStored or SaveFailed, once ``scan.raw`` has ended, which was asked for before this."""
+        """Answer RawStored or SaveFailed, after ``scan.raw``, which was requested before, has ended."""
         assert scan.raw is not None
         try:
             scan.pending = scan.raw.result()
@@ -292,9 +300,9 @@ class ScanFiles:
         return [on.RawStored(scan.number), *self.count()]
 
     def publish(self, scan: ScanInMemory, preview: NDArray[np.uint8] | None) -> list[on.Event]:
-        """Publish with the cloud there is and ``preview`` (h, w, 3) RGB uint8; answer Saved or SaveFailed."""
+        """Publish with the best cloud and ``preview`` (h, w, 3) RGB uint8; answer Saved or SaveFailed."""
         assert scan.record is not None
-        record = replace(scan.whole, stage_times_s=dict(scan.times_s), cloud=_numbers(scan.full))
+        record = replace(scan.full_record, stage_times_s=dict(scan.times_s), cloud=_numbers(scan.full))
         png = None
         if preview is not None:
             _, encoded = cv2.imencode(".png", cv2.cvtColor(preview, cv2.COLOR_RGB2BGR))
@@ -307,7 +315,7 @@ class ScanFiles:
         return [on.Saved(scan.number, pending.scan_id), *self.count()]
 
     def accept(self, scan: ScanInMemory, entered: Callable[[str], list[on.Event]]) -> list[on.Event]:
-        """Publish a scan, then let it be ``entered`` by its id; answer Saved and what that answers, or SaveFailed."""
+        """Publish a scan, then call ``entered`` with its id; answer Saved and its events, or SaveFailed."""
         events = self.publish(scan, None)
         saved = next((event for event in events if isinstance(event, on.Saved)), None)
         if saved is None:
@@ -318,9 +326,9 @@ class ScanFiles:
             return [*events, on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
 
     def reject(self, scan: ScanInMemory, reason: str) -> list[on.Event]:
-        """Answer that what was NOT_SAVED is cleared, or SaveFailed."""
+        """Reject the scan; answer that NOT_SAVED is cleared, or SaveFailed."""
         try:
-            self._pending(scan).reject(reason, None if scan.record is None else scan.whole)
+            self._pending(scan).reject(reason, None if scan.record is None else scan.full_record)
         except (StorageError, ValueError) as error:
             return self._not_saved(scan, error)
         return [on.ConditionCleared(FaultCode.NOT_SAVED), *self.count()]
@@ -328,9 +336,9 @@ class ScanFiles:
     def keep_incomplete(
         self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin, fault: Fault
     ) -> list[on.Event]:
-        """Keep what was recorded before ``fault``, if there is room beside the next scan; nobody is told but the log."""
+        """Keep frames recorded before ``fault``, if the space suffices; failures are only logged."""
         try:
-            kept = IncompleteRecording.keep(
+            path = IncompleteRecording.keep(
                 self._fs,
                 self._library.root,
                 frames,
@@ -342,24 +350,24 @@ class ScanFiles:
         except (StorageError, ValueError) as error:
             log.warning("the incomplete recording was not kept: %s", error)
             return []
-        log.info("an incomplete recording was kept: %s", kept)
+        log.info("an incomplete recording was kept: %s", path)
         return self.count()
 
-    def test(self) -> list[on.Event]:
-        """Answer PartTested: whether the disk takes a file and gives it back."""
+    def test_disk(self) -> list[on.Event]:
+        """Test whether the disk stores a file and returns it; answer PartResult."""
         probe = self._library.root / PROBE
         try:
             self._fs.replace_file(probe, PROBE_CONTENT)
-            # Read from memory, most likely: it shows that the disk takes files, not what the medium holds.
+            # Probably read from the cache: this tests that the disk accepts files, not the medium.
             if probe.read_bytes() != PROBE_CONTENT:
                 return _test_failed(f"{probe} does not hold what was written")
-            counted = self._room.counted()
+            counted = self._room.count()
         except (StorageError, OSError) as error:
             return _test_failed(str(error))
         return [*counted, PartResult(Part.STORAGE, True, self._room.summary)]
 
     def count_objects(self) -> list[on.Event]:
-        """Answer ObjectsCounted; where manifests cannot be listed, what the diver's choices remember counts alone."""
+        """Answer ObjectsCounted; if manifests cannot be listed, only the stored choices count."""
         try:
             return [on.ObjectsCounted(self._library.largest_object())]
         except OSError as error:
@@ -367,19 +375,19 @@ class ScanFiles:
             return [on.ObjectsCounted(0)]
 
     def count(self) -> list[on.Event]:
-        """Answer StorageCounted, or nothing where the scans cannot be listed."""
+        """Answer StorageCounted, or no event if the scans cannot be listed."""
         try:
-            return self._room.counted()
+            return self._room.count()
         except StorageError as error:
             log.warning("scans are not counted: %s", error)
             return []
 
     def _not_saved(self, scan: ScanInMemory, error: Exception) -> list[on.Event]:
-        # What it took from the room is allocated again at once: it will be tried again.
+        # The reserved space is allocated again at once, for the next attempt.
         return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error))), *self.count()]
 
     def _pending(self, scan: ScanInMemory) -> PendingScan:
-        """Return the scan on the disk, with every sequence it has; what failed before is done again."""
+        """Return the scan on the disk, with all its sequences; failed writes are repeated."""
         if scan.pending is None:
             assert scan.record is not None
             frames: dict[str, NDArray[np.uint8]] = {side: self._store.frames(side) for side in SIDES}
@@ -388,8 +396,8 @@ class ScanFiles:
         second = scan.second
         if second is not None and second.merged and not second.stored:
             frames = {side: self._store.frames(side, second=True) for side in SIDES}
-            scan.pending.add_second(frames, scan.whole)
-            # After the return: where it raises, the next attempt writes them again.
+            scan.pending.add_second(frames, scan.full_record)
+            # Set only on success: after an exception the next attempt writes them again.
             second.stored = True
         return scan.pending
 

@@ -1,4 +1,4 @@
-"""Owns the scan in hand: what was recorded of it, with what, and which work on it is under way.
+"""The scan in hand: its data, the setup it was recorded with, and the pending work on it.
 
 Points are computed in the worker process and read by ``WorkerReports``; files are written in the disk's thread by
 ``ScanFiles``. Both answer through ``poll``.
@@ -50,16 +50,16 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True, slots=True)
 class MeasuringSetup:
-    """The means that the instrument measures with at its start, beside its rig file."""
+    """Setup for measuring at the start, besides the rig file."""
 
     calibration: Calibration
     sequence: PatternSequence
     noise: StereoNoise = TYPICAL_PAIR
-    """Noise of the cameras as they are set."""
+    """Noise of the cameras with their settings."""
     response: Response | None = None
-    """The projector's response that the patterns are drawn for; it is written down with each scan."""
+    """The projector's response that the patterns compensate; it is recorded with each scan."""
     water: Water | None = None
-    """The water it is in; ``None``: what the rig file states."""
+    """The water; ``None``: that of the rig file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +68,11 @@ class ScanStorage:
 
     library: Library
     room: Room | None = None
-    """The library's file system, where it allocates space; ``None``: space is only counted."""
+    """The library's file system, if it allocates space; ``None``: space is only counted."""
 
 
 class ScanController:
-    """Everything about recorded scans that is neither a device nor a decision. A context manager."""
+    """Control of recorded scans. A context manager."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class ScanController:
         calendar: Calendar,
         limits: WorkLimits | None = None,
     ) -> None:
-        """``limits`` ``None``: the usual limits of what the worker process may take."""
+        """Allocate memory and prepare the worker; ``limits``: of the worker, ``None``: the defaults."""
         left, sequence = rig.camera.left, setup.sequence
         self._rig = rig
         self._calibration = setup.calibration
@@ -95,8 +95,8 @@ class ScanController:
         self.calendar = calendar
         self.sequence = sequence
         self.water = setup.water or Instrument(rig).water
-        # Before the dive, with room for a second exposure (ADR 0025): memory that is short is noticed at the start, not
-        # under water.
+        # Allocated at the start, with space for a second exposure (ADR 0025), so that a lack of memory shows before the
+        # dive.
         self.store = FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         self.worker = ReconstructionWorker(
             WorkOrder(setup.calibration, self.water, sequence, setup.noise),
@@ -112,8 +112,7 @@ class ScanController:
         self._files = ScanFiles(storage.library, self.room, self.store, clock)
         self.scan: ScanInMemory | None = None
         self.preview: NDArray[np.uint8] | None = None
-        """The scan's cloud as it was reviewed, (h, w, 3) RGB uint8; ``None`` until it was, and when the next one
-        begins."""
+        """Picture of the cloud as it was reviewed, (h, w, 3) RGB uint8; ``None`` before, and for the next scan."""
 
     def __enter__(self) -> Self:
         self.worker.__enter__()
@@ -122,7 +121,7 @@ class ScanController:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # The disk first: it writes frames out of the store, and the worker still reads them.
+        # The disk's thread ends first, since it writes frames from the store.
         self._disk.__exit__(kind, error, trace)
         self.worker.__exit__(kind, error, trace)
         self.store.close()
@@ -136,32 +135,36 @@ class ScanController:
 
     @property
     def settled(self) -> bool:
-        """The frames in memory may be overwritten, as they are on the disk, or nobody wants them; and the disk has said
-        whether there is room for the next ones."""
+        """True if the frames in memory may be overwritten, and the disk has reported its space.
+
+        They are on the disk, or no longer needed.
+        """
         scan = self.scan
         return (scan is None or scan.raw is None or scan.raw.done()) and not self.busy
 
     def begin(self, number: int, exposure: Exposure, belongs_to: int | None = None) -> Fault | None:
-        """Make room in memory for a new scan's frames; a fault when the previous ones are still only there, or there is
-        no room for new ones on the disk. ``belongs_to``: the number of its object. Call when ``settled``."""
+        """Prepare the memory for a new scan's frames; call when ``settled``.
+
+        Returns a fault if the previous frames are not on the disk, or the disk has no space. ``belongs_to``: number of
+        its object.
+        """
         if self.room.missing is not None:
             return self.room.missing
         scan = self.scan
         if scan is not None and scan.raw is not None:
             try:
-                # Done already, as `settled` says: asked only for what it raises.
+                # It has ended, as `settled` says: the call only raises its error.
                 scan.raw.result(0.0)
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._write_trend(scan)
         self.scan = ScanInMemory(number, self._clock.now_ns(), exposure, self._origin, belongs_to)
-        # Told before the first frame, so that the worker decodes each one while the next is exposed.
+        # Sent before the first frame, so that the worker decodes each one while the next is exposed.
         self.worker.begin(number, self._settings_at(exposure), belongs_to)
         return None
 
     def begin_second(self, number: int, exposure: Exposure) -> Fault | None:
-        """Make ready for a second sequence, whose frames go to a place of their own: nothing of the scan in hand is
-        touched."""
+        """Prepare a second sequence, whose frames have their own memory: the scan in hand is not changed."""
         scan = self.scan
         if scan is None:
             return Fault(FaultCode.INTERNAL, "a second exposure was wanted without a scan")
@@ -175,7 +178,7 @@ class ScanController:
         return replace(self._settings, exposure=exposure, noise=Instrument(self._rig).noise(exposure))
 
     def recorded(self, report: CaptureReport, temperatures_c: dict[str, float | None]) -> None:
-        """Take down what a sequence was recorded with; it ended, and every witness agrees."""
+        """Record the conditions of a sequence that has ended without a fault."""
         scan = self.scan
         if scan is None:
             return
@@ -187,17 +190,16 @@ class ScanController:
             return
         ledger = report.ledger
         scan.times_s["first_pattern"] = scan.since_begun_s(ledger.flips[0].time_ns)
-        # By the frames' own times: this line runs when all of it was audited.
+        # By the frames' times, since this runs after the audit.
         arrived_ns = max(frames[-1].received_ns for frames in ledger.frames.values())
         scan.times_s["recording"] = scan.since_begun_s(arrived_ns)
         scan.record = self._record(scan, ledger, temperatures_c, self._ledger_verdict())
 
     def keep_incomplete(self, report: CaptureReport, fault: Fault, temperatures_c: dict[str, float | None]) -> None:
-        """Keep the first frames of a sequence that broke, where the rig file asks for it and they hold a whole
-        direction.
+        """Keep the first frames of a broken sequence, if the rig file asks for it.
 
-        Call before ``drop``; the frames are written from where they are, and ``busy`` keeps others away meanwhile. A
-        second sequence is not kept: the first one is a whole scan.
+        They must hold a complete direction. Call before ``drop``; ``busy`` keeps the frames from being overwritten. A
+        second sequence is not kept: the first one is a complete scan.
         """
         scan = self.scan
         if not self._rig.storage.keep_incomplete or scan is None or scan.second is not None:
@@ -214,7 +216,7 @@ class ScanController:
     def _record(
         self, scan: ScanInMemory, ledger: Ledger, temperatures_c: dict[str, float | None], verdict: Verdict
     ) -> ScanRecord:
-        """Return what is written down of a sequence that has just ended, as it should or not."""
+        """Return the record of a sequence that has just ended, complete or not."""
         date = self.calendar.today()
         return ScanRecord(
             sequence=SequenceInfo.of(self.sequence),
@@ -242,9 +244,9 @@ class ScanController:
         return Verdict("ledger", True, {"frames": float(len(self.sequence))}, "all four witnesses agree")
 
     def drop(self) -> None:
-        """Give up what is being recorded: it failed, or is not wanted; its frames may be overwritten.
+        """Give up the current sequence, which failed or is not needed; its frames may be overwritten.
 
-        A scan stays whose second sequence it is.
+        If it is a second sequence, the scan stays.
         """
         if self.scan is not None and self.scan.second is not None and not self.scan.second.merged:
             self.scan.second = None
@@ -262,15 +264,15 @@ class ScanController:
         if scan.second is not None and scan.second.merged:
             self._disk.ask(partial(self._files.store_second, scan))
             return
-        # Record and frames are taken now: verdicts that come while the disk writes belong to the final manifest only.
+        # Record and frames are those of now: later verdicts belong only to the final manifest.
         frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
         scan.raw = self._disk.submit(partial(self._library.begin, frames, scan.record, scan.origin))
         self._disk.ask(partial(self._files.raw_stored, scan))
 
     def publish(self, number: int, preview: NDArray[np.uint8] | None, verdict: Verdict | None = None) -> None:
-        """Publish with whatever cloud there is; answer Saved or SaveFailed.
+        """Publish with the best cloud; answer Saved or SaveFailed.
 
-        ``preview`` (h, w, 3) RGB uint8. ``verdict``: what the diver was told of it.
+        ``preview`` (h, w, 3) RGB uint8. ``verdict``: the grade that the diver saw.
         """
         scan = self._current(number)
         if scan is not None:
@@ -282,15 +284,15 @@ class ScanController:
             self._disk.ask(partial(self._files.publish, scan, preview))
 
     def reject(self, number: int, reason: str) -> None:
-        """Set the scan aside; answer that what was NOT_SAVED is cleared, or SaveFailed."""
+        """Reject the scan; answer that NOT_SAVED is cleared, or SaveFailed."""
         scan = self._current(number)
         if scan is not None:
             self._disk.ask(partial(self._files.reject, scan, reason))
 
     def accept(self, number: int, verdict: Verdict, entered: Callable[[str], list[on.Event]]) -> None:
-        """Publish a scan that carries ``verdict``, then let it be ``entered`` by its id, in the disk's thread.
+        """Publish a scan with ``verdict``, then call ``entered`` with its id, in the disk's thread.
 
-        Answers Saved and what ``entered`` answers, or SaveFailed.
+        Answers Saved and the events of ``entered``, or SaveFailed.
         """
         scan = self._current(number)
         if scan is not None and scan.record is not None:
@@ -298,17 +300,17 @@ class ScanController:
             self._disk.ask(partial(self._files.accept, scan, entered))
 
     def folder(self, number: int) -> Path | None:
-        """Return where the scan's raw frames lie, once they are stored."""
+        """Return the folder of the scan's raw frames, once they are stored."""
         scan = self._current(number)
         return scan.pending.folder if scan is not None and scan.pending is not None else None
 
     def submit(self, work: Callable[[], Answer]) -> Future[Answer]:
-        """Begin other work in the disk's thread, behind what it has to do."""
+        """Begin other work in the disk's thread, after its pending tasks."""
         return self._disk.submit(work)
 
     def test_storage(self) -> None:
-        """Answer PartTested: whether the disk takes a file and gives it back."""
-        self._disk.ask(self._files.test)
+        """Test whether the disk stores a file and returns it; answer PartResult."""
+        self._disk.ask(self._files.test_disk)
 
     def count_objects(self) -> None:
         """Answer ObjectsCounted."""
@@ -321,21 +323,20 @@ class ScanController:
     # ------------------------------------------------------------------------------------- what is measured with
 
     def use(self, calibration: Calibration) -> None:
-        """Measure with another calibration of this instrument from now on."""
+        """Use another calibration of this instrument from now on."""
         self._calibration = calibration
         self._origin = Instrument(self._rig).origin(calibration)
         self.watch.use(calibration)
-        # The worker is started again: ray lattices and limits are computed when it starts, and a mixture of two
-        # calibrations is none.
+        # The worker is started again: ray lattices and limits are computed when it starts.
         self.worker.change(replace(self.worker.order, calibration=calibration))
 
     def use_water(self, salinity_psu: float, temperature_c: float) -> None:
-        """Measure in other water from the next scan on."""
+        """Use another water from the next scan on."""
         self.water = replace(self.water, salinity_psu=salinity_psu, temperature_c=temperature_c)
         self.worker.change(replace(self.worker.order, water=self.water))
 
     def use_sequence(self, sequence: PatternSequence) -> None:
-        """Record another sequence from the next scan on.
+        """Use another sequence from the next scan on.
 
         Call when nothing is ``busy``: the frames in memory are given up.
         """
@@ -345,16 +346,16 @@ class ScanController:
         self.room.size(len(sequence), left.width_px, left.height_px)
         self._files.use(self.store)
         self.worker.change(replace(self.worker.order, sequence=sequence), self.store)
-        old.close()  # only now: the worker's process that had it mapped is gone
+        old.close()  # only now that the former worker process, which had it mapped, has ended
         self.count()
 
     # ------------------------------------------------------------------------------------- answers
 
     def poll(self) -> list[on.Event]:
-        """Return what the disk and the worker answered since the last call."""
+        """Return the answers of disk and worker since the last call."""
         if self.room.due and not self.busy:
             self.count()
-        answers = self._disk.answered()
+        answers = self._disk.results()
         if answers and self.scan is not None:
             self._write_trend(self.scan)
         reported = self._reports.read(self.scan)
@@ -364,13 +365,12 @@ class ScanController:
 
     @property
     def busy(self) -> bool:
-        """Something is on its way to the disk."""
+        """True while disk work is pending."""
         return self._disk.busy
 
     def _write_trend(self, scan: ScanInMemory) -> None:
-        """Write the trend of the ray gaps down as soon as its latest scan has a number on the disk."""
-        # Either may come first, the cloud or the number, hence this is called after both: the second call finds both
-        # there.
+        """Write the trend of the ray gaps as soon as its latest scan has a number on the disk."""
+        # Cloud and number may come in either order, so this is called after both.
         stored = scan.raw is not None and scan.raw.done() and scan.raw.exception() is None
         pending = scan.raw.result() if stored and scan.raw is not None else scan.pending
         if scan.full is None or pending is None:

@@ -1,4 +1,4 @@
-"""Owns what the rig file says to the running instrument: the machine's settings, its laser pointers and its live light."""
+"""Values of the rig file for the running instrument: machine settings, laser pointers, live light."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from appliance.store import Instrument, Rig
 
 
 def pointers_of(rig: Rig) -> Pointers | None:
-    """Return the laser pointers as drawn; ``None``: there are none."""
+    """Return the nominal laser pointers; ``None``: there are none."""
     lasers = rig.lasers
     if lasers is None:
         return None
@@ -27,14 +27,14 @@ def pointers_of(rig: Rig) -> Pointers | None:
 
 
 def live_light_of(rig: Rig) -> NDArray[np.uint8]:
-    """Return what the projector shows in the live views, (h, w) uint8."""
+    """Return the projector's picture for the live views, (h, w) uint8."""
     return drawn_light_of(rig).codes
 
 
 def drawn_light_of(rig: Rig) -> DrawnLight:
-    """Return the light of the live views, with the projector that throws it."""
+    """Return the light of the live views, with the nominal projector."""
     d, out = rig.design, rig.projector
-    # As drawn: the calibration knows the cameras alone, and the dark lanes are wide enough for that (ADR 0024).
+    # Nominal, since the calibration has only the cameras; the dark lanes have a margin for that (ADR 0024).
     f_px = 1000.0 * d.projector_principal_distance_mm / d.projector_pixel_um
     lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
     port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
@@ -44,7 +44,7 @@ def drawn_light_of(rig: Rig) -> DrawnLight:
 
 
 def standard_choices(rig: Rig) -> Choices:
-    """Return what the rig file states of what the diver may choose."""
+    """Return the rig file's values for the diver's choices."""
     water = rig.water
     return Choices(
         Instrument(rig).exposure, rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language
@@ -52,9 +52,9 @@ def standard_choices(rig: Rig) -> Choices:
 
 
 def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
-    """Return what the rig file says to the machine.
+    """Return the machine's settings by the rig file.
 
-    ``choices``: what the diver chose before the start, if it is remembered.
+    ``choices``: the diver's earlier choices, if they are stored.
     """
     limits = rig.limits
     choices = standard_choices(rig) if choices is None else _allowed(rig, choices)
@@ -77,12 +77,11 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
 
 
 def _allowed(rig: Rig, choices: Choices) -> Choices:
-    """Return choices of before with an exposure that this rig file allows: the nearest, where it names some and theirs
-    is none of them."""
+    """Return earlier choices with the nearest exposure that this rig file allows."""
     if rig.scan.exposures_ms is None and rig.projector.sub_frames == 1:
         return choices
     steps = [Instrument(rig).exposure, *Instrument(rig).exposures]
     chosen = choices.exposure
-    if chosen.time_us in {one.time_us for one in steps}:
+    if chosen.time_us in {step.time_us for step in steps}:
         return choices
-    return replace(choices, exposure=min(steps, key=lambda one: abs(math.log(one.light / chosen.light))))
+    return replace(choices, exposure=min(steps, key=lambda step: abs(math.log(step.light / chosen.light))))

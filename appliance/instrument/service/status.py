@@ -1,4 +1,7 @@
-"""Owns ``run/status.json``: what the instrument is doing, for those who have no display (``docs/protocols/status.md``)."""
+"""The instrument's state for readers without a display, in ``run/status.json``.
+
+``docs/protocols/status.md`` describes the file.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,10 @@ from appliance.instrument.machine.words import worded
 def describe(
     machine: Machine, pid: int, version: str, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return the file's content. A device is ``ok``, ``lost`` or, before it was tried, ``unknown``. ``gallery``: of
-    the scan shown."""
+    """Return the file's content; ``gallery``: the entry of the scan shown.
+
+    A device is ``ok``, ``lost`` or, before it was tried, ``unknown``.
+    """
     return {
         "state": machine.state.value,
         "since_ns": machine.since_ns,
@@ -52,28 +57,32 @@ def describe(
 
 
 def _question(machine: Machine) -> dict[str, Any] | None:
-    """Return the question that the diver is asked, and the selected answer; ``None``: nothing is asked."""
+    """Return the question to the diver, and the selected answer; ``None``: there is none."""
     if machine.off_question is None:
         return None
     return {"answers": [answer.value for answer in Answer], "selected": machine.off_question.answer.value}
 
 
 def _calibration(machine: Machine) -> dict[str, Any] | None:
-    """Return the step under way and what became of its latest recording; ``None`` while nobody calibrates."""
-    at, session = machine.calibrating, machine.session
-    if at is None:
+    """Return the current step and the result of its latest recording; ``None`` outside a calibration."""
+    position, session = machine.calibrating, machine.session
+    if position is None:
         return None
     verified = session.verified
     result = None
-    if at.failed is not None:
+    if position.failed is not None:
         result = "FAILED"
-    elif at.latest is not None:
-        result = "FITS" if at.latest.refusal is None else at.latest.refusal.value
+    elif position.latest is not None:
+        result = "FITS" if position.latest.refusal is None else position.latest.refusal.value
     return {
-        "step": at.step.value,
-        "busy": at.task is not None,
+        "step": position.step.value,
+        "busy": position.task is not None,
         "result": result,
-        "detail": at.failed.detail if at.failed is not None else at.latest.detail if at.latest is not None else "",
+        "detail": position.failed.detail
+        if position.failed is not None
+        else position.latest.detail
+        if position.latest is not None
+        else "",
         "done": [step.value for step in STEPS if session.done(step)],
         "e_l_before_percent": _percent(verified.before if verified is not None else None),
         "e_l_new_percent": _percent(verified.after if verified is not None else None),
@@ -83,19 +92,18 @@ def _calibration(machine: Machine) -> dict[str, Any] | None:
 
 
 def _overlap(machine: Machine) -> str | None:
-    """Return what the screen says of the latest scan's overlap; ``None``: nothing."""
-    said = overlap_text(machine)
-    return None if said is None else worded(said.label)
+    """Return the screen's text about the latest scan's overlap; ``None``: none."""
+    overlap = overlap_text(machine)
+    return None if overlap is None else worded(overlap.label)
 
 
 def _guidance(machine: Machine) -> dict[str, Any] | None:
-    """Return what the screen says of the place that the diver aims at, and the direction of its arrow; ``None``:
-    nothing."""
-    said = guidance_text(machine)
-    if said is None:
+    """Return the screen's guidance and the direction of its arrow; ``None``: none."""
+    guidance = guidance_text(machine)
+    if guidance is None:
         return None
-    toward = None if said.toward is None else [round(part, 2) for part in said.toward]
-    return {"words": said.english, "toward": toward}
+    toward = None if guidance.toward is None else [round(part, 2) for part in guidance.toward]
+    return {"words": guidance.english, "toward": toward}
 
 
 def _range(machine: Machine) -> dict[str, Any] | None:
@@ -122,7 +130,7 @@ def _device(machine: Machine, device: Device) -> str:
 
 
 class StatusFile:
-    """Writes the file when it would change, atomically, without fsync: it is worthless after a restart."""
+    """Writes the file when it changes, atomically, without fsync: it is worthless after a restart."""
 
     def __init__(self, root: Path, pid: int, version: str) -> None:
         self.path = root / "run" / "status.json"
@@ -131,9 +139,9 @@ class StatusFile:
         self._written: dict[str, Any] | None = None
 
     def update(self, machine: Machine, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None) -> bool:
-        """Write if anything changed; whether it did.
+        """Write the file if its content changed; return True if it was written.
 
-        A disk that refuses is not an error here: False, and tried again.
+        A disk that refuses is no error here: the result is False, and the next call tries again.
         """
         content = describe(machine, self._pid, self._version, worker_pid, gallery)
         if content == self._written:
@@ -142,7 +150,7 @@ class StatusFile:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             draft.write_text(json.dumps(content) + "\n", encoding="utf-8")
-            # Renamed over the old one, so that whoever reads never sees half a file.
+            # Renamed over the old one, so that readers never see half a file.
             draft.replace(self.path)
         except OSError:
             return False
@@ -150,7 +158,7 @@ class StatusFile:
         return True
 
     def remove(self) -> None:
-        """Take the file away at a clean end: a status without a process would be a lie."""
+        """Remove the file at a clean end: a status without a process would be wrong."""
         try:
             self.path.unlink(missing_ok=True)
         except OSError:

@@ -1,9 +1,9 @@
-"""Owns the step from what the instrument knows to what its screen shows.
+"""View models of the screens, made from the state of machine and service.
 
-view_of                               the screen for a machine, with what its keys mean now
-Facts, Surroundings                   what a view needs besides the machine
-menu_view, value_of, question_view    the pages of the menu, with words and values of their rows
-held_against                          what is held against the scan in hand
+view_of                               the view for a machine, with the labels of its keys
+Facts, Surroundings                   data of the service for a view
+menu_view, value_of, question_view    the pages of the menu, with texts and values of their rows
+held_against                          faults of the scan in hand
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ from appliance.measure import Fault, FaultCode, Grade, grade
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """The facts that the menu tells about the instrument."""
+    """Facts about the instrument for the menu."""
 
     serial: str
     calibrated: Label
-    """The day of the calibration; or that there never was one."""
+    """The day of the calibration; or the text that there is none."""
 
 
 TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.TRANSFER: Text.TRANSFER, Page.ABOUT: Text.ABOUT}
@@ -100,16 +100,18 @@ def question_view(machine: Machine, question: OffQuestion) -> MenuView:
     """Return the question whether to switch off: two answers, on the screen of any state."""
     rows = tuple(MenuRow(ANSWERS[answer]) for answer in Answer)
     selected = list(Answer).index(question.answer)
-    # All alerts: the question stands over any state, whose own screen may have kept some of them quiet.
+    # All alerts, since the screen of the state below may have left some out.
     return MenuView(title=Text.POWER_OFF_ASKED, rows=rows, selected=selected, alerts=alerts(machine))
 
 
 def menu_view(machine: Machine, facts: Facts | None) -> MenuView:
-    """Return the page the diver is on, with what is being changed as it would be."""
-    at = machine.menu or Menu()
-    rows = tuple(MenuRow(WORDS[row], value_of(row, machine, facts)) for row in menu.ROWS[at.page])
-    changing = at.draft is not None
-    return MenuView(title=TITLES[at.page], rows=rows, selected=at.row, changing=changing, alerts=on_screen(machine))
+    """Return the diver's page of the menu, with the value that is being changed."""
+    position = machine.menu or Menu()
+    rows = tuple(MenuRow(WORDS[row], value_of(row, machine, facts)) for row in menu.ROWS[position.page])
+    changing = position.draft is not None
+    return MenuView(
+        title=TITLES[position.page], rows=rows, selected=position.row, changing=changing, alerts=on_screen(machine)
+    )
 
 
 FRINGES = {16: Text.FINE, 32: Text.MEDIUM, 64: Text.COARSE_FRINGES}
@@ -119,7 +121,7 @@ SERVING = {Serving.STARTING: Text.STARTING, Serving.ON: Text.ON, Serving.FAILED:
 
 
 def value_of(row: Row, machine: Machine, facts: Facts | None) -> Label:
-    """Return what is chosen; while it is being changed, what it would be."""
+    """Return the value of a row; while it is being changed, the new one."""
     chosen = menu.shown(machine)
     match row:
         case Row.EXPOSURE:
@@ -170,7 +172,7 @@ NO_VALUES = np.empty(0, np.float32)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """The things that a view needs besides the machine."""
+    """Data of the service for a view."""
 
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
@@ -180,11 +182,11 @@ class Surroundings:
     """The scan that the gallery has loaded."""
     facts: Facts | None = None
     marks: Marks | None = None
-    """The places where the laser dots are going to be seen in the live pictures."""
+    """Positions where the laser dots will appear in the live images."""
 
 
 def view_of(machine: Machine, around: Surroundings) -> AnyView:
-    """Return the screen for a machine, with what its keys mean now."""
+    """Return the view for a machine, with the labels of its keys."""
     return replace(_view(machine, around), keys=labels(machine))
 
 
@@ -204,7 +206,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 alerts=shown,
             )
         case State.AIM:
-            # SAVED stays for two seconds, or until a key: long enough to be read, without being waited for.
+            # SAVED stays for two seconds, or until a key: long enough to be read, without blocking.
             if machine.just_saved is not None and machine.now_ns - machine.since_ns < 2_000_000_000:
                 return SavingView(scan_id=machine.just_saved, saved=True, alerts=shown)
             return AimView(
@@ -234,13 +236,13 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
         case State.SAVING:
             return SavingView(scan_id=_next_id(around), saved=False, alerts=shown)
         case State.CALIBRATE:
-            at = machine.calibrating or Calibrating(machine.session.next_step)
+            position = machine.calibrating or Calibrating(machine.session.next_step)
             return CalibrateView(
-                at=at,
+                at=position,
                 session=machine.session,
                 left=around.left if Device.CAMERA_LEFT in machine.up else None,
                 right=around.right if Device.CAMERA_RIGHT in machine.up else None,
-                scan_allowed=at.step not in HELD or refusal(machine) is None,
+                scan_allowed=position.step not in HELD or refusal(machine) is None,
                 marks=around.marks,
                 gauge=_gauge(machine),
                 volume=machine.settings.volume,
@@ -265,7 +267,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
             next_scan=_next_scan(machine), overlap=overlap_text(machine), points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
             coverage_percent=None, noise_mm=None, distance_mm=None, duration_s=None, alerts=on_screen(machine),
         )  # fmt: skip
-    # The coarse cloud is what a small screen can show; the numbers are those of the full one as soon as it is there.
+    # A small screen can only show the coarse cloud; the numbers are those of the full one as soon as it is there.
     shown = around.scan.coarse if around.scan is not None and around.scan.coarse is not None else cloud
     s = cloud.summary
     duration_s = around.scan.times_s.get("full" if full else "coarse") if around.scan is not None else None
@@ -274,7 +276,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         # Coloured by distance: z of the left camera's frame.
         values=shown.points_mm[:, 2],
         coarse=not full,
-        grade=grade(s.coverage_percent, s.noise_mm, held_against(machine)),
+        grade=grade(s.coverage_percent, s.noise_mm, scan_faults(machine)),
         lengths_doubtful=lengths_doubtful(machine),
         points=s.points,
         coverage_percent=s.coverage_percent,
@@ -289,20 +291,22 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
 
 
 def _next_scan(machine: Machine) -> str | None:
-    """Return the exposure of the next scan where the diver has changed it over this one."""
+    """Return the exposure of the next scan if the diver has changed it in this review."""
     scan = machine.scan
     changed = scan is not None and scan.added is None and scan.exposure != machine.exposure
     return machine.exposure.label if changed else None
 
 
-def held_against(machine: Machine) -> frozenset[FaultCode]:
-    """Return what is held against the scan in hand."""
+def scan_faults(machine: Machine) -> frozenset[FaultCode]:
+    """Return the faults of the scan in hand."""
     return frozenset() if machine.scan is None else frozenset(fault.code for fault in machine.scan.warnings)
 
 
 def _gauge(machine: Machine) -> Gauge | None:
-    """Return the reading of the laser dots; ``None`` while the lasers are not on, or a camera is gone: no scan can be
-    taken from there, however far it is."""
+    """Return the reading of the laser dots; ``None`` while the lasers are off or a camera is lost.
+
+    No scan is possible then, whatever the distance.
+    """
     if machine.lasers_off_since_ns is not None or not {Device.CAMERA_LEFT, Device.CAMERA_RIGHT} <= machine.up:
         return None
     measured = machine.range
@@ -312,7 +316,7 @@ def _gauge(machine: Machine) -> Gauge | None:
 
 
 def _cooling(machine: Machine) -> CoolingView:
-    """Return the temperature that is farthest above what it must fall to."""
+    """Return the view with the temperature that is farthest above its target."""
     hot = [c for c in machine.conditions if c.code in safety.COOLS_DOWN and "temperature_c" in c.numbers]
     worst = max(hot, key=lambda c: c.numbers["temperature_c"] - c.numbers.get("below_c", 0.0), default=None)
     return CoolingView(
@@ -324,11 +328,11 @@ def _cooling(machine: Machine) -> CoolingView:
 
 
 def _gallery(machine: Machine, shown: StoredScan | None) -> GalleryView:
-    at = machine.gallery
-    if at is None or not at.scans or at.scan_id is None:
+    gallery = machine.gallery
+    if gallery is None or not gallery.scans or gallery.scan_id is None:
         return GalleryView(alerts=on_screen(machine))
-    scan = shown if shown is not None and shown.scan_id == at.scan_id else StoredScan(at.scan_id)
-    return GalleryView(scan=scan, index=at.index, count=len(at.scans), alerts=on_screen(machine))
+    scan = shown if shown is not None and shown.scan_id == gallery.scan_id else StoredScan(gallery.scan_id)
+    return GalleryView(scan=scan, index=gallery.index, count=len(gallery.scans), alerts=on_screen(machine))
 
 
 def _parts(machine: Machine) -> tuple[DeviceLine, ...]:

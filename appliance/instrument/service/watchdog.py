@@ -1,11 +1,10 @@
-"""Owns the talk with the service manager, systemd.
+"""Messages to the service manager, systemd.
 
-    ServiceManager    the datagrams of sd_notify(3), and how often the manager wants a sign of life
-    Watchdog          what is told after each heartbeat: ready, alive, what the service does, how its self-test ended
+    ServiceManager    the datagrams of sd_notify(3), and the interval of the signs of life
+    Watchdog          reports after each cycle: ready, alive, the state, and the result of the self-test
 
-A sign of life is earned: it is sent from the heartbeat only, after a beat that came to its end, and only while the
-worker process answers or is known not to be there. A loop that hangs, or that has lost sight of its worker, falls
-silent.
+A sign of life is sent only after a complete cycle, and only while the worker process answers or is known to be down. A
+loop that hangs, or that has lost its worker, sends none.
 """
 
 from __future__ import annotations
@@ -30,30 +29,35 @@ WATCHDOG_PID = "WATCHDOG_PID"
 
 
 class ServiceManager:
-    """Who started the service and watches over it. A context manager.
+    """The process that started the service and watches it. A context manager.
 
-    Without one (at a desk, in a test) nothing is sent. A manager that does not listen is no reason to stop: what cannot
-    be sent at once is lost, and it draws its own conclusions.
+    Without one (at a desk, in a test) nothing is sent. A manager that does not listen is no reason to stop: a message
+    that cannot be sent at once is lost.
     """
 
     def __init__(self, address: str | None, watchdog_s: float | None) -> None:
-        """``address``: a path or, after ``@``, a name in the abstract namespace. ``watchdog_s``: after how long without
-        a sign of life it kills this process; ``None``: never."""
+        """Open the socket to the manager.
+
+        ``address``: a path or, after ``@``, a name in the abstract namespace. ``watchdog_s``: time without a sign of
+        life after which it kills this process; ``None``: never.
+        """
         self.watchdog_s = watchdog_s
-        # sd_notify(3): "@" stands for the zero byte with which names of the abstract namespace begin.
+        # sd_notify(3): "@" stands for the zero byte at the beginning of abstract names.
         self._address = address.replace("@", "\0", 1) if address and address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if address else None
         if self._socket is not None:
-            # The heartbeat sends: a manager with a full queue must not hold it up.
+            # A manager with a full queue must not delay the cycle.
             self._socket.setblocking(False)
 
     @classmethod
     def of(cls, environment: MutableMapping[str, str]) -> Self:
-        """Read what the manager told this process; it is taken out of ``environment``, for no child is to speak in its
-        name."""
+        """Return the manager named in ``environment``, whose variables are removed.
+
+        No child process may send messages in the service's name.
+        """
         address = environment.pop(SOCKET, None)
         usec, pid = environment.pop(WATCHDOG_US, ""), environment.pop(WATCHDOG_PID, "")
-        # The variables are inherited: a pid that is not ours says that they were meant for a parent.
+        # The variables are inherited: with another pid they are for a parent process.
         meant = usec.isdecimal() and int(usec) > 0 and pid in ("", str(os.getpid()))
         return cls(address, int(usec) / 1e6 if meant else None)
 
@@ -67,7 +71,7 @@ class ServiceManager:
             self._socket.close()
 
     def ready(self) -> None:
-        """Say that the start is over."""
+        """Report that the start is over."""
         self._tell("READY=1")
 
     def alive(self) -> None:
@@ -79,7 +83,7 @@ class ServiceManager:
         self._tell(f"STATUS={' '.join(text.split())}")
 
     def stopping(self) -> None:
-        """Say that the end has begun."""
+        """Report that the end has begun."""
         self._tell("STOPPING=1")
 
     def _tell(self, message: str) -> None:
@@ -94,13 +98,13 @@ class ServiceManager:
 log = logging.getLogger("kingfisher")
 
 SIGNS_PER_LIMIT = 4
-"""Number of signs of life that fit into the manager's patience: three may be late."""
+"""Number of signs of life within the manager's time limit: three may be late."""
 SELF_TEST_FILE = Path("run", "self-test.json")
 """File below the storage root; it is read by ``systemd/kingfisher_setup``."""
 
 
 class Watchdog:
-    """Called after each heartbeat with what it has led to."""
+    """Reports the result of each cycle to the service manager."""
 
     def __init__(
         self,
@@ -110,8 +114,11 @@ class Watchdog:
         fs: FileSystem | None = None,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """``installation``: the name of the installed version, as the one who put it on trial knows it.
-        ``now_s``: the manager's time, whatever clock the devices go by."""
+        """Prepare the reports.
+
+        ``installation``: name of the installed version, for the program that put it on trial. ``now_s``: the manager's
+        clock, independent of the devices' clock.
+        """
         self._manager = manager
         self._file = root / SELF_TEST_FILE
         self._installation = installation
@@ -122,15 +129,15 @@ class Watchdog:
         self._told_s: float | None = None
         self._failed: list[str] | None = None
 
-    def beaten(self, machine: Machine, *, worker_answers: bool) -> None:
-        """Tell the manager what a heartbeat that has ended shows."""
-        # READY after the first heartbeat, not after the start: until then nothing has shown that the loop goes round.
+    def report_cycle(self, machine: Machine, *, worker_answers: bool) -> None:
+        """Report the result of a complete cycle to the manager."""
+        # READY after the first cycle, which shows that the loop works.
         if self._state is None:
             self._manager.ready()
         if machine.state is not self._state:
             self._state = machine.state
             self._manager.status(machine.state.value)
-        # A loop that goes round in a stopped clock judges no deadline any more: that is a hang, too.
+        # With a stopped clock no deadline passes any more: that is a hang, too.
         turned = machine.now_ns != self._turned_ns
         self._turned_ns = machine.now_ns
         if turned and worker_answers:
@@ -139,7 +146,7 @@ class Watchdog:
             self._test(machine)
 
     def stopping(self) -> None:
-        """Tell the manager that the end was decided; what is being written is still finished."""
+        """Report that the end has begun; pending writes are still finished."""
         self._manager.stopping()
 
     def _sign(self) -> None:
@@ -150,7 +157,7 @@ class Watchdog:
         self._manager.alive()
 
     def _test(self, machine: Machine) -> None:
-        """Write what failed, named as on the screen, whenever it changes.
+        """Write the names of the failed parts, as on the screen, whenever they change.
 
         A disk that refuses has failed the test by that.
         """

@@ -1,11 +1,11 @@
-"""Owns two watches over many scans.
+"""Two checks over many scans.
 
-    CalibrationWatch    the calibration in use: the trend of its ray gaps, what the diver is told, when it is written
-    WindowWatch         the cameras' windows: what stays soft at one place of the image while the scene changes
+    CalibrationWatch    the calibration in use: trend of its ray gaps, alarm, and when the trend is written
+    WindowWatch         the cameras' ports: places of the image that stay blurred while the scene changes
 
-Of each cell of each camera's image the window's watch keeps a sum of how far its fall exceeds what is forgiven, per
-scan at most so much that three scans are needed; a scan that shows it clean takes away. It is kept in memory only: a
-window is wiped between two dives, and three scans find a scratch again.
+For each cell of each camera's image the port check keeps a sum of the excess loss of contrast. The amount per scan is
+limited, so that an alarm needs three scans; a clean scan reduces the sum. It is kept in memory only: a port is wiped
+between two dives, and three scans find a scratch again.
 """
 
 from __future__ import annotations
@@ -47,14 +47,17 @@ VERDICT = "ray-gaps"
 
 
 class CalibrationWatch:
-    """Judges every full cloud's gaps. One thread; what ``unwritten`` returns may be called by another."""
+    """Judges the ray gaps of every full cloud.
+
+    One thread; functions that ``unwritten`` returns may be called by another.
+    """
 
     def __init__(self, root: Path, calibration: Calibration, fs: FileSystem | None = None) -> None:
         self._root, self._fs = root, fs
         self.use(calibration)
 
     def use(self, calibration: Calibration) -> None:
-        """Watch another calibration from now on; what is remembered of it comes back."""
+        """Check another calibration from now on, with its stored trend."""
         self._calibration = calibration
         self._measured = calibration.method not in UNMEASURED
         self._file = HealthFile(self._root, calibration.hash, self._fs)
@@ -65,7 +68,7 @@ class CalibrationWatch:
 
     @property
     def fault(self) -> Fault | None:
-        """The condition that holds now."""
+        """The present condition."""
         if self.trend.alarm is None:
             return None
         return Fault(FaultCode.VERIFY_CALIBRATION, self.trend.alarm)
@@ -75,12 +78,14 @@ class CalibrationWatch:
         if not self._measured:
             text = "not judged: the calibration was never measured in water"
             return Verdict(VERDICT, None, {}, text)
-        self.trend, self._eye, said = judge_with_projector(self.trend, self._eye, self._calibration.rig, gaps)
-        return Verdict(VERDICT, None if said.point is None else not said.alarm, said.numbers, said.text)
+        self.trend, self._eye, finding = judge_with_projector(self.trend, self._eye, self._calibration.rig, gaps)
+        return Verdict(VERDICT, None if finding.point is None else not finding.alarm, finding.numbers, finding.text)
 
     def answer(self, evidence: str) -> Callable[[], None] | None:
-        """Take the alarm back, as a length check found lengths right; return what writes that down, as ``unwritten``;
-        ``None``: there is no alarm."""
+        """End the alarm, as a length check found lengths right.
+
+        Returns a function that writes the trend, as ``unwritten``; ``None``: there was no alarm.
+        """
         if self.trend.alarm is None:
             return None
         self._written = self.trend = accept_change(self.trend, f"{evidence}, after: {self.trend.alarm}")
@@ -88,9 +93,9 @@ class CalibrationWatch:
         return lambda: file.write(trend)
 
     def unwritten(self, scan: str) -> Callable[[], None] | None:
-        """Return what writes down the latest scan, whose number is known now; ``None``: nothing is new.
+        """Return a function that writes the trend, as the latest scan's id is known; ``None``: no change.
 
-        It is durable when the call returns. The call raises StorageError.
+        The trend is durable when it returns. It raises StorageError.
         """
         if self.trend is self._written:
             return None
@@ -100,7 +105,7 @@ class CalibrationWatch:
         file, eye_file, trend = self._file, self._eye_file, self.trend
 
         def write() -> None:
-            # The projector first: a trend may rest on it.
+            # The projector's file first: a trend may depend on it.
             if eye is not None:
                 eye_file.write(eye)
             file.write(trend)
@@ -109,9 +114,9 @@ class CalibrationWatch:
 
 
 def write_trend(write: Callable[[], None]) -> list[on.Event]:
-    """Write the trend of the ray gaps down in the disk's thread; return no events.
+    """Write the trend of the ray gaps in the disk's thread; return no events.
 
-    No scan depends on it; with it, the next start knows what was before.
+    No scan depends on it, but the next start continues it.
     """
     try:
         write()
@@ -125,34 +130,35 @@ Array = NDArray[np.float64]
 MOST = 0.10
 """Largest amount that one scan adds to a sum."""
 LIMIT = 0.28
-"""Sum above which the alarm begins: three scans with much fog, or more with less."""
+"""Sum above which an alarm begins: three scans with much fog, or more with less."""
 CLEAN = 0.12
 """Sum below which an alarm ends."""
 CAP = 0.34
 """Largest sum: three clean scans end an alarm, however long it lasted."""
 CHANGED = 0.05
-"""Least relative change of the light in the median cell from one scan to the next one that counts: else the scene is
-the same, and what is soft may be part of it."""
+"""Least relative change of the light in the median cell between scans that count.
+
+With less, the scene is the same, and the blur may be part of it.
+"""
 _ACROSS = ("left", "middle", "right")
 _DOWN = ("upper", "middle", "lower")
 
 
 class WindowWatch:
-    """Judges every scan. One thread."""
+    """Checks the ports by every scan. One thread."""
 
     def __init__(self) -> None:
-        # The last sum of each side is that of all of the window.
+        # The last sum of each side is that of the complete port.
         self._sums = {side: np.zeros(CELLS[0] * CELLS[1] + 1) for side in SIDES}
         self._alarm = dict.fromkeys(SIDES, False)
         self._light: dict[str, Array] | None = None
         self._counted: int | None = None
 
     def count(self, scan: int, windows: Windows) -> tuple[Verdict, list[on.Event]] | None:
-        """Judge scan number ``scan`` and return its verdict and what holds from now on; ``None`` where it was counted
-        before.
+        """Judge scan number ``scan`` once; return its verdict and the conditions, or ``None``.
 
-        A scan counts once, however often the worker judges it: a process that was started again, or a compensated
-        cloud, must not make three scans of one.
+        ``None``: the scan was counted before. A worker that was started again, or a compensated cloud, must not make
+        several scans of one.
         """
         if scan == self._counted:
             return None
@@ -164,20 +170,20 @@ class WindowWatch:
         ]
 
     def judge(self, windows: Windows) -> Verdict:
-        """Judge one more scan; its verdict says what holds after it."""
+        """Judge one more scan; the verdict is that of all scans so far."""
         verdict = windows.verdict()
         if self._same_scene(windows):
             return replace(
                 verdict, passed=self._passed, text=f"{verdict.text}; not counted: the scene is that of before"
             )
-        # Compared with the last scan that counted: ten scans of one wall are one testimony.
+        # Compared with the last scan that counted: ten scans of one wall are no independent evidence.
         self._light = {side: windows.light[side] for side in SIDES}
         for side in SIDES:
-            whole = windows.wholes[side]
-            falls = np.append(windows.falls[side], np.nan if whole is None else whole)
+            full_fall = windows.wholes[side]
+            falls = np.append(windows.falls[side], np.nan if full_fall is None else full_fall)
             # One side's gain is the other's fall: only a fall counts.
-            # One-sided CUSUM: what exceeds the forgiven adds up, a clean scan takes at most SLACK away, and no single
-            # scan can alarm.
+            # One-sided CUSUM: the excess over the tolerance adds up, a clean scan takes at most SLACK away, and no
+            # single scan can raise the alarm.
             step = np.clip(np.maximum(falls, 0.0) - windows.forgiven[side], -SLACK, MOST)
             self._sums[side] = np.clip(self._sums[side] + np.nan_to_num(step), 0.0, CAP)
             worst = float(self._sums[side].max())
@@ -186,11 +192,11 @@ class WindowWatch:
         return replace(verdict, passed=self._passed, text=details or verdict.text)
 
     def conditions(self) -> Iterator[tuple[FaultCode, str, Fault | None]]:
-        """Yield for each camera the fault that holds now, or ``None``."""
+        """Yield the present fault of each camera, or ``None``."""
         for side in SIDES:
             device = f"camera.{side}"
-            held = Fault(FaultCode.WINDOW, self._detail(side), device=device) if self._alarm[side] else None
-            yield FaultCode.WINDOW, device, held
+            fault = Fault(FaultCode.WINDOW, self._detail(side), device=device) if self._alarm[side] else None
+            yield FaultCode.WINDOW, device, fault
 
     @property
     def _passed(self) -> bool:
@@ -209,7 +215,7 @@ class WindowWatch:
             return False
         before = np.concatenate([self._light[side] for side in SIDES])
         now = np.concatenate([windows.light[side] for side in SIDES])
-        seen = np.maximum(before, now) > 1.0
-        if not seen.any():
+        is_lit = np.maximum(before, now) > 1.0
+        if not is_lit.any():
             return True
-        return bool(np.median(np.abs(now - before)[seen] / np.maximum(before, now)[seen]) < CHANGED)
+        return bool(np.median(np.abs(now - before)[is_lit] / np.maximum(before, now)[is_lit]) < CHANGED)

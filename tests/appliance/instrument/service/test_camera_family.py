@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from appliance.cli.simrig import default_sim_rig
 from appliance.instrument.capture.scan import ScanRecorder, ScanSettings
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.service.air_live import opened
+from appliance.instrument.service.air_live import open_devices
 from appliance.instrument.service.checkup import check
 from appliance.instrument.service.devices import Devices
 from appliance.measure.light.patterns import build_sequence
@@ -89,7 +89,7 @@ def test_a_scan_is_captured_with_a_family_that_is_one_file_and_a_name_in_the_rig
     with ExitStack() as stack:
         wires = stack.enter_context(open_wires(rig.rig.wires, rig.rig.wires_options))
         devices = stack.enter_context(Devices(rig, wires, load))
-        grabbers, board, projector = opened(devices, wires.clock)
+        grabbers, board, projector = open_devices(devices, wires.clock)
         store = stack.enter_context(FrameStore(len(sequence), 300, 400))
         recorder = ScanRecorder(grabbers, board, projector, wires.clock, settings)
         report = recorder.record(sequence, store, lambda side, index: None, lambda: None)

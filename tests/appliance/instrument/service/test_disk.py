@@ -17,7 +17,7 @@ from appliance.instrument.machine import events as on
 from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.states import Part, PartResult
 from appliance.instrument.machine.words import Text
-from appliance.instrument.service.scan_files import ASK_AGAIN_S, CountedRoom, DiskQueue, steady
+from appliance.instrument.service.scan_files import ASK_AGAIN_S, CountedRoom, DiskQueue, steady_count
 from appliance.instrument.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
@@ -35,7 +35,7 @@ SAVED = on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED)
 
 def wait_until_answered(queue: DiskQueue) -> list[list[on.Event]]:
     deadline_s = time.monotonic() + 10.0
-    while not (found := queue.answered()):
+    while not (found := queue.results()):
         assert time.monotonic() < deadline_s
         threading.Event().wait(0.002)
     return found
@@ -46,10 +46,10 @@ def test_a_task_that_is_answered_by_events_keeps_the_queue_busy_until_they_are_f
     with DiskQueue() as queue:
         queue.ask(lambda: [SAVED])
         assert wait_until_answered(queue) == [[SAVED]]
-        assert (queue.busy, queue.answered()) == (False, [])
+        assert (queue.busy, queue.results()) == (False, [])
         queue.ask(lambda: [] if gate.wait(10.0) else [SAVED])
         queue.ask(lambda: [SAVED, SAVED])
-        assert queue.answered() == [], "nothing of it has ended"
+        assert queue.results() == [], "nothing of it has ended"
         assert queue.busy
         gate.set()
         found = wait_until_answered(queue)
@@ -168,8 +168,8 @@ def test_a_scan_for_which_no_space_can_be_allocated_is_refused_until_it_can(
     ],
 )
 def test_what_counts_as_freed(before: CountedRoom, now: CountedRoom, left: int) -> None:
-    assert steady(before, now).left == left
-    assert steady(None, now) == now
+    assert steady_count(before, now).left == left
+    assert steady_count(None, now) == now
 
 
 def storage_tested(scans: ScanController) -> PartResult:

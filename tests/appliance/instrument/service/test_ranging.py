@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from appliance.instrument.machine import events as on
 from appliance.instrument.ranging.beams import PointerBeam, Pointers, RigFrame
 from appliance.instrument.ranging.ranger import Dot, Dots
-from appliance.instrument.service.ranging import RangingController, _Measured
+from appliance.instrument.service.ranging import RangingController, _Measurement
 from appliance.instrument.service.remembered import BeamsFile
 from appliance.measure.fault import FaultCode
 from drivers.api import LaserState
@@ -49,7 +49,7 @@ def ranging(clock: SteppedClock) -> Iterator[RangingController]:
 
 
 def judged(ranging: RangingController, lit: bool, *pairs: Dots) -> list[on.Event]:
-    return [event for dots in pairs for event in ranging._judge(_Measured(0, lit, dots, None))]
+    return [event for dots in pairs for event in ranging._judge(_Measurement(0, lit, dots, None))]
 
 
 def raised(events: list[on.Event]) -> list[tuple[FaultCode, str | None]]:

@@ -19,7 +19,7 @@ from appliance.instrument.machine.words import Language
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.service.inputs import Inputs
 from appliance.instrument.service.loop import Drawing, Service
-from appliance.instrument.service.parts import Beginning, LiveViews
+from appliance.instrument.service.parts import LiveViews, StartFacts
 from appliance.instrument.service.recording import DrawnPatterns, SequenceRecorder
 from appliance.instrument.service.remembered import ChoicesFile
 from appliance.instrument.service.settings import standard_choices
@@ -71,7 +71,7 @@ def answered(desk: Desk, one: SequenceRecorder) -> list[on.Event]:
 
 def test_a_sequence_is_armed_played_and_taken_down(desk: Desk, one: SequenceRecorder) -> None:
     drawn: list[str] = []
-    one.want(WANTED)
+    one.request(WANTED)
     assert answered(desk, one) == [on.Armed(7)]
     assert one.go_on() == [], "told once"
     desk.script.before = [BEAT]
@@ -90,7 +90,7 @@ def test_a_sequence_is_armed_played_and_taken_down(desk: Desk, one: SequenceReco
 def test_without_all_devices_nothing_is_armed(desk: Desk, one: SequenceRecorder, device: str) -> None:
     parts: dict[str, Any] = {"board": desk.devices.board, "projector": desk.devices.projector, **desk.devices.cameras}
     parts[device].lose("unplugged")
-    one.want(WANTED)
+    one.request(WANTED)
     assert one.go_on() == []
     (failed,) = desk.inbox
     assert isinstance(failed, on.CaptureFailed)
@@ -103,17 +103,17 @@ def test_nothing_is_begun_while_the_disk_is_busy(desk: Desk, one: SequenceRecord
     gate = threading.Event()
     desk.parts.scans.submit(lambda: gate.wait(10.0))
     desk.parts.scans.count()
-    one.want(WANTED)
+    one.request(WANTED)
     assert one.go_on() == []
     assert desk.parts.scans.scan is None
-    one.want_period(64)
+    one.request_period(64)
     assert one.go_on() == []
     assert desk.parts.scans.sequence is SEQUENCE
     gate.set()
 
 
 def test_what_is_let_go_answers_nothing_and_frees_its_memory(desk: Desk, one: SequenceRecorder) -> None:
-    one.want(WANTED)
+    one.request(WANTED)
     one.go_on()
     assert [desk.parts.scans.scan is None] == [False]
     one.let_go()
@@ -123,10 +123,10 @@ def test_what_is_let_go_answers_nothing_and_frees_its_memory(desk: Desk, one: Se
 
 def test_patterns_of_another_period_are_drawn_loaded_and_recorded_with(desk: Desk, one: SequenceRecorder) -> None:
     before = desk.parts.scans.store
-    one.want_period(16)
+    one.request_period(16)
     one.go_on()
     assert desk.parts.scans.store is before, "they are in use"
-    one.want_period(64)
+    one.request_period(64)
     one.go_on()
     sequence = desk.parts.scans.sequence
     assert (sequence.period_px, sequence.width_px) == (64, desk.rig.projector.width_px)
@@ -262,7 +262,7 @@ class Running:
 
 def running(desk: Desk, drawing: Drawing, clock: api.Clock | None = None) -> Running:
     rig, stop = desk.rig, list[str]()
-    beginning = Beginning(ChoicesFile(rig.storage.root, standard_choices(rig)), (), ())
+    beginning = StartFacts(ChoicesFile(rig.storage.root, standard_choices(rig)), (), ())
     status = StatusFile(rig.storage.root, 7, "1.0")
     service = Service(
         rig, desk.parts, drawing, status, clock or desk.script.clock, beginning,

@@ -242,7 +242,7 @@ class Heard:
         self.dropped += 1
 
     def meant(self, report: WorkerEvent) -> list[on.Event]:
-        return self.reports.meant(report, self.scan)
+        return self.reports.events_of(report, self.scan)
 
     def told(self, fact: SequenceFact, points: Cloud | None = None) -> list[on.Event]:
         """What is heard of a fact about the scan, whose ``points`` the worker has copied."""
@@ -274,12 +274,12 @@ def test_of_another_scan_nothing_is_heard_and_news_of_none_are_told_as_they_are(
         ScanOverlap(Overlap(0.5), 0.1),
     )
     for fact in facts:
-        assert heard.meant(News(3, fact)) == heard.reports.meant(News(4, fact), None) == []
+        assert heard.meant(News(3, fact)) == heard.reports.events_of(News(4, fact), None) == []
     assert (heard.scan.full, heard.scan.times_s) == (None, {})
     assert BAD.verdict not in heard.verdicts
     ready: list[on.Event] = [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), PartResult(Part.WORKER, True)]
-    assert heard.reports.meant(Ready(), None) == ready
-    assert heard.reports.meant(LiveGuidance(None, 77, 0.1), None) == [LiveGuidance(None, 77, 0.1)]
+    assert heard.reports.events_of(Ready(), None) == ready
+    assert heard.reports.events_of(LiveGuidance(None, 77, 0.1), None) == [LiveGuidance(None, 77, 0.1)]
 
 
 def test_the_machine_hears_a_fact_as_it_is(heard: Heard) -> None:

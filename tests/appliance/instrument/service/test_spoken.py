@@ -13,7 +13,7 @@ from appliance.instrument.machine.states import Device, Gallery, Part, PartResul
 from appliance.instrument.ranging.reach import Marks, Range, Reach, Track
 from appliance.instrument.screens.review import to_the_minute
 from appliance.instrument.screens.views import AimView, CalibrateView, GalleryView, SelfTestView, StoredScan
-from appliance.instrument.service.loop import fault_text, spoken
+from appliance.instrument.service.loop import fault_text, log_line
 from appliance.instrument.service.view import Surroundings, view_of
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.news import FullCloud, PatternIdentity, ReconstructionFailure, Verdicts
@@ -27,7 +27,7 @@ REPR = re.compile(r"<\w+[.:]|\w\(\w+=|\{'|\['|\(\)|\('|\bNone\b|Device\.|FaultCo
 
 
 def test_no_event_is_logged_as_python_prints_it() -> None:
-    lines = {event: line for event in EVERY_EVENT if (line := spoken(event)) is not None}
+    lines = {event: line for event in EVERY_EVENT if (line := log_line(event)) is not None}
     said = (on.DeviceUp, on.DeviceDown, on.CaptureFailed, on.SaveFailed)
     told = (PatternIdentity, ReconstructionFailure, Verdicts, FullCloud)
     assert {kind(event) for event in lines} == {*said, *told}
@@ -45,11 +45,11 @@ def test_what_happened_is_told_with_its_numbers_and_its_remedy(says: Says) -> No
         on.CaptureFailed(3, moved),
         news.judged(3, (bent,)),
     )
-    lines = [spoken(one) for one in told]
+    lines = [log_line(one) for one in told]
     assert [line and line[0] for line in lines] == [logging.WARNING] * 3 + [logging.INFO]
     says("\n".join(line[1] for line in lines if line is not None))
     assert fault_text(Fault(FaultCode.INTERNAL)) == "INTERNAL"
-    assert spoken(news.judged(3)) is spoken(news.right(3)) is None
+    assert log_line(news.judged(3)) is log_line(news.right(3)) is None
 
 
 def test_what_the_console_sees_is_written_in_words(says: Says) -> None:

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from appliance.instrument.machine.states import Device
-from appliance.instrument.service.air_live import opened
+from appliance.instrument.service.air_live import open_devices
 from appliance.instrument.service.app import (
     _signals,
     ask_power_off,
     installation,
-    recovered,
+    recovery_news,
     run,
     take_back_power_off,
     this_run,
@@ -70,7 +70,7 @@ def test_a_device_that_does_not_come_is_named_after_twenty_seconds(desk: Desk) -
     desk.devices.board = DeviceSupervisor(Device.BOARD, _refuse, desk.script.clock, None)
     begun_ns = clock.now_ns()
     with pytest.raises(DeviceError) as caught:
-        opened(desk.devices, clock)
+        open_devices(desk.devices, clock)
     assert caught.value.device == "board"
     assert 20.0 <= (clock.now_ns() - begun_ns) / 1e9 <= 20.06
 
@@ -130,7 +130,7 @@ def test_a_service_that_finds_no_device_runs_until_it_is_ended(tmp_path: Path, m
 def test_the_bench_plays_pictures_in_any_order_and_a_fault_only_thrice(desk: Desk) -> None:
     wires: Any = SimpleNamespace(clock=desk.script.clock)
     bench = LightBench(desk.rig, wires, desk.parts.scans.store)
-    bench._devices, bench._all_channels = opened(desk.devices, SteppedClock()), False
+    bench._devices, bench._all_channels = open_devices(desk.devices, SteppedClock()), False
     bench.load([np.zeros((2, 2), np.uint8)] * 3, all_channels=False)
     assert desk.said() == ["load 4"], "dark behind them"
     images = bench.take([k % 3 for k in range(N)], Shot(500, 8_000, 6.0))
@@ -180,6 +180,6 @@ def test_a_scan_that_was_cut_off_while_being_saved_is_told_once(tmp_path: Path) 
     library = Library(tmp_path)
     library.prepare()
     begun = library.begin(frames(), record(), ORIGIN)  # whole on the disk, never published: here the power goes
-    news = recovered(Library(tmp_path).recover().recovered)
+    news = recovery_news(Library(tmp_path).recover().recovered)
     assert [(fault.code, begun.scan_id in fault.detail) for fault in news] == [(FaultCode.SCAN_RECOVERED, True)]
-    assert recovered(Library(tmp_path).recover().recovered) == (), "at the next start it is a scan like any other"
+    assert recovery_news(Library(tmp_path).recover().recovered) == (), "at the next start it is a scan like any other"

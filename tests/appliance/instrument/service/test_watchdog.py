@@ -51,10 +51,10 @@ def test_it_says_ready_once_and_what_it_does(tmp_path: Path, abstract: bool) -> 
     with ServiceManager(f"@{path}" if abstract else path, None) as manager:
         supervision = Watchdog(manager, tmp_path, "1.2-abc")
         assert listener.heard() == []  # nothing before a beat has ended
-        supervision.beaten(machine(0.0, State.BOOT), worker_answers=True)
+        supervision.report_cycle(machine(0.0, State.BOOT), worker_answers=True)
         assert listener.heard() == ["READY=1", "STATUS=BOOT"]
-        supervision.beaten(machine(0.1), worker_answers=True)
-        supervision.beaten(machine(0.2), worker_answers=True)
+        supervision.report_cycle(machine(0.1), worker_answers=True)
+        supervision.report_cycle(machine(0.2), worker_answers=True)
         assert listener.heard() == ["STATUS=AIM"]
         supervision.stopping()
         assert listener.heard() == ["STOPPING=1"]
@@ -71,7 +71,7 @@ class Signs:
         start_s, signs = self.now_s, 0
         for _ in range(beats):
             self.now_s += 0.05
-            self.supervision.beaten(machine(self.now_s if turning else start_s), worker_answers=answers)
+            self.supervision.report_cycle(machine(self.now_s if turning else start_s), worker_answers=answers)
             signs += self.listener.heard().count("WATCHDOG=1")  # a socket holds ten
         return signs
 
@@ -130,14 +130,14 @@ def test_the_self_test_is_written_down_with_the_version_it_was_of(
     caplog.set_level("INFO", "kingfisher")
     supervision = Watchdog(ServiceManager(None, None), tmp_path, "0.2.0-3f2a9c1b")
     mark = tmp_path / SELF_TEST_FILE
-    supervision.beaten(machine(0.0, State.BOOT), worker_answers=True)
-    supervision.beaten(machine(0.1, State.SELF_TEST), worker_answers=True)
+    supervision.report_cycle(machine(0.0, State.BOOT), worker_answers=True)
+    supervision.report_cycle(machine(0.1, State.SELF_TEST), worker_answers=True)
     assert not mark.exists()  # not everything has answered
     failing = answered(machine(0.2, State.SELF_TEST), Device.CAMERA_LEFT, calibration=False)
-    supervision.beaten(failing, worker_answers=True)
+    supervision.report_cycle(failing, worker_answers=True)
     said = {"installation": "0.2.0-3f2a9c1b", "failed": ["calibration", "camera.left"]}
     assert json.loads(mark.read_text()) == said
-    supervision.beaten(answered(machine(0.3)), worker_answers=True)  # the camera came, and so did the calibration
+    supervision.report_cycle(answered(machine(0.3)), worker_answers=True)  # the camera came, and so did the calibration
     assert json.loads(mark.read_text())["failed"] == []
     assert caplog.messages == ["self-test: failed: calibration, camera.left", "self-test: passed"]
 
@@ -162,7 +162,7 @@ def test_the_note_is_what_the_unit_waits_for(status: Path) -> None:
     assert "PathExists=/run/kingfisher/transfer-on\n" in unit
     switch(status).switch(to_on=True)
     assert note.exists()
-    assert switch(status).wanted, "also for a service that was started again since power-on"
+    assert switch(status).is_on, "also for a service that was started again since power-on"
     for _ in range(2):
         switch(status).switch(to_on=False)
     assert not note.exists()
@@ -170,14 +170,14 @@ def test_the_note_is_what_the_unit_waits_for(status: Path) -> None:
 
 def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Path) -> None:
     one = switch(status)
-    assert one.poll(0, wanted=False) == []
-    assert one.poll(0, wanted=True) == [TRANSFER_UNKNOWN]
+    assert one.poll(0, is_on=False) == []
+    assert one.poll(0, is_on=True) == [TRANSFER_UNKNOWN]
     status.write_text(json.dumps(TOLD))
-    assert one.poll(LOOK_NS - 1, wanted=True) == []
-    assert one.poll(LOOK_NS, wanted=True) == [Transfer(Serving.ON, "192.168.1.7", 2)]
-    assert one.poll(2 * LOOK_NS, wanted=True) == [], "nothing new"
-    assert one.poll(3 * LOOK_NS, wanted=False) == []
-    assert one.poll(3 * LOOK_NS, wanted=True) != [], "switched on again, it is told anew"
+    assert one.poll(LOOK_NS - 1, is_on=True) == []
+    assert one.poll(LOOK_NS, is_on=True) == [Transfer(Serving.ON, "192.168.1.7", 2)]
+    assert one.poll(2 * LOOK_NS, is_on=True) == [], "nothing new"
+    assert one.poll(3 * LOOK_NS, is_on=False) == []
+    assert one.poll(3 * LOOK_NS, is_on=True) != [], "switched on again, it is told anew"
 
 
 @pytest.mark.parametrize(
@@ -190,14 +190,14 @@ def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Pat
 )  # fmt: skip
 def test_what_cannot_be_understood_is_not_shown(status: Path, wrong: bytes) -> None:
     status.write_bytes(wrong)
-    assert switch(status).poll(0, wanted=True) == [TRANSFER_UNKNOWN]
+    assert switch(status).poll(0, is_on=True) == [TRANSFER_UNKNOWN]
 
 
 def test_an_address_that_the_screen_would_cut_is_not_shown(status: Path) -> None:
     widest, wider = "2001:db8:1111:2222:3333::1", "2001:db8:1111:2222:3333::12"
     for addresses, shown in (([wider], None), ([wider, widest], widest)):
         status.write_text(json.dumps(TOLD | {"addresses": addresses}))
-        assert switch(status).poll(0, wanted=True) == [Transfer(Serving.ON, shown, 2)]
+        assert switch(status).poll(0, is_on=True) == [Transfer(Serving.ON, shown, 2)]
 
 
 def test_at_a_desk_there_is_nothing_to_switch_and_a_note_that_cannot_be_written_ends_nothing(status: Path) -> None:
@@ -205,5 +205,5 @@ def test_at_a_desk_there_is_nothing_to_switch_and_a_note_that_cannot_be_written_
     at_a_desk = TransferSwitch({})
     for one in (at_a_desk, switch(status)):
         one.switch(to_on=True)
-        assert not one.wanted
-    assert at_a_desk.poll(0, wanted=True) == [Transfer(Serving.FAILED)]
+        assert not one.is_on
+    assert at_a_desk.poll(0, is_on=True) == [Transfer(Serving.FAILED)]
