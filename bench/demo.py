@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, simulator_kernels
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig, simulator_kernels
 from appliance.instrument.service.app import run
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import load_rig
@@ -123,7 +123,7 @@ def _demonstrate(wanted: argparse.Namespace, pulse: Pulse) -> int:
         size=wanted.size,
         script=script,
     )
-    rig = simulated(load_rig(default_sim_rig()), options)
+    rig = apply_options(load_rig(default_sim_rig()), options)
     rig = replace(rig, scan=replace(rig.scan, period_px=wanted.period))
     world = options_from(rig.rig.wires_options)
     truth = draw_truth(world.truth, world.seed, world.width_px, world.height_px, world.scene().water.index)

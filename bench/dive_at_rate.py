@@ -22,7 +22,7 @@ from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.instrument.service.app import run
 from appliance.instrument.worker.child import own_memory_mb
 from appliance.measure.calibration.file import encode_calibration
@@ -211,7 +211,7 @@ def children() -> list[int]:
 
 def rig_of(root: Path, size: str) -> Rig:
     """The simulated instrument in real time, calibrated."""
-    rig = simulated(
+    rig = apply_options(
         load_rig(default_sim_rig()),
         SimOptions(root=root, object_name="pipe", truth="modelled", seed=7, size=size, pace="realtime"),
     )

@@ -1,4 +1,4 @@
-"""The verbs ``archive pack`` and ``unpack``: scans kept in a third of the room, and had again byte for byte."""
+"""The verbs ``archive pack`` and ``unpack``: scans in a third of the space, and back, byte for byte."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from appliance.cli.arguments import Verb, operand, operands, path_option, switch
-from appliance.cli.desk import new_folder
+from appliance.cli.desk import check_new_folder
 from appliance.cli.output import Exit, ProgressLine, UsageError
 from appliance.store import ArchiveReport, LibraryFolder, pack_archive, unpack_archive
 
@@ -17,7 +17,7 @@ MB = 1e6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PackArchive(Verb):
-    """Pack every scan of a storage root into an archive; FAILED if one could not be, after all others were."""
+    """Pack every scan of a storage root into an archive; FAILED if any cannot be packed, after all others."""
 
     kernels: ClassVar[bool] = False
 
@@ -27,16 +27,16 @@ class PackArchive(Verb):
     remove: bool = switch("--remove", "remove each scan from SOURCE once its packed copy was compared with it")
 
     def run(self) -> Exit:
-        """Raises UsageError, StorageError, MissingLibraryError."""
+        """Pack the scans. Raises UsageError, StorageError, MissingLibraryError."""
         source, archive = storage_root("SOURCE", self.source), target_folder(self.out, self.source)
         with ProgressLine() as progress:
             report = pack_archive(source, archive, every=self.all, remove=self.remove, progress=progress)
-        return _told(self, report)
+        return _report(self, report)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnpackArchive(Verb):
-    """Bring scans of an archive back, byte for byte as they were; FAILED if one could not be, after all others were."""
+    """Restore scans of an archive, byte for byte; FAILED if any cannot be restored, after all others."""
 
     kernels: ClassVar[bool] = False
 
@@ -45,62 +45,62 @@ class UnpackArchive(Verb):
     out: Path | None = path_option("--out", "storage root, made where it is not there", metavar="ROOT")
 
     def run(self) -> Exit:
-        """Raises UsageError, UnknownScan, StorageError, MissingLibraryError."""
+        """Restore the scans. Raises UsageError, UnknownScan, StorageError, MissingLibraryError."""
         archive, out = storage_root("ARCHIVE", self.archive), target_folder(self.out, self.archive)
         with ProgressLine() as progress:
             report = unpack_archive(archive, out, self.scans, progress)
-        return _told(self, report)
+        return _report(self, report)
 
 
-def _told(verb: Verb, report: ArchiveReport) -> Exit:
-    held = sum(one.size_bytes for one in report.scans if one.outcome is not None)
-    there = sum(one.target_bytes for one in report.scans)
+def _report(verb: Verb, report: ArchiveReport) -> Exit:
+    source_bytes = sum(scan.size_bytes for scan in report.scans if scan.outcome is not None)
+    target_bytes = sum(scan.target_bytes for scan in report.scans)
     scans: list[dict[str, Any]] = []
-    for one in report.scans:
-        done = "failed" if one.outcome is None else one.outcome.value
-        scans.append({"scan": one.scan, "done": done, "reason": one.reason, "bytes": one.size_bytes})
-        if one.outcome is not None:
-            scans[-1]["bytes_there"] = one.target_bytes
-    sizes = f"{held / MB:.1f} MB are {there / MB:.1f} MB there" if held else "nothing to do"
+    for scan in report.scans:
+        done = "failed" if scan.outcome is None else scan.outcome.value
+        scans.append({"scan": scan.scan, "done": done, "reason": scan.reason, "bytes": scan.size_bytes})
+        if scan.outcome is not None:
+            scans[-1]["bytes_there"] = scan.target_bytes
+    sizes = f"{source_bytes / MB:.1f} MB are {target_bytes / MB:.1f} MB there" if source_bytes else "nothing to do"
     verb.tell(
         {
             "different": [
-                {"path": one.path, "copy": None if one.copy is None else str(one.copy)} for one in report.different
+                {"path": file.path, "copy": None if file.copy is None else str(file.copy)} for file in report.different
             ],
             **{name.replace(" ", "_"): number for name, number in report.counts.items()},
-            "bytes": held,
-            "bytes_there": there,
+            "bytes": source_bytes,
+            "bytes_there": target_bytes,
             "scans": scans,
         },
         [
-            *(f"{other.path}  DIFFERS: {_kept(other.copy)}" for other in report.different),
-            *(f"{one.scan}  failed: {one.reason}" for one in report.scans if one.outcome is None),
+            *(f"{file.path}  DIFFERS: {_copy_sentence(file.copy)}" for file in report.different),
+            *(f"{scan.scan}  failed: {scan.reason}" for scan in report.scans if scan.outcome is None),
             f"{', '.join(f'{number} {name}' for name, number in report.counts.items())}; {sizes}",
         ],
     )
     return Exit.OK if report.is_complete else Exit.FAILED
 
 
-def _kept(copy: Path | None) -> str:
+def _copy_sentence(copy: Path | None) -> str:
     if copy is None:
         return "is there twice with other content; move away the one with a checksum in its name, and call again"
     return f"the one there stays; the one from here lies beside it as {copy.name}"
 
 
 def storage_root(what: str, root: Path) -> Path:
-    """Return ``root``, the operand ``what``. Raises UsageError where it is none."""
+    """Return ``root``, the operand ``what``. Raises UsageError if it is no storage root."""
     if not (root / LibraryFolder.SCANS.value).is_dir():
         raise UsageError(f"{what} {root}: no storage root; give the folder that holds scans/")
     return root
 
 
 def target_folder(out: Path | None, source: Path | None) -> Path:
-    """Return the folder of ``--out``, which need not be there yet. Raises UsageError, also where it is ``source``."""
+    """Return the folder of ``--out``, which may not exist yet. Raises UsageError, also if it is ``source``."""
     if out is None:
         raise UsageError("--out is missing; give the folder to write to")
     if source is not None and out.resolve() == source.resolve():
         raise UsageError(f"--out {out}: is where the scans are read from; give another folder")
-    new_folder(out)
+    check_new_folder(out)
     if not out.absolute().parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.absolute().parent}; make it first")
     return out.absolute()

@@ -1,9 +1,10 @@
-"""Declarations of what may be typed after a verb: once, as the fields of a frozen dataclass.
+"""Declarations of the arguments of a verb, as the fields of a frozen dataclass.
 
 A field's name, type and default are those of the value that the verb works with; ``option``, ``switch``, ``operand``
-and ``operands`` add how it is typed and what ``--help`` says about it. ``declare`` hands the fields to ``argparse``,
-``collect`` makes the dataclass from what was typed. Nothing of the product is imported here: every call of
-``kingfisher`` loads this file."""
+and ``operands`` add how it is typed and its text in ``--help``. ``declare`` passes the fields to ``argparse``,
+``collect`` makes the dataclass from the parsed arguments. No other module of the product is imported here, because
+every call of ``kingfisher`` loads this file.
+"""
 
 from __future__ import annotations
 
@@ -18,50 +19,49 @@ from typing import Any, ClassVar, TypeVar
 from appliance.cli.output import Exit, say, say_json, say_report
 
 _KEY = "typed"
-"""Key in a field's metadata under which its ``_Typed`` is found."""
+"""Key of the ``_Argument`` in a field's metadata."""
 _MOST_DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True)
-class _Typed:
-    """The way in which a field is typed."""
+class _Argument:
+    """Form in which a field is typed on the command line."""
 
     flag: str | None
-    """``--out``; ``None``: its place says what it is."""
+    """``--out``; ``None`` for an operand, which its position names."""
     settings: Mapping[str, Any]
     """Keyword arguments for ``add_argument``."""
     either: str | None
-    """Name of a group of options of which at most one may be typed; ``None``: it belongs to no group."""
+    """Name of a group of options that exclude each other; ``None`` without one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verb:
-    """A verb with everything that was typed after it. ``run`` does the work and answers the exit code."""
+    """A verb with its arguments. ``run`` does the work and returns the exit code."""
 
     codes: ClassVar[Sequence[Exit]] = ()
     """Exit codes that only this verb has, for ``--help``."""
     service: ClassVar[bool] = False
-    """True if the verb is the instrument itself: it says its news, and an error that ends it is kept for the safe
+    """True if the verb is the instrument itself: it prints its log, and an error that ends it is kept for the safe
     screen."""
     kernels: ClassVar[bool] = True
-    """False: nothing that the verb may import has compiled kernels, so that nobody looks where they are kept."""
+    """False if the verb imports no compiled kernels, so that their folder is not searched."""
 
     json: bool = field(
         default=False,
-        metadata={_KEY: _Typed("--json", {"action": "store_true", "help": "print one JSON document"}, None)},
+        metadata={_KEY: _Argument("--json", {"action": "store_true", "help": "print one JSON document"}, None)},
     )
 
     named_words: ClassVar[Sequence[str]] = ()
-    """Names that are typed as ``NAME=VALUE``, for whoever types ``--NAME``."""
+    """Names that are typed as ``NAME=VALUE``, for the error after ``--NAME``."""
 
     @property
     def says_news(self) -> bool:
-        """True if what it logs besides warnings is printed, too."""
+        """True if log entries below warnings are printed, too."""
         return self.service
 
     def tell(self, result: Any, lines: Iterable[str] | None = None) -> None:
-        """Print what came of it: with ``--json`` as one document, else in ``lines``, or one value a line where none are
-        given."""
+        """Print the result: one document with ``--json``, else ``lines``, or one value a line without them."""
         if self.json:
             say_json(result)
         elif lines is None:
@@ -71,7 +71,7 @@ class Verb:
                 say(line)
 
     def run(self) -> Exit:
-        """Do it. Errors that a person can do something about are raised (``appliance.cli.failures``)."""
+        """Do the work. Errors that a person can cure are raised (``appliance.cli.failures``)."""
         raise NotImplementedError
 
 
@@ -88,27 +88,29 @@ def option(
     choices: Sequence[str] | None = None,
     either: str | None = None,
 ) -> Any:
-    """Return a field whose value is typed after ``flag``. ``parse`` raises ``ArgumentTypeError``; ``text`` is for
-    ``--help``."""
+    """Return a field whose value is typed after ``flag``.
+
+    ``parse`` raises ``ArgumentTypeError``; ``text`` is for ``--help``.
+    """
     settings = {"help": text, "type": parse, "metavar": metavar, "choices": choices}
-    given = {name: value for name, value in settings.items() if value is not None}
-    return field(default=default, metadata={_KEY: _Typed(flag, given, either)})
+    used_settings = {name: value for name, value in settings.items() if value is not None}
+    return field(default=default, metadata={_KEY: _Argument(flag, used_settings, either)})
 
 
 def path_option(flag: str, text: str, *, metavar: str = "FILE", either: str | None = None) -> Any:
-    """Return a field whose value is the path that is typed after ``flag``; ``None`` where it was not typed."""
+    """Return a field whose value is the path after ``flag``; ``None`` without it."""
     return option(flag, text, parse=Path, metavar=metavar, either=either)
 
 
 def repeated(flag: str, text: str, *, metavar: str) -> Any:
-    """Return a tuple of what was typed after each ``flag``, in that order; empty where it was not typed."""
+    """Return a field with the tuple of all values after ``flag``, in their order; empty without it."""
     settings = {"help": text, "metavar": metavar, "action": "append"}
-    return field(default=(), metadata={_KEY: _Typed(flag, settings, None)})
+    return field(default=(), metadata={_KEY: _Argument(flag, settings, None)})
 
 
 def switch(flag: str, text: str, *, either: str | None = None) -> Any:
-    """Return a field that is true where ``flag`` was typed."""
-    return field(default=False, metadata={_KEY: _Typed(flag, {"action": "store_true", "help": text}, either)})
+    """Return a field that is true if ``flag`` was typed."""
+    return field(default=False, metadata={_KEY: _Argument(flag, {"action": "store_true", "help": text}, either)})
 
 
 def operand(
@@ -119,65 +121,64 @@ def operand(
     optional: bool = False,
     choices: Sequence[str] | None = None,
 ) -> Any:
-    """Return a field that its place names; ``optional``: ``None`` where nothing stands there."""
+    """Return a field that is named by its position; an ``optional`` one may be ``None``."""
     settings = {"metavar": metavar, "help": text, "type": parse, "choices": choices}
     if optional:
         settings["nargs"] = "?"
-    typed = {_KEY: _Typed(None, settings, None)}
+    typed = {_KEY: _Argument(None, settings, None)}
     return field(default=None, metadata=typed) if optional else field(metadata=typed)
 
 
 def operands(metavar: str, text: str, *, at_least_one: bool, parse: Callable[[str], Any] = str) -> Any:
-    """Return a tuple of all words that stand there."""
+    """Return a field with the tuple of all words in its position."""
     settings = {"metavar": metavar, "help": text, "type": parse, "nargs": "+" if at_least_one else "*"}
-    return field(metadata={_KEY: _Typed(None, settings, None)})
+    return field(metadata={_KEY: _Argument(None, settings, None)})
 
 
 def declare(verb: type[Verb], parser: argparse.ArgumentParser) -> None:
-    """Give ``parser`` an argument for each field of ``verb``, those of its base classes first."""
+    """Add an argument to ``parser`` for each field of ``verb``, those of its base classes first."""
     groups: dict[str, argparse._MutuallyExclusiveGroup] = {}
-    for one in fields(verb):
-        # A field without it cannot be typed: KeyError, as soon as the verb is first asked for, where a field forgot to
-        # say how.
-        typed: _Typed = one.metadata[_KEY]
-        if typed.either is not None and typed.either not in groups:
-            groups[typed.either] = parser.add_mutually_exclusive_group()
-        where = parser if typed.either is None else groups[typed.either]
-        if typed.flag is None:
-            where.add_argument(one.name, **typed.settings)
+    for item in fields(verb):
+        # A field without an argument is a KeyError when the verb is loaded.
+        argument: _Argument = item.metadata[_KEY]
+        if argument.either is not None and argument.either not in groups:
+            groups[argument.either] = parser.add_mutually_exclusive_group()
+        target = parser if argument.either is None else groups[argument.either]
+        if argument.flag is None:
+            target.add_argument(item.name, **argument.settings)
         else:  # argparse appends to the default itself, so that a repeated option begins with nothing
-            default = None if typed.settings.get("action") == "append" else one.default
-            where.add_argument(typed.flag, dest=one.name, default=default, **typed.settings)
+            default = None if argument.settings.get("action") == "append" else item.default
+            target.add_argument(argument.flag, dest=item.name, default=default, **argument.settings)
 
 
 def collect(verb: type[V], typed: argparse.Namespace) -> V:
-    """Return the verb with what ``declare``'s parser found."""
-    found = {one.name: getattr(typed, one.name) for one in fields(verb)}
-    for one in fields(verb):
-        if found[one.name] is None:
-            # None is what argparse leaves where nothing was typed: the default for most fields, but for a repeated
+    """Return the verb with the arguments that ``declare``'s parser parsed."""
+    values = {item.name: getattr(typed, item.name) for item in fields(verb)}
+    for item in fields(verb):
+        if values[item.name] is None:
+            # Argparse leaves None for an argument that was not typed: the default of most fields, but of a repeated
             # option an empty tuple.
-            found[one.name] = () if one.default == () else None
-        elif isinstance(found[one.name], list):
-            found[one.name] = tuple(found[one.name])
-    return verb(**found)
+            values[item.name] = () if item.default == () else None
+        elif isinstance(values[item.name], list):
+            values[item.name] = tuple(values[item.name])
+    return verb(**values)
 
 
-def meant(word: str, there: Iterable[str]) -> str:
-    """Return a question for what a mistyped word is near to; empty where it is near to nothing."""
-    near = difflib.get_close_matches(word, list(there), n=2)
+def suggestion(word: str, candidates: Iterable[str]) -> str:
+    """Return a question with the words that ``word`` resembles; empty without such a word."""
+    near = difflib.get_close_matches(word, list(candidates), n=2)
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 # ------------------------------------------------------------------------------------------ numbers
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
+def whole_number(low: int, high: int) -> Callable[[str], int]:
     """Return a parser of whole numbers ``low`` to ``high``, at most nine digits."""
 
     def parse(text: str) -> int:
-        # Judged as text first: int() takes "٣", "1_000" and " 5 " as well, and refuses more than 4300 digits with an
-        # error of its own.
+        # Checked as text first: int() also accepts "٣", "1_000" and " 5 ", and rejects more than 4300 digits with its
+        # own error.
         digits = text.lstrip("0") or "0"
         if not (text.isascii() and text.isdigit() and len(digits) <= _MOST_DIGITS and low <= int(digits) <= high):
             raise argparse.ArgumentTypeError(f"{text}: allowed are whole numbers {low}..{high}")
@@ -187,24 +188,24 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def number(low: float, high: float, unit: str | None = None) -> Callable[[str], float]:
-    """Return a parser of numbers ``low`` to ``high``; ``unit`` is named where the option's own name does not."""
+    """Return a parser of numbers ``low`` to ``high``; ``unit`` is for options whose name lacks it."""
     allowed = f"{low:g}..{high:g}" if unit is None else f"numbers {low:g}..{high:g} ({unit})"
-    return _judged(lambda value: low <= value <= high, allowed)
+    return _number_parser(lambda value: low <= value <= high, allowed)
 
 
 def number_above(low: float, high: float) -> Callable[[str], float]:
     """Return a parser of numbers greater than ``low``, up to ``high``."""
-    return _judged(lambda value: low < value <= high, f"numbers above {low:g}, up to {high:g}")
+    return _number_parser(lambda value: low < value <= high, f"numbers above {low:g}, up to {high:g}")
 
 
-def _judged(fits: Callable[[float], bool], allowed: str) -> Callable[[str], float]:
+def _number_parser(is_allowed: Callable[[float], bool], allowed: str) -> Callable[[str], float]:
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
-            # NaN fits no range, and so does "nan" where it is typed: both end in the same line.
+            # NaN is in no range, like a typed "nan": both end in the same error.
             value = math.nan
-        if not fits(value):
+        if not is_allowed(value):
             raise argparse.ArgumentTypeError(f"{text}: allowed are {allowed}")
         return value
 

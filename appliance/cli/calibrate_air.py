@@ -1,4 +1,4 @@
-"""The verb ``calibration air``: a pair of cameras in air, from pictures of a board: the instrument's, or anybody's."""
+"""The verb ``calibration air``: two cameras in air, the instrument's or any others, from pictures of a board."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from appliance.cli.arguments import number, operand, option, path_option, switch, whole
-from appliance.cli.desk import existing, writable, writing
+from appliance.cli.arguments import number, operand, option, path_option, switch, whole_number
+from appliance.cli.desk import check_folder, check_writable, writing
 from appliance.cli.output import Exit, ProgressLine, UsageError, table
 from appliance.cli.places import WithRoot
 
-if TYPE_CHECKING:  # imported inside the verb: a wrong word can do without
+if TYPE_CHECKING:  # imported inside the verb, because a wrong word does not need it
     from appliance.calibrate import BoardDesign
     from appliance.store import Rig
 
@@ -24,8 +24,10 @@ _BOARD = re.compile(r"(?:(\d{1,2})x(\d{1,2})x)?(\d+(?:\.\d+)?)(?:x(\d+(?:\.\d+)?
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrateAir(WithRoot):
-    """Calibrate the instrument's cameras, or with --pair any two, from a folder of pictures; FAILED where they do not
-    suffice, with the reason for each."""
+    """Calibrate the instrument's cameras, or any two with --pair, from a folder of pictures.
+
+    FAILED if the pictures do not suffice, with the reason for each.
+    """
 
     folder: Path = operand(
         "FOLDER",
@@ -39,11 +41,14 @@ class CalibrateAir(WithRoot):
         "15x12x18 will do: the rest is found, but for the size of a square, which no picture tells",
         metavar="15x12x18x13.5",
     )
-    """Design of the board; ``None``: that of the folder, else the usual one."""
+    """Design of the board; ``None`` for that of the folder, else the default."""
     out: Path | None = path_option("--out", "default: air.json or pair.json in FOLDER; pictures and more go beside it")
     install: bool = switch("--install", "make it the start of this instrument's calibrations")
     live: int | None = option(
-        "--live", "record up to N views first, with this instrument, into FOLDER", parse=whole(6, 200), metavar="N"
+        "--live",
+        "record up to N views first, with this instrument, into FOLDER",
+        parse=whole_number(6, 200),
+        metavar="N",
     )
     room_light: bool = switch("--room-light", "of --live: the projector stays dark")
     exposure_ms: float | None = option(
@@ -66,11 +71,11 @@ class CalibrateAir(WithRoot):
 
     @property
     def says_news(self) -> bool:
-        """True with ``--live``, which makes it the instrument for a while."""
+        """True with ``--live``, which makes the program the instrument for a while."""
         return self.live is not None
 
     def run(self) -> Exit:
-        writable(self.out)
+        check_writable(self.out)
         if self.pair is not None:
             if self.live is not None or self.install:
                 raise UsageError("--pair: is of cameras that are not the instrument's; leave --live and --install out")
@@ -83,8 +88,8 @@ class CalibrateAir(WithRoot):
 
     def _of_instrument(self) -> Exit:
         rig = self.rooted_rig()
-        if self.live is None:  # which makes it
-            existing("FOLDER", self.folder, "the pictures of the board")
+        if self.live is None:  # --live makes the folder
+            check_folder("FOLDER", self.folder, "the pictures of the board")
         from appliance.base import ContentError
         from appliance.calibrate import BoardDesign, ViewFolder, calibrate_folder
         from appliance.calibrate import install as install_air
@@ -94,8 +99,7 @@ class CalibrateAir(WithRoot):
             design = None if self.board is None else BoardDesign.parse(self.board)
             if self.live is not None:
                 self._record(rig, self.live, design)
-            # The board that the views were recorded with is written beside them, so that nobody has to remember its
-            # size.
+            # The board of recorded views is stored beside them, so that its size need not be typed again.
             begun = ViewFolder.session(self.folder)
             design = design or (begun[1] if begun is not None else BoardDesign())
             with ProgressLine() as progress, writing(target):
@@ -105,56 +109,58 @@ class CalibrateAir(WithRoot):
         if self.install:
             installed, before = install_air(rig, target)
             report |= {"installed": str(installed), "before": None if before is None else str(before)}
-        return self._told(report)
+        return self._report(report)
 
     def _record(self, rig: Rig, views: int, design: BoardDesign | None) -> None:
         from appliance.calibrate import ViewFolder
         from appliance.instrument import LiveOptions, record_views
 
-        wanted = LiveOptions(views, not self.room_light, self.exposure_ms, self.timeout_s)
-        record_views(rig, ViewFolder(self.folder, rig.rig.serial, design), wanted, log.info)
+        options = LiveOptions(views, not self.room_light, self.exposure_ms, self.timeout_s)
+        record_views(rig, ViewFolder(self.folder, rig.rig.serial, design), options, log.info)
 
     # ------------------------------------------------------------------------------------- anybody's
 
     def _of_pair(self, name: str) -> Exit:
-        """Look at the pictures, adjust, write and say what came out."""
+        """Find the boards, adjust, write the result and print it."""
         sizes_mm = self._sizes_mm()
         left, comma, right = (self.sides or "").partition(",")
         if self.sides is not None and not comma:
             raise UsageError(f"--sides {self.sides}: give two with a comma between them, for example 'a/*.png,b/*.png'")
-        existing("FOLDER", self.folder, "the pictures of the board")
+        check_folder("FOLDER", self.folder, "the pictures of the board")
         from appliance.calibrate import BoardDescription, calibrate_pictures
 
         across, down, square_mm, marker_mm = sizes_mm
-        wanted = BoardDescription(square_mm, across, down, marker_mm)
+        description = BoardDescription(square_mm, across, down, marker_mm)
         target = self.out or self.folder / "pair.json"
         sides = (left, right) if comma else None
         with ProgressLine() as progress, writing(target):
             report = calibrate_pictures(
-                name, self.folder, sides, wanted, self.flat, target, datetime.now(UTC), progress
+                name, self.folder, sides, description, self.flat, target, datetime.now(UTC), progress
             )
-        return self._told(report)
+        return self._report(report)
 
-    def _told(self, report: dict[str, Any]) -> Exit:
+    def _report(self, report: dict[str, Any]) -> Exit:
         for text in report["warnings"]:
             log.warning(text)
         self.tell(report, _lines(report))
         return Exit.OK
 
     def _sizes_mm(self) -> tuple[int | None, int | None, float, float | None]:
-        """Return squares across and down, their size and the markers'; ``None``: it is to be found. Raises
-        UsageError."""
+        """Return squares across and down, their size and that of the markers; ``None`` for a number to be found.
+
+        Raises UsageError.
+        """
         if self.board is None:
             raise UsageError(
                 "--board is missing: no picture tells how large a board is; measure a row of squares, and give --board "
                 "18"
             )
-        found = _BOARD.fullmatch(self.board)
-        if found is not None:
-            across, down = (None if text is None else int(text) for text in found.groups()[:2])
-            square_mm, marker_mm = float(found[3]), None if found[4] is None else float(found[4])
-            fits = all(text is None or 3 <= text <= 60 for text in (across, down)) and 0.1 <= square_mm <= 1000.0
-            if fits and (marker_mm is None or 0.05 <= marker_mm < square_mm):
+        match = _BOARD.fullmatch(self.board)
+        if match is not None:
+            across, down = (None if text is None else int(text) for text in match.groups()[:2])
+            square_mm, marker_mm = float(match[3]), None if match[4] is None else float(match[4])
+            is_possible = all(text is None or 3 <= text <= 60 for text in (across, down)) and 0.1 <= square_mm <= 1000.0
+            if is_possible and (marker_mm is None or 0.05 <= marker_mm < square_mm):
                 return across, down, square_mm, marker_mm
         raise UsageError(
             f"--board {self.board}: give SQUARE, SQUARExMARKER, ACROSSxDOWNxSQUARE or all four, squares 3..60, sizes "

@@ -11,14 +11,14 @@ from typing import Any
 from appliance.base import part_of
 from appliance.calibrate import BEFORE_OPERATOR, Method
 from appliance.cli.arguments import operand, option, path_option, switch
-from appliance.cli.desk import opened_scans, place_of, writable, write_files
+from appliance.cli.desk import check_writable, open_scans, scan_in_list, write_files
 from appliance.cli.output import Exit, UsageError
 from appliance.cli.places import WithRoot
 from appliance.store import hold_lock
 
 DEFAULT_OUT = Path("calibration-water.json")
 SCANS_CHECKED = 0.1
-"""The part of the progress that comparing checksums gets."""
+"""Share of the progress for comparing checksums."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,15 +38,15 @@ class CalibrateWater(WithRoot):
     install: bool = switch("--install", "use it from now on; the one of before is kept")
 
     def run(self) -> Exit:
-        wish = self.wish()
+        options = self.scan_options()
         method = Method(self.method)
         target = self.out or DEFAULT_OUT
         page, data = (target.with_name(f"{target.stem}-report{ending}") for ending in (".html", ".json"))
-        # All that can be refused is refused before the checksums are read: those alone take seconds per scan.
+        # Arguments are checked before the checksums, which take seconds per scan.
         before = BEFORE_OPERATOR if method is Method.PAPER else ()
         targets = {name: target.with_name(f"{target.stem}-{name}.json") for name in before}
         for path in (target, page, data, *targets.values()):
-            writable(path)
+            check_writable(path)
         for path in (target, *targets.values()):
             if path.exists():
                 raise UsageError(
@@ -57,7 +57,7 @@ class CalibrateWater(WithRoot):
         from appliance.store import ScanList
 
         scans = ScanList.read(self.list)
-        places = [place_of(self.list, entry.scan) for entry in scans.entries]
+        places = [scan_in_list(self.list, entry.scan) for entry in scans.entries]
         made_at = datetime.now(UTC).isoformat(timespec="seconds")
 
         def check() -> None:
@@ -65,40 +65,41 @@ class CalibrateWater(WithRoot):
 
             check_list(scans)
 
-        with opened_scans(wish, places, SCANS_CHECKED, check) as (sources, progress):
+        with open_scans(options, places, SCANS_CHECKED, check) as (sources, progress):
             from appliance.calibrate import Calibrations, reject_nominal_start, run_water_calibration, start_of
             from appliance.measure import encode_calibration
             from appliance.store import SourceScan
 
-            rig = SourceScan.instrument_of(sources, wish)
+            rig = SourceScan.instrument_of(sources, options)
             reject_nominal_start(rig, self.calibration)
             start = start_of(rig, self.calibration)
             for source in sources:
                 source.refuse_misfit(start, f"start {self.calibration or rig.storage.root}", foreign=False, start=True)
 
             step = part_of(progress, SCANS_CHECKED, 1.0)
-            made = run_water_calibration(rig, scans, sources, start, method, made_at, step)
-        content = made.as_json()
+            water_calibration = run_water_calibration(rig, scans, sources, start, method, made_at, step)
+        content = water_calibration.as_json()
         text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        files = {page: made.as_html().encode(), data: text.encode()}
+        files = {page: water_calibration.as_html().encode(), data: text.encode()}
         for name, path in targets.items():
-            files[path] = encode_calibration(made.result.before[name])
-        files[target] = encode_calibration(made.result.calibration)
-        # The report first, the calibration last: one that is there has its report beside it.
+            files[path] = encode_calibration(water_calibration.result.before[name])
+        files[target] = encode_calibration(water_calibration.result.calibration)
+        # The calibration is written last, so that an existing one always has its report.
         write_files(files)
-        # Made without one of its scans it may be a good calibration, but not the one that was asked for: a person has
-        # to decide.
-        installed = self.install and not made.left_out
+        # Without one of its scans it may be a good calibration, but not the requested one: a person has to decide.
+        installed = self.install and not water_calibration.left_out
         if installed:
             with hold_lock(rig.storage.root):
-                Calibrations(rig.storage.root, rig.rig.serial).install(made.result.calibration, made_at[:10])
+                Calibrations(rig.storage.root, rig.rig.serial).install(
+                    water_calibration.result.calibration, made_at[:10]
+                )
         lines = _lines(content, page, target)
         if self.install:
             lines.append(
                 "installed; `kingfisher calibration use` undoes it" if installed else "not installed: scans are missing"
             )
         self.tell({**content, "installed": installed}, lines)
-        return Exit.FAILED if made.left_out else Exit.OK
+        return Exit.FAILED if water_calibration.left_out else Exit.OK
 
 
 def _lines(content: dict[str, Any], page: Path, calibration: Path) -> list[str]:
@@ -107,7 +108,10 @@ def _lines(content: dict[str, Any], page: Path, calibration: Path) -> list[str]:
     return [
         *(f"{scan} not used: {reason}" for scan, reason in content["left_out"].items()),
         *(f"warning: {warning}" for warning in content["warnings"]),
-        *(f"{one['name']:<24} {one['points']} points, {one['residual_px']:.4f} px" for one in content["recordings"]),
+        *(
+            f"{recording['name']:<24} {recording['points']} points, {recording['residual_px']:.4f} px"
+            for recording in content["recordings"]
+        ),
         *(f"{key:<24} {'-' if content[key] is None else f'{content[key]:.4f}'}" for key in numbers),
         *(
             f"{side + ' port':<24} d {port['distance_mm']:.3f} mm, tilt {port['tilt_x_deg']:+.3f}° "

@@ -1,5 +1,4 @@
-"""The verbs ``calibration show``, ``use`` and ``accept``: a calibration with how its ray gaps have behaved, another
-one, the answer to an alarm."""
+"""The verbs ``calibration show``, ``use`` and ``accept``: calibrations, their health, and the end of an alarm."""
 
 from __future__ import annotations
 
@@ -10,28 +9,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.cli.arguments import number_above, operand, path_option
-from appliance.cli.desk import writable, write_files
+from appliance.cli.desk import check_writable, write_files
 from appliance.cli.output import Exit, UsageError, say_report, table
 from appliance.cli.places import WithRoot
 from appliance.store import CALIBRATION_FILE, hold_lock
 
-if TYPE_CHECKING:  # imported in the verbs, after what a wrong word needs
+if TYPE_CHECKING:  # imported in the verbs, because a wrong word does not need it
     from appliance.calibrate import HealthTrend, ThirdEye, TrendPoint
     from appliance.measure import Calibration
     from appliance.store import Rig
 
 NOMINAL = "nominal"
 SHOWN = 20
-"""Latest scans in the table; ``--json`` has all that are remembered."""
+"""Number of latest scans in the table; ``--json`` has all of the trend."""
 AT_MOST_PERCENT = 0.1
-"""Length error up to which a check is accepted, unless another is given."""
+"""Largest length error that is accepted by default."""
 MAX_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShowCalibration(WithRoot):
-    """Show the calibration in use, or that of a file, and whether it still holds; or the one that follows from the rig
-    file's design."""
+    """Show the calibration in use, that of a file, or the nominal one of the rig file, and whether it still holds."""
 
     file: str | None = operand(
         "FILE", f"a calibration's file, or {NOMINAL}: that of the design (default: the one in use)", optional=True
@@ -40,7 +38,7 @@ class ShowCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
-        writable(self.out)
+        check_writable(self.out)
         if self.out is not None and self.out.exists():
             raise UsageError(f"--out {self.out}: exists already; a calibration is never replaced; give a new name")
         calibration = self._calibration(rig)
@@ -69,15 +67,18 @@ class ShowCalibration(WithRoot):
             return Instrument(rig).design() if self.file == NOMINAL else load_calibration(Path(self.file))
         root = self.named_root()
         if root is not None and self.rig is None:
-            # Whoever names a root asks for what lies there, whichever instrument the packaged rig file draws.
+            # A named root means the calibration below it, also of another instrument than that of the packaged rig
+            # file.
             return load_calibration(root / CALIBRATION_FILE)
         return Instrument(rig).calibration()[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UseCalibration(WithRoot):
-    """Put a calibration of before, or that of a file, in use; what was in use is kept, so that the same verb undoes
-    it."""
+    """Put an earlier calibration, or that of a file, in use.
+
+    The former one is kept, so that the same verb undoes it.
+    """
 
     kernels: ClassVar[bool] = False
 
@@ -95,31 +96,37 @@ class UseCalibration(WithRoot):
         calibrations = Calibrations(root, rig.rig.serial)
         if self.name is not None and "/" in self.name:
             path = Path(self.name)
-            found = load_calibration(path)
-            if found.rig_serial != rig.rig.serial or found.method == IN_AIR:
+            calibration = load_calibration(path)
+            if calibration.rig_serial != rig.rig.serial or calibration.method == IN_AIR:
                 raise UsageError(
-                    f"NAME {path}: is of instrument {found.rig_serial}, method {found.method}; wanted is one in water "
+                    f"NAME {path}: is of instrument {calibration.rig_serial}, method {calibration.method}; wanted is "
+                    "one in water "
                     f"of {rig.rig.serial}"
                 )
             with hold_lock(root):
-                calibrations.install(found, today)
+                calibrations.install(calibration, today)
         else:
             with hold_lock(root):
                 try:
                     path = calibrations.bring_back(self.name, today)
                 except SessionError as error:
                     raise UsageError(f"calibration use: {error}") from error
-            found = load_calibration(path)
+            calibration = load_calibration(path)
         self.tell(
-            {"file": str(path), "calibration": found.hash, "method": found.method, "made_at": found.made_at},
-            [f"in use: {path}, {found.method}, made {found.made_at}"],
+            {
+                "file": str(path),
+                "calibration": calibration.hash,
+                "method": calibration.method,
+                "made_at": calibration.made_at,
+            },
+            [f"in use: {path}, {calibration.method}, made {calibration.made_at}"],
         )
         return Exit.OK
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AcceptHealth(WithRoot):
-    """Take an alarm back, as the length check in REPORT found the lengths right."""
+    """End an alarm after the length check in REPORT found the lengths right."""
 
     kernels: ClassVar[bool] = False
 
@@ -132,7 +139,7 @@ class AcceptHealth(WithRoot):
     )
 
     def run(self) -> Exit:
-        """Raises UsageError for a report that does not show that, StorageError while the service runs."""
+        """End the alarm. Raises UsageError for a report that does not show it, StorageError while the service runs."""
         rig = self.rooted_rig()
         root = rig.storage.root
         from appliance.store import load_calibration
@@ -155,14 +162,14 @@ class AcceptHealth(WithRoot):
                 raise UsageError(f"REPORT {self.report}: there is no alarm to be taken back; nothing was changed")
             # Under the lock: the alarm that is answered is the one that stands now.
             _recorded_since(self.report, content, trend)
-            said = f"{self.report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
-            file.write(accept_change(trend, said))
-        self.tell({"accepted": said}, [f"accepted: {said}"])
+            answer = f"{self.report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
+            file.write(accept_change(trend, answer))
+        self.tell({"accepted": answer}, [f"accepted: {answer}"])
         return Exit.OK
 
 
 def _health(calibration: Calibration, trend: HealthTrend, eye: ThirdEye) -> dict[str, Any]:
-    """Return how the ray gaps have behaved since it is in use, JSON-ready."""
+    """Return the trend of the ray gaps since the calibration was put in use, JSON-ready."""
     from appliance.calibrate import UNMEASURED
     from appliance.measure import MODES
 
@@ -175,7 +182,7 @@ def _health(calibration: Calibration, trend: HealthTrend, eye: ThirdEye) -> dict
         "answers": list(trend.answers),
         "reference_scans": len(trend.reference.rests_um),
         **({} if eye.misfit_px is None else {"projector": {"hash": eye.hash, "misfit_px": eye.misfit_px}}),
-        "overlaps": [{**asdict(one), "alarm": one.alarm} for one in trend.overlaps],
+        "overlaps": [{**asdict(news), "alarm": news.alarm} for news in trend.overlaps],
         "scans": [
             {
                 "scan": point.scan,
@@ -197,10 +204,10 @@ def _third(point: TrendPoint) -> dict[str, float]:
 
     if point.third_um is None or point.third_sigma_um is None:
         return {}
-    found: dict[str, float] = {}
+    amplitudes: dict[str, float] = {}
     for name, value, sigma in zip(THIRD_MODES, point.third_um, point.third_sigma_um, strict=True):
-        found |= {f"{name}_um": value, f"{name}_sigma_um": sigma}
-    return found
+        amplitudes |= {f"{name}_um": value, f"{name}_sigma_um": sigma}
+    return amplitudes
 
 
 def _health_lines(calibration: Calibration, trend: HealthTrend, eye: ThirdEye) -> list[str]:
@@ -217,47 +224,50 @@ def _health_lines(calibration: Calibration, trend: HealthTrend, eye: ThirdEye) -
         f"alarm       {trend.alarm or 'none'}",
         *(f"accepted    {answer}" for answer in trend.answers),
         *(
-            f"overlaps    object {one.object}, {one.scans} scans: bent by {one.bend_um:.0f} ± {one.sigma_um:.0f} µm, "
-            f"score {one.score:.1f}{'  ALARM' if one.alarm else ''}"
-            for one in trend.overlaps
+            f"overlaps    object {news.object}, {news.scans} scans: bent by {news.bend_um:.0f} ± {news.sigma_um:.0f} "
+            "µm, "
+            f"score {news.score:.1f}{'  ALARM' if news.alarm else ''}"
+            for news in trend.overlaps
         ),
         *([_points(trend)] if trend.points else []),
     ]
 
 
 def _content(report: Path, calibration_hash: str) -> dict[str, Any]:
-    wanted = "give the .json that `kingfisher evaluate` wrote"
+    remedy = "give the .json that `kingfisher evaluate` wrote"
     try:
         with report.open("rb") as file:
             content: dict[str, Any] = json_form.loads(file.read(MAX_BYTES))
-        used = content["about"]["calibration"]
-        # Read and thrown away: what is missing is found here, under this error, and not by whoever needs it later.
-        content["summary"]["e_l_ball_bar_percent"], [(one["scan"], one["artefact"]) for one in content["scans"]]
+        calibration_used = content["about"]["calibration"]
+        # Evaluated only to find missing values here, with this error, instead of later.
+        content["summary"]["e_l_ball_bar_percent"], [(scan["scan"], scan["artefact"]) for scan in content["scans"]]
     except OSError as error:
-        raise UsageError(f"REPORT {report}: cannot be read ({error.strerror}); {wanted}") from error
+        raise UsageError(f"REPORT {report}: cannot be read ({error.strerror}); {remedy}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"REPORT {report}: is no report of an evaluation; {wanted}") from error
-    # A length that is right with another calibration says nothing about the one the alarm is about.
-    if used != calibration_hash:
-        raise UsageError(f"REPORT {report}: it was made with calibration {used!s:.16}; evaluate with the one in use")
+        raise UsageError(f"REPORT {report}: is no report of an evaluation; {remedy}") from error
+    # A length that is right with another calibration says nothing about the one with the alarm.
+    if calibration_used != calibration_hash:
+        raise UsageError(
+            f"REPORT {report}: it was made with calibration {calibration_used!s:.16}; evaluate with the one in use"
+        )
     return content
 
 
 def _worst_percent(report: Path, content: dict[str, Any]) -> float:
     worst = content["summary"]["e_l_ball_bar_percent"]
-    # JSON's true is a bool, which Python counts among the integers: it would pass as an error of 1 %.
+    # JSON's true is a bool, which Python counts as an integer: it would pass as an error of 1 %.
     if isinstance(worst, bool) or not isinstance(worst, int | float) or content.get("complete") is not True:
         raise UsageError(f"REPORT {report}: no ball bar was measured in it; scan the ball bar and evaluate again")
     return float(worst)
 
 
 def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -> None:
-    """Raise UsageError for lengths of before the alarm: they say nothing about the instrument of now."""
+    """Raise UsageError for lengths that were recorded before the alarm, which do not show its present state."""
     from appliance.measure import Artefact
 
-    # Scans are numbered in the order of recording, and the clock may be wrong: before and after go by the number.
+    # Scans are numbered in the order of recording, while the clock may be wrong: their order is that of the numbers.
     first = next((point.scan for point in trend.points if point.alarm and point.scan is not None), None)
-    bars = [str(one["scan"]) for one in content["scans"] if one["artefact"] == Artefact.BALL_BAR.value]
+    bars = [str(scan["scan"]) for scan in content["scans"] if scan["artefact"] == Artefact.BALL_BAR.value]
     old = [scan for scan in bars if first is not None and not (scan.isdigit() and int(scan) >= int(first))]
     if old:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""The verb ``cloud``: files of points or triangles, of stored scans, of recordings that broke, and of objects."""
+"""The verb ``cloud``: files of points or triangles, from stored scans, incomplete scans and objects."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from appliance.cli.arguments import number, operands, option, repeated, switch
 from appliance.cli.desk import (
     SPACING_MM,
     WithObjects,
-    checked_as,
+    check_suffix,
+    check_writable,
+    check_writable_as,
+    find_scan,
     library_root,
-    object_named,
-    scan_in,
-    writable,
-    writable_as,
+    object_name,
     writing,
 )
 from appliance.cli.kernels import compile_kernels
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
     from appliance.store import ScanOptions
 
 NAME = "{}"
-"""Stands for the scan's name in ``--out``."""
+"""Placeholder of the scan's name in ``--out``."""
 INCOMPLETE = "incomplete:"
-"""Prefix that tells the number of a recording that broke from that of a scan."""
+"""Prefix of the number of an incomplete scan."""
 OWN, POSED, PAGE = ".ply", ".e57", ".html"
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MakeCloud(WithObjects):
-    """Make points or meshes of stored scans from their raw frames, or of a solved object one surface.
+    """Make points or meshes of stored scans from their raw frames, or one surface of a solved object.
 
-    What is made of a damaged scan says so in the file, on stderr and by the exit code; it is not to be measured in.
+    Files of a damaged scan say so, as do stderr and the exit code; they must not be measured in.
     """
 
     codes: ClassVar[Sequence[Exit]] = (Exit.DAMAGED,)
@@ -70,32 +70,32 @@ class MakeCloud(WithObjects):
     )
 
     def run(self) -> Exit:
-        wish = self.wish()
-        name = next((name for name in map(object_named, self.what) if name is not None), None)
+        options = self.scan_options()
+        name = next((name for name in map(object_name, self.what) if name is not None), None)
         if name is None:
-            return self._of_scans(wish)
+            return self._of_scans(options)
         if len(self.what) > 1 or self.normals:
             raise UsageError(f"object:{name}: has files of its own, without --normals; give it alone")
-        return self._of_object(wish, name)
+        return self._of_object(options, name)
 
     # ------------------------------------------------------------------------------------- scans
 
-    def _of_scans(self, wish: ScanOptions) -> Exit:
+    def _of_scans(self, options: ScanOptions) -> Exit:
         of_objects = {
             "--spacing": self.spacing != SPACING_MM,
             "--scans": self.single_scans,
             "--close-holes": self.close_holes is not None,
         }
-        for flag, given in of_objects.items():
-            if given:
+        for flag, is_given in of_objects.items():
+            if is_given:
                 raise UsageError(f"{flag}: is for objects; give object:NAME")
-        works = self._works(wish)
+        works = self._works(options)
         reports: list[dict[str, Any]] = []
         with ProgressLine() as progress:
             compile_kernels()
             for k, (out, work) in enumerate(works.items(), 1):
                 progress(f"comparing checksums ({k} of {len(works)})")
-                # The name that the cloud gets without --out, too, so that an error speaks of that file.
+                # Also for the default name, so that an error names that file.
                 with writing(out):
                     reports.append(work(out, progress))
         if len(reports) == 1:
@@ -107,46 +107,50 @@ class MakeCloud(WithObjects):
                 self.tell(report)
         return Exit.DAMAGED if any(report.get("salvaged") for report in reports) else Exit.OK
 
-    def _works(self, wish: ScanOptions) -> Mapping[Path, _Work]:
-        """Return what is to be done for each file. Raises UsageError, UnknownScan, ScanError before any work."""
+    def _works(self, options: ScanOptions) -> Mapping[Path, _Work]:
+        """Return the work for each file. Raises UsageError, UnknownScan, ScanError before any of it."""
         from appliance.desk import has_triangles
 
         works: dict[Path, _Work] = {}
-        words: dict[Path, str] = {}
-        for wanted in self.out or (f"{NAME}{OWN}",):
-            path = Path(wanted)
+        word_by_file: dict[Path, str] = {}
+        for out_name in self.out or (f"{NAME}{OWN}",):
+            path = Path(out_name)
             suffix = path.suffix.lower()
             meshed = has_triangles(path) or self.mesh
             kind = "a mesh" if meshed else "a scan"
-            # The folder, too, may have the scan's name in it.
-            writable_as(path, kind) if NAME not in wanted else checked_as(path, kind)
-            if len(self.what) > 1 and NAME not in wanted:
+            # The name of the folder may contain the scan's name, too.
+            check_writable_as(path, kind) if NAME not in out_name else check_suffix(path, kind)
+            if len(self.what) > 1 and NAME not in out_name:
                 raise UsageError(
-                    f"--out {wanted}: is one file, for {len(self.what)} scans; put {NAME} where the scan's name "
+                    f"--out {out_name}: is one file, for {len(self.what)} scans; put {NAME} where the scan's name "
                     f"belongs, for example --out '{path.with_name(f'{path.stem}-{NAME}{path.suffix}')}'"
                 )
             for word in self.what:
-                name, work = self._work(wish, word, meshed, suffix)
-                out = Path(wanted.replace(NAME, name))
-                writable(out)
+                name, work = self._work(options, word, meshed, suffix)
+                out = Path(out_name.replace(NAME, name))
+                check_writable(out)
                 if out in works:
-                    raise UsageError(f"{words[out]} and {word}: both would be written to {out}; make them one by one")
-                works[out], words[out] = work, word
+                    raise UsageError(
+                        f"{word_by_file[out]} and {word}: both would be written to {out}; make them one by one"
+                    )
+                works[out], word_by_file[out] = work, word
         return works
 
-    def _work(self, wish: ScanOptions, word: str, meshed: bool, suffix: str) -> tuple[str, _Work]:
-        """Return the name of what ``word`` means and how its file is made. Raises UsageError, UnknownScan,
-        ScanError."""
+    def _work(self, options: ScanOptions, word: str, meshed: bool, suffix: str) -> tuple[str, _Work]:
+        """Return the name of the scan in ``word``, and the function that makes its file.
+
+        Raises UsageError, UnknownScan, ScanError.
+        """
         from appliance.store import IncompleteRecording
 
         if word.startswith(INCOMPLETE):
-            folders = [IncompleteRecording.find(library_root(wish), word.removeprefix(INCOMPLETE))]
+            folders = [IncompleteRecording.find(library_root(options), word.removeprefix(INCOMPLETE))]
         else:
-            # A folder's name may have a plus, too.
-            folders = [scan_in(wish, one) for one in ((word,) if Path(word).is_dir() else word.split("+"))]
+            # A folder's name may contain a plus.
+            folders = [find_scan(options, part) for part in ((word,) if Path(word).is_dir() else word.split("+"))]
         broken = IncompleteRecording.is_in(folders[0])
-        own = suffix == OWN and not (meshed or self.normals)
-        if (broken or len(folders) > 1) and not own:
+        own_form = suffix == OWN and not (meshed or self.normals)
+        if (broken or len(folders) > 1) and not own_form:
             raise UsageError(f"{word}: its cloud is written as {OWN}, in the instrument's own form")
         name = "+".join(folder.name for folder in folders)
         if len(folders) > 2:
@@ -155,7 +159,7 @@ class MakeCloud(WithObjects):
         def work(out: Path, progress: ProgressLine) -> dict[str, Any]:
             from appliance.desk import write_cloud
 
-            report = write_cloud(folders, out, wish, progress, own=own, mesh=meshed)
+            report = write_cloud(folders, out, options, progress, own=own_form, mesh=meshed)
             if report.get("salvaged"):
                 log.warning("%s: salvaged, not to be measured in: %s", folders[0], "; ".join(report["salvaged"]))
             return report
@@ -164,15 +168,15 @@ class MakeCloud(WithObjects):
 
     # ------------------------------------------------------------------------------------- objects
 
-    def _of_object(self, wish: ScanOptions, name: str) -> Exit:
+    def _of_object(self, options: ScanOptions, name: str) -> Exit:
         outs = [Path(out) for out in self.out or (f"{name}{OWN}",)]
         self._check_files(outs)
-        root, solved = self.solved(wish, name)
+        root, solved = self.solved(options, name)
         compile_kernels()
         from appliance.desk import ObjectFiles
 
         with ProgressLine() as progress:
-            files = ObjectFiles(root, solved, wish, progress, self.spacing, self.close_holes or 0.0)
+            files = ObjectFiles(root, solved, options, progress, self.spacing, self.close_holes or 0.0)
             for out in outs:
                 write = files.prepare(out, mesh=self.mesh, single_scans=self.single_scans)
                 with writing(out):
@@ -181,27 +185,27 @@ class MakeCloud(WithObjects):
         return Exit.OK
 
     def _check_files(self, outs: Sequence[Path]) -> None:
-        """Raises UsageError for a file that cannot be written, and MissingLibraryError, before minutes of work."""
+        """Raise UsageError or MissingLibraryError for a file that cannot be written, before minutes of work."""
         from appliance.base import require
         from appliance.desk import has_triangles
 
         for out in outs:
             if out.suffix.lower() == PAGE:
                 raise UsageError(f"--out {out}: a page is made by `kingfisher report object:NAME`")
-            writable_as(out, "an object")
-        # An option that would do nothing is a word that was meant otherwise.
+            check_writable_as(out, "an object")
+        # An option without effect is probably a mistake.
         meshes = any(has_triangles(out, self.mesh) for out in outs)
         if meshes:
             require("skimage.measure", "scikit-image", "the mesh of an object")
-        for given, what in (
+        for is_given, text in (
             (self.mesh, "--mesh: is for .ply files"),
             (self.close_holes is not None, "--close-holes: is for meshes"),
         ):
-            if given and not meshes:
-                raise UsageError(f"{what}, and none is written; give --out FILE.ply --mesh, or --out FILE.stl")
+            if is_given and not meshes:
+                raise UsageError(f"{text}, and none is written; give --out FILE.ply --mesh, or --out FILE.stl")
         if self.single_scans and not any(out.suffix.lower() == POSED for out in outs):
             raise UsageError("--scans: is for .e57 files, and none is written; give --out FILE.e57")
 
 
 _Work = Callable[[Path, ProgressLine], dict[str, Any]]
-"""Makes a file and returns the report of it."""
+"""Function that writes a file and returns its report."""

@@ -1,4 +1,4 @@
-"""The verb ``compare``: how far a scan, or an object, lies from what it was to be."""
+"""The verb ``compare``: deviations of a scan or an object from its nominal surface."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from appliance.cli.arguments import number, operand, option, repeated
 from appliance.cli.desk import (
     WithObjects,
+    check_writable_as,
+    find_scan,
     library_root,
-    object_named,
-    scan_in,
-    writable_as,
+    object_name,
     writing,
 )
 from appliance.cli.kernels import compile_kernels
@@ -40,7 +40,7 @@ def _six(text: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compare(WithObjects):
-    """Measure the distances of a scan's points, or of a solved object's surface, from a CAD model or another object."""
+    """Measure the deviations of a scan or a solved object from a CAD model or another object."""
 
     what: str = operand("WHAT", "a scan, by its number or folder, or object:NAME")
     nominal: str = operand("NOMINAL", "a CAD model in mm (.stl .obj .ply), or object:NAME")
@@ -69,45 +69,58 @@ class Compare(WithObjects):
     )
 
     def run(self) -> Exit:
-        wish = self.wish()
-        root, name = library_root(wish), object_named(self.what)
+        options = self.scan_options()
+        root, name = library_root(options), object_name(self.what)
         if name is None:
-            scan_in(wish, self.what)
+            find_scan(options, self.what)
         nominal = self._nominal(root)
-        what = scan_in(wish, self.what) if name is None else self.solved(wish, name)[1]
+        subject = find_scan(options, self.what) if name is None else self.solved(options, name)[1]
         compile_kernels()
         from appliance.desk import compare_stored
 
         with ProgressLine() as progress:
             compared = compare_stored(
-                root, what, nominal, wish, progress, spacing_mm=self.spacing, limit_mm=self.limit, start=self.start
+                root,
+                subject,
+                nominal,
+                options,
+                progress,
+                spacing_mm=self.spacing,
+                limit_mm=self.limit,
+                start=self.start,
             )
             for out in map(Path, self.out):
                 progress(f"writing {out}")
                 with writing(out):
                     compared.write(out, self.tolerance)
-        title, found = compared.metadata.title, compared.figures(self.tolerance)
-        counts = f"{found['beyond_limit']} of them farther than {self.limit:g} mm, {found['beside_border']} beside an open border"
-        lines = [f"{title} against {found['nominal']}: {found['points']} points, {counts}"]
-        if found["rms_mm"] is not None:
+        title, figures = compared.metadata.title, compared.figures(self.tolerance)
+        counts = (
+            f"{figures['beyond_limit']} of them farther than {self.limit:g} mm, "
+            f"{figures['beside_border']} beside an open border"
+        )
+        lines = [f"{title} against {figures['nominal']}: {figures['points']} points, {counts}"]
+        if figures["rms_mm"] is not None:
             lines.append(
-                f"deviation: mean {found['mean_mm']:+.3f}, RMS {found['rms_mm']:.3f}, {found['least_mm']:+.3f} to "
-                f"{found['most_mm']:+.3f} mm"
+                f"deviation: mean {figures['mean_mm']:+.3f}, RMS {figures['rms_mm']:.3f}, {figures['least_mm']:+.3f} "
+                "to "
+                f"{figures['most_mm']:+.3f} mm"
             )
         if self.tolerance is not None:
-            lines.append(f"out of ± {self.tolerance:g} mm: {found['out_of_tolerance_percent']:.2f} %")
-        self.tell(found, [*lines, *(f"warning: {one}" for one in found["warnings"])])
+            lines.append(f"out of ± {self.tolerance:g} mm: {figures['out_of_tolerance_percent']:.2f} %")
+        self.tell(figures, [*lines, *(f"warning: {text}" for text in figures["warnings"])])
         return Exit.OK
 
     def _nominal(self, root: Path) -> Path | StoredObject:
-        """Return what is compared with. Raises ObjectError for an object under ``root`` that is not there, NominalError
-        for a CAD model that is not, UsageError for files that cannot be written, and MissingLibraryError where what
-        reads or writes them is absent: before minutes of work."""
+        """Return the nominal surface, after checks of all inputs that could fail after minutes of work.
+
+        Raises ObjectError for an unknown object under ``root``, NominalError for a CAD model that cannot be read,
+        UsageError for files that cannot be written, MissingLibraryError for a library that they need.
+        """
         from appliance.base import require
         from appliance.desk import check_drawing, read_object
 
         require("igl", "libigl", "a comparison")
-        name = object_named(self.nominal)
+        name = object_name(self.nominal)
         nominal: Path | StoredObject = Path(self.nominal)
         if name is not None:
             require("skimage.measure", "scikit-image", "the mesh of an object")
@@ -115,5 +128,5 @@ class Compare(WithObjects):
         elif check_drawing(Path(self.nominal)) != ".stl":
             require("trimesh", "trimesh", "a CAD model")
         for out in map(Path, self.out):
-            writable_as(out, "a comparison")
+            check_writable_as(out, "a comparison")
         return nominal

@@ -1,8 +1,7 @@
-"""Steps that the desk's verbs share: which scan or object is meant, files that can be written, scans opened, files
-written.
+"""Steps that verbs at the desk share: find scans and objects, check output files, open scans, write files.
 
-Whatever a wrong word could need is imported where it is needed: a mistake is told before anything that computes is
-loaded."""
+Modules that compute are imported where they are needed, so that a wrong word is reported before they are loaded.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +22,14 @@ if TYPE_CHECKING:  # brings NumPy
 
 PAGE_SUFFIX = ".html"
 SPACING_MM = 0.3
-"""Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
+"""Spacing of an object's points; that of a scan in the middle of the volume is 0.16."""
 OBJECT = "object:"
-"""Prefix that tells an object's name from a scan's number and a file."""
+"""Prefix of an object's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WithObjects(WithCalibration):
-    """A verb of scans and of objects."""
+    """A verb of scans and objects."""
 
     spacing: float = option(
         "--spacing",
@@ -40,50 +39,58 @@ class WithObjects(WithCalibration):
         metavar="MM",
     )
 
-    def solved(self, wish: ScanOptions, name: str) -> tuple[Path, StoredObject]:
-        """Return the storage root and a solved object, and say which scans are in none of its files, since they were
-        added later. Raises ObjectError, before anything that computes is loaded where there is none."""
+    def solved(self, options: ScanOptions, name: str) -> tuple[Path, StoredObject]:
+        """Return the storage root and a solved object, and print which scans were added since.
+
+        Raises ObjectError for one that is not solved, before anything that computes is loaded.
+        """
         from appliance.desk import ADDED_SINCE, solved_object
 
-        root = library_root(wish)
-        found = solved_object(root, name)
-        if found.added_since:
-            complain(f"object '{found.name}': without {', '.join(found.added_since)}, {ADDED_SINCE}", as_json=self.json)
-        return root, found
+        root = library_root(options)
+        stored = solved_object(root, name)
+        if stored.added_since:
+            complain(
+                f"object '{stored.name}': without {', '.join(stored.added_since)}, {ADDED_SINCE}", as_json=self.json
+            )
+        return root, stored
 
 
-def object_named(word: str) -> str | None:
-    """Return NAME of ``object:NAME``; ``None`` where ``word`` is no object."""
+def object_name(word: str) -> str | None:
+    """Return NAME of ``object:NAME``; ``None`` if ``word`` is no object."""
     return word.removeprefix(OBJECT) if word.startswith(OBJECT) else None
 
 
-def scan_in(wish: ScanOptions, scan: str) -> Path:
-    """Return the folder of ``scan``, its number or its folder, whatever is in it. Raises UnknownScan, UsageError."""
-    return scan_folder(scan) or Library(library_root(wish)).entry(scan).folder
+def find_scan(options: ScanOptions, scan: str) -> Path:
+    """Return the folder of ``scan``, given by its number or folder; its content is not checked.
+
+    Raises UnknownScan, UsageError.
+    """
+    return scan_folder(scan) or Library(library_root(options)).entry(scan).folder
 
 
-def library_root(wish: ScanOptions) -> Path:
-    """Return the storage root in which numbers of scans are looked up. Raises ConfigError, UsageError."""
-    return wish.root or root_of_rig(wish.rig)
+def library_root(options: ScanOptions) -> Path:
+    """Return the storage root in which numbers of scans are searched. Raises ConfigError, UsageError."""
+    return options.root or root_of_rig(options.rig)
 
 
-def place_of(listed: Path, scan: str) -> str:
-    """Return what a list means by ``scan``: a folder is relative to the list, a number is one of the storage root."""
+def scan_in_list(listed: Path, scan: str) -> str:
+    """Return the scan that a list names: a folder relative to the list, or a number in the storage root."""
     return str(listed.parent / scan) if "/" in scan else scan
 
 
 @contextmanager
-def opened_scans(
-    wish: ScanOptions, scans: Sequence[str], share: float = 1.0, check: Callable[[], None] = lambda: None
+def open_scans(
+    options: ScanOptions, scans: Sequence[str], share: float = 1.0, check: Callable[[], None] = lambda: None
 ) -> Iterator[tuple[Sequence[SourceScan], ProgressLine]]:
-    """Open ``scans``, by their numbers or folders, whose frames are whole: every byte is compared with its checksum.
+    """Open ``scans``, by their numbers or folders, with every byte of their frames compared with its checksum.
 
-    Comparing has the ``share`` of the progress; ``check`` is called before it, and may load what computes. What can be
-    made again from the frames (cloud, preview), and what may be found elsewhere (calibration, rig file), need not be
-    whole. Raises UnknownScan, ScanError, UsageError."""
+    Comparing has the ``share`` of the progress; ``check`` is called before it, and may load modules that compute. Files
+    that can be made again (cloud, preview) or found elsewhere (calibration, rig file) need not be whole. Raises
+    UnknownScan, ScanError, UsageError.
+    """
     from appliance.cli.kernels import compile_kernels
 
-    folders = [scan_in(wish, scan) for scan in scans]  # a wrong number is told before minutes of compiling
+    folders = [find_scan(options, scan) for scan in scans]  # a wrong number is reported before minutes of compiling
     compile_kernels()
     check()
     from appliance.store import SourceScan
@@ -92,19 +99,21 @@ def opened_scans(
         sources = []
         for k, folder in enumerate(folders):
             progress(f"comparing checksums of {folder.name}", share * k / len(folders))
-            sources.append(SourceScan.open(folder, wish, whole=True))
+            sources.append(SourceScan.open(folder, options, whole=True))
         yield sources, progress
 
 
-def existing(what: str, folder: Path, holds: str) -> None:
-    """Raises UsageError where ``folder``, the operand ``what``, is none; ``holds``: what it is to hold, for the
-    remedy."""
+def check_folder(what: str, folder: Path, holds: str) -> None:
+    """Raise UsageError if ``folder``, the operand ``what``, does not exist.
+
+    ``holds`` is the content that it should have, for the remedy.
+    """
     if not folder.is_dir():
         raise UsageError(f"{what} {folder}: no such folder; give the one that holds {holds}")
 
 
-def writable(out: Path | None, name: str = "--out") -> None:
-    """Raises UsageError for a file of the option ``name`` that cannot become a file, before the work is done."""
+def check_writable(out: Path | None, name: str = "--out") -> None:
+    """Raise UsageError for a path of option ``name`` that cannot become a file, before any work."""
     if out is None:
         return
     if out.is_dir():
@@ -115,14 +124,17 @@ def writable(out: Path | None, name: str = "--out") -> None:
         raise UsageError(f"{name} {out}: there is no folder {out.parent}; make it first, or give another one")
 
 
-def writable_as(out: Path, what: str) -> None:
-    """Raises UsageError for a name that ``writable`` refuses or whose suffix ``what`` is not written with, and MissingLibraryError where what writes it is absent: before minutes of work."""
-    writable(out)
-    checked_as(out, what)
+def check_writable_as(out: Path, what: str) -> None:
+    """Raise UsageError for a path that cannot become a file of ``what``, before any work.
+
+    MissingLibraryError where the library for its format is absent.
+    """
+    check_writable(out)
+    check_suffix(out, what)
 
 
-def checked_as(out: Path, what: str) -> None:
-    """Raises what ``writable_as`` raises of the suffix alone, where the rest of the name is not known yet."""
+def check_suffix(out: Path, what: str) -> None:
+    """Raise the errors of ``check_writable_as`` that depend on the suffix alone."""
     from appliance.desk import ExportError, check_file
 
     try:
@@ -131,33 +143,33 @@ def checked_as(out: Path, what: str) -> None:
         raise UsageError(f"--out {error}") from error
 
 
-def writable_page(out: Path) -> None:
-    """Raises UsageError for a name that ``writable`` refuses or that promises another format than a page."""
-    writable(out)
+def check_page(out: Path) -> None:
+    """Raise UsageError for a path that cannot become a file, or whose suffix is not that of a page."""
+    check_writable(out)
     if out.suffix.lower() != PAGE_SUFFIX:
         raise UsageError(f"--out {out}: a page is written as {PAGE_SUFFIX}; give {out.with_suffix(PAGE_SUFFIX).name}")
 
 
-def new_folder(out: Path) -> None:
-    """Raises UsageError for a folder of ``--out`` that cannot be made."""
+def check_new_folder(out: Path) -> None:
+    """Raise UsageError for a folder of ``--out`` that cannot be made."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a folder, which is made if it is not there")
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turns what the disk refuses into a StorageError that names ``path`` and the option that leads elsewhere."""
+    """Turn errors of the disk inside the block into a StorageError with ``path`` and the option for another one."""
     try:
         yield
     except (StorageError, OSError) as error:
-        # StorageError has its own remedy; a bare OSError (a vanished folder, say) gets one by its number.
+        # StorageError has its own remedy; another OSError (a vanished folder, say) gets one by its number.
         refusal = error if isinstance(error, StorageError) else StorageError.of("cannot write", path, error)
         remedy = f"{refusal.remedy}; --out FILE writes elsewhere"
         raise StorageError("cannot write", path, refusal.reason, remedy) from error
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:
-    """Write ``files`` in their order, each whole or not at all. Raises StorageError."""
+    """Write ``files`` in their order, each as a whole or not at all. Raises StorageError."""
     for path, content in files.items():
         with writing(path):
             LocalFileSystem().replace_file(path, content)

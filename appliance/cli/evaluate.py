@@ -1,4 +1,4 @@
-"""The verb ``evaluate``: artefacts in stored scans, measured and written down as a page and as JSON."""
+"""The verb ``evaluate``: measure artefacts in stored scans, and write a page and JSON."""
 
 from __future__ import annotations
 
@@ -9,59 +9,61 @@ from typing import Any
 
 from appliance.base import part_of
 from appliance.cli.arguments import operand, path_option
-from appliance.cli.desk import opened_scans, place_of, scan_in, writable, writable_page, write_files
+from appliance.cli.desk import check_page, check_writable, find_scan, open_scans, scan_in_list, write_files
 from appliance.cli.output import Exit, UsageError, table
 from appliance.cli.places import WithCalibration
 
 DEFAULT_OUT = Path("evaluation.html")
 SCANS_CHECKED = 0.1
-"""The part of the progress that comparing checksums gets."""
+"""Share of the progress for comparing checksums."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluate(WithCalibration):
-    """Measure every artefact of the list; FAILED if one was not found, after the report was written all the same."""
+    """Measure every artefact of the list; FAILED if any is not found, with the report written all the same."""
 
     list: Path = operand("LIST", "which artefact each scan shows (TOML or JSON)", parse=Path)
     out: Path | None = path_option("--out", "the page, and beside it FILE with .json")
 
     def run(self) -> Exit:
-        wish = self.wish()
+        options = self.scan_options()
         page = self.out or DEFAULT_OUT
         data = page.with_suffix(".json")
-        # `--out x.json` would be overwritten by the JSON that stands beside the page.
+        # `--out x.json` would be overwritten by the JSON beside the page.
         if data == page:
             raise UsageError(
                 f"--out {page}: the JSON is written beside the page; give the page's name, for example x.html"
             )
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {page}: {data} is the list itself; give another name")
-        writable_page(page)
-        writable(data)
+        check_page(page)
+        check_writable(data)
         from appliance.store import ScanList
 
         scans = ScanList.read(self.list)
-        places = [place_of(self.list, entry.scan) for entry in scans.entries]
-        scans.refuse_repeats(self.list, [scan_in(wish, place) for place in places])
-        with opened_scans(wish, places, SCANS_CHECKED) as (sources, progress):
+        places = [scan_in_list(self.list, entry.scan) for entry in scans.entries]
+        scans.refuse_repeats(self.list, [find_scan(options, place) for place in places])
+        with open_scans(options, places, SCANS_CHECKED) as (sources, progress):
             from appliance.desk import run_evaluation
             from appliance.store import SourceScan
 
             step = part_of(progress, SCANS_CHECKED, 1.0)
-            SourceScan.instrument_of(sources, wish)  # refuses two
-            evaluation = run_evaluation(scans, sources, SourceScan.one_calibration(sources, wish).calibration, step)
+            SourceScan.instrument_of(sources, options)  # refuses two
+            evaluation = run_evaluation(scans, sources, SourceScan.one_calibration(sources, options).calibration, step)
         content = evaluation.as_json()
         text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         write_files({page: evaluation.as_html().encode(), data: text.encode()})
         self.tell(content, _lines(content, page))
-        # The report is there either way; a program that only looks at the code must not take a missing artefact for a
-        # good one.
+        # The report is written in any case. A program that reads only the exit code must not take a missing artefact
+        # for a good one.
         return Exit.OK if evaluation.complete else Exit.FAILED
 
 
 def _lines(content: dict[str, Any], page: Path) -> list[str]:
     lines = [
-        f"{one['scan']}  {one['artefact']}: {one['reason']}" for one in content["scans"] if one["reason"] is not None
+        f"{scan['scan']}  {scan['artefact']}: {scan['reason']}"
+        for scan in content["scans"]
+        if scan["reason"] is not None
     ]
     measured = [(scan["scan"], q) for scan in content["scans"] for q in scan["quantities"]]
     if measured:

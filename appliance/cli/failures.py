@@ -1,4 +1,4 @@
-"""Owns what happens when an error ends a command: its exit code, and the service's error file for the safe screen.
+"""End of a command by an error: its exit code, and the service's error file for the safe screen.
 
 Errors are listed by name (``module:class``), not by class. So an exit code is found without importing the modules that
 define all the other errors. If you move or rename a listed class, change its name here; a test finds stale names. A new
@@ -19,7 +19,7 @@ from appliance.cli.output import Exit
 CONFIG = "appliance.store.config.load:ConfigError"
 STORAGE = "appliance.store.atomic:StorageError"
 DEVICE = "drivers.errors:DeviceError"
-# A rig file, a list, a board and its pictures are given by a person, too, so that an error in them is one of usage.
+# Rig file, list, board and pictures are given by a person, too, so that their errors are errors of usage.
 USAGE = frozenset(
     (
         CONFIG,
@@ -55,37 +55,39 @@ FAILED = frozenset(
         "appliance.desk.surface.drawing_file:NominalError",
     )
 )
-"""Errors whose text is for the person at the keyboard, as ``module:class``."""
+"""Errors whose text is for the user, as ``module:class``."""
 
 
 def exit_code_of(error: BaseException) -> Exit | None:
-    """Return the exit code of an error whose text is for the person at the keyboard; ``None``: a fault of the
-    program."""
+    """Return the exit code of an error whose text is for the user; ``None`` for a fault of the program."""
     if is_one_of(error, USAGE):
         return Exit.USAGE
     if is_one_of(error, FAILED):
         return Exit.FAILED
-    # Errors of a simulated world, which nothing here knows by name, bring their own.
+    # Errors of a simulated world are not listed here and have their own exit code.
     code: int | None = getattr(error, "exit_code", None)
     return None if code is None else Exit(code)
 
 
 def is_one_of(error: BaseException, names: frozenset[str]) -> bool:
-    """Return True if ``error`` is of one of the classes ``names`` (``module:class``), or of one derived from them."""
-    # Whatever was raised is imported; asking for its class instead would import everything else that might have been.
+    """Return True if ``error`` is of one of the classes ``names`` (``module:class``), or of a derived one."""
+    # By name, because a test by class would import all modules with listed errors.
     return any(f"{kind.__module__}:{kind.__qualname__}" in names for kind in type(error).__mro__)
 
 
 # ------------------------------------------------------------------------------------------ last words
 
 FILE_NAME = "last-words.json"
-"""Name of the file in the service's run-time folder, which is memory: a full disk is one of the errors."""
+"""Name of the file in the service's run-time folder, which is in memory, as a full disk is one of the errors."""
 MOST_CHARACTERS = 600
 
 
 @contextmanager
 def last_words(environment: Mapping[str, str]) -> Iterator[None]:
-    """Write down the error that ends the block, and let it go on. Nothing where ``environment`` is not a service's."""
+    """Write an error that ends the block to the error file, and raise it again.
+
+    Nothing is written unless ``environment`` is that of a service.
+    """
     folder, invocation = environment.get("RUNTIME_DIRECTORY"), environment.get("INVOCATION_ID")
     # Both are set by systemd; a person who starts the service reads the error on the terminal.
     if not folder or not invocation:
@@ -97,10 +99,10 @@ def last_words(environment: Mapping[str, str]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        # With systemd's number of this start, so that the safe screen never shows the words of an earlier one.
-        said = {"invocation": invocation, "kind": _kind(error), "text": _text(error)}
+        # With systemd's number of this start, so that the safe screen never shows the error of an earlier one.
+        record = {"invocation": invocation, "kind": _kind(error), "text": _text(error)}
         with suppress(OSError):
-            path.write_text(json.dumps(said) + "\n", encoding="utf-8")
+            path.write_text(json.dumps(record) + "\n", encoding="utf-8")
         raise
 
 
@@ -110,6 +112,6 @@ def _kind(error: Exception) -> str:
 
 
 def _text(error: Exception) -> str:
-    said = " ".join(str(error).split())
-    named = said if _kind(error) != "program" else f"{type(error).__name__}: {said}"
-    return named[:MOST_CHARACTERS]
+    message = " ".join(str(error).split())
+    text = message if _kind(error) != "program" else f"{type(error).__name__}: {message}"
+    return text[:MOST_CHARACTERS]

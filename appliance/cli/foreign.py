@@ -1,4 +1,4 @@
-"""The verb ``import``: images that some other rig took, as points or as a scan folder."""
+"""The verb ``import``: images of another rig as points or as a scan folder."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.cli.arguments import Verb, operand, path_option, switch
-from appliance.cli.desk import writable, writable_as, writing
+from appliance.cli.desk import check_writable, check_writable_as, writing
 from appliance.cli.kernels import compile_point_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Import(Verb):
-    """Points of images that another rig took: a folder of them, or a description of what they show
-    (docs/foreign.md)."""
+    """Import images of another rig as points, from a folder or by a description (docs/foreign.md)."""
 
     source: Path = operand(
         "FOLDER | DESCRIPTION", "the images of one pose with the cameras' files, or what they show (TOML)", parse=Path
@@ -28,14 +27,14 @@ class Import(Verb):
     def run(self) -> Exit:
         out = self.out or Path(f"{self.source.absolute().stem}.ply")
         if out.suffix:
-            writable_as(out, "a cloud")
-        writable(self.reasons, "--reasons")
+            check_writable_as(out, "a cloud")
+        check_writable(self.reasons, "--reasons")
         if self.source.is_dir():
             self._check_folder(out)
         else:
             from appliance.desk import check_import
 
-            # Told before anything that computes is loaded, and before a minute of compiling.
+            # Checked before modules that compute are loaded, and before a minute of compiling.
             check_import(self.source, out)
         with ProgressLine() as progress:
             if self.source.is_dir():
@@ -49,7 +48,7 @@ class Import(Verb):
         return Exit.OK
 
     def _check_folder(self, out: Path) -> None:
-        """Raises UsageError."""
+        """Raise UsageError for options or files that a folder of images does not allow."""
         if self.as_described or not out.suffix:
             raise UsageError(
                 "import: of a folder a cloud is made (.ply .e57 .las .npz), and nothing is described yet; import the "

@@ -1,4 +1,4 @@
-"""The verbs ``run`` and ``check``, and how the instrument's service is started, also in a simulated world."""
+"""The verbs ``run`` and ``check``, and the start of the instrument's service, also in a simulated world."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from appliance.store import Rig
     from drivers.api import Health
 
-# The service is imported when it starts: it brings drivers and compiled kernels, which a wrong word can do without.
+# The service is imported when it starts, because a wrong word needs neither drivers nor compiled kernels.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run(WithRoot):
-    """The instrument, until it is switched off."""
+    """Run the instrument until it is switched off."""
 
     service: ClassVar[bool] = True
 
     def run(self) -> Exit:
-        """Serve until the instrument is switched off; a root that was given is used, and made if it is not there."""
+        """Serve until the instrument is switched off; a given root is used, and made if it does not exist."""
         rig, root = self.read_rig(), self.new_root()
         if root is not None:
             rig = replace(rig, storage=replace(rig.storage, root=root))
@@ -34,7 +34,7 @@ class Run(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check(WithRig):
-    """Open every device once and say what it says about itself; FAILED if any does not work."""
+    """Open every device once and report its state; FAILED if any does not work."""
 
     def run(self) -> Exit:
         rig = self.read_rig()
@@ -42,25 +42,25 @@ class Check(WithRig):
 
         with ProgressLine() as progress:
             progress("asking the devices")
-            found = check(rig)
+            states = check(rig)
         facts = ("serial", "link", "firmware")
         rows = [
             (h.device, "ok" if h.ok else "FAILED", *(h.details.get(fact, "-") for fact in facts), h.summary)
-            for h in found
+            for h in states
         ]
         self.tell(
-            [{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in found],
+            [{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in states],
             [
                 table(("DEVICE", "", *(fact.upper() for fact in facts), "WHAT IT IS, OR WHAT IS WRONG"), rows),
                 "",
-                table(("BUS", "WHAT IS THERE"), _buses(found)),
+                table(("BUS", "WHAT IS THERE"), _buses(states)),
             ],
         )
-        return Exit.OK if all(h.ok for h in found) else Exit.FAILED
+        return Exit.OK if all(h.ok for h in states) else Exit.FAILED
 
 
-def _buses(found: Sequence[Health]) -> list[tuple[str, str]]:
-    """Return what is on each bus, one line each, the bus named in its first."""
+def _buses(states: Sequence[Health]) -> list[tuple[str, str]]:
+    """Return the devices on each bus, one line each, with the bus in the first."""
     rows: list[tuple[str, str]] = []
     for name, device in (
         ("cameras", "camera.left"),
@@ -68,15 +68,15 @@ def _buses(found: Sequence[Health]) -> list[tuple[str, str]]:
         ("HID", "keys"),
         ("video", "projector"),
     ):
-        details = next((one.details for one in found if one.device == device), {})
+        details = next((state.details for state in states if state.device == device), {})
         lines = details.get("there", "nothing").split("; ")
         rows += [(name if k == 0 else "", line) for k, line in enumerate(lines)]
     return rows
 
 
 def serve(rig: Rig) -> Exit:
-    """Run the instrument's service on ``rig`` until it ends. Its kernels must have been found before."""
-    faulthandler.enable(all_threads=True)  # who kills it because it hangs, or it dies in a library: where was it?
+    """Run the instrument's service on ``rig`` until it ends. Kernels must have been found before."""
+    faulthandler.enable(all_threads=True)  # shows where it was if it is killed or a library crashes
     with importing():
         from appliance.instrument import run
 

@@ -1,7 +1,7 @@
-"""Kernels are found before a verb that needs them, or compiled; and the verb ``setup compile``.
+"""Compiled kernels for the verbs that need them, and the verb ``setup compile``.
 
-What is waited for is said on stderr, how much and for how long: on a terminal in one line that changes, elsewhere in
-lines at most ten seconds apart."""
+Waiting times are reported on stderr: on a terminal in one changing line, elsewhere in lines at most ten seconds apart.
+"""
 
 from __future__ import annotations
 
@@ -32,26 +32,24 @@ service_log = logging.getLogger("kingfisher")
 
 
 def find_kernels() -> None:
-    """Use what was compiled before. What was not is compiled when it is first needed: only that is worth a line."""
+    """Use the kernels that are already compiled; others are compiled at their first call, which is logged."""
     cache = use_kernel_cache()
     level = logging.INFO if cache.origin is KernelOrigin.EMPTY else logging.DEBUG
     service_log.log(level, "kernels: %s, in %s", cache.origin.value, cache.path)
 
 
 def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> None:
-    """Have everything compiled that a scan needs, recorded or stored, and the pieces (what for, function) of
-    ``more``."""
+    """Compile all kernels that a scan needs, recorded or stored, and the pieces (text, function) of ``more``."""
     cache = use_kernel_cache()  # before numba is imported
     with importing():
         from appliance.measure import PIECES
 
-        pieces = (*PIECES, *(Piece(what, function) for what, function in more()))
+        pieces = (*PIECES, *(Piece(text, function) for text, function in more()))
     _compile(cache, pieces)
 
 
 def compile_point_kernels() -> None:
-    """Have compiled what makes points of coordinates, without anything that judges a scan: most of what imported images
-    need."""
+    """Compile the kernels from coordinates to points, without those of judges: most of an import."""
     cache = use_kernel_cache()
     with importing():
         from appliance.measure import POINT_PIECES
@@ -59,7 +57,7 @@ def compile_point_kernels() -> None:
 
 
 def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
-    # Whoever set NUMBA_CACHE_DIR keeps that folder up to date (ADR 0019).
+    # The owner of NUMBA_CACHE_DIR keeps that folder up to date (ADR 0019).
     if cache.origin is KernelOrigin.GIVEN or not missing_kernels(cache.path, pieces):
         return
     try:
@@ -70,7 +68,7 @@ def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
 
 
 class CompileProgress:
-    """Says how far the compiler is, from its beginning on. A context manager; call it with each ``Compiling``."""
+    """Progress of the compiler from its beginning. A context manager; call it with each ``Compiling``."""
 
     def __init__(self, stream: TextIO | None = None, line: Callable[[str], None] = output.log.info) -> None:
         self._line = line
@@ -78,9 +76,9 @@ class CompileProgress:
         self._begun = False
         self._progress = ProgressLine(stream, lambda: self._last.seconds, line, after_s=(0.0, 0.0))
 
-    def __call__(self, now: Compiling) -> None:
-        self._last, self._begun = now, True
-        self._progress(_sentence(now))
+    def __call__(self, state: Compiling) -> None:
+        self._last, self._begun = state, True
+        self._progress(_sentence(state))
 
     def __enter__(self) -> CompileProgress:
         return self
@@ -93,11 +91,11 @@ class CompileProgress:
             self._line(f"compiled in {self._last.seconds:.0f} s")
 
 
-def _sentence(now: Compiling) -> str:
-    # Nobody here compiles anything then: the lock is another process's.
-    if not now.what:
-        return f"another process is compiling the same kernels; waiting for it, {now.seconds:.0f} s"
-    return f"compiling, once: {now.done} of {now.total} done; {', '.join(now.what)}; {now.seconds:.0f} s"
+def _sentence(state: Compiling) -> str:
+    # Then another process has the lock and compiles.
+    if not state.what:
+        return f"another process is compiling the same kernels; waiting for it, {state.seconds:.0f} s"
+    return f"compiling, once: {state.done} of {state.total} done; {', '.join(state.what)}; {state.seconds:.0f} s"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,11 +109,11 @@ class CompileKernels(Verb):
 
     def run(self) -> Exit:
         from appliance.base import COMMON_KERNELS, build_kernels, shipped_kernels
-        from appliance.cli.desk import new_folder
+        from appliance.cli.desk import check_new_folder
         from appliance.store import StorageError
 
         target = self.out or shipped_kernels()
-        new_folder(target)
+        check_new_folder(target)
         from appliance.measure import PIECES
 
         with CompileProgress() as progress:

@@ -1,4 +1,4 @@
-"""The verb ``calibration measure``: what stored scans say about the instrument itself."""
+"""The verb ``calibration measure``: noise, response and exposures of the instrument from stored scans."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import operand, operands, path_option, switch
-from appliance.cli.desk import opened_scans, writable, writing
+from appliance.cli.desk import check_writable, open_scans, writing
 from appliance.cli.output import Exit, ProgressLine, UsageError, table
 from appliance.cli.places import WithRoot
 from appliance.store import LocalFileSystem, ScanError
@@ -24,9 +24,11 @@ NAMES = {"noise": "the cameras' noise", "response": "a response", "exposures": "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureInstrument(WithRoot):
-    """Measure both cameras' noise, beside what their data sheets make expect; the projector's response, from a scan of
-    a plane; or which exposures leave this projector's fringes straight, from a scan at each (FAILED where none does). A
-    file is never replaced."""
+    """Measure noise of both cameras, the projector's response, or the usable exposures; a file is never replaced.
+
+    Noise is compared with the data sheets. The response needs a scan of a plane. Exposures need a scan at each, and
+    show which of them leave fringes straight (FAILED if none does).
+    """
 
     what: str = operand("WHAT", ", ".join(NAMES), choices=tuple(NAMES))
     scans: Sequence[str] = operands(
@@ -36,8 +38,8 @@ class MeasureInstrument(WithRoot):
     out: Path | None = path_option("--out", "write noise or response to a file", either="file")
 
     def run(self) -> Exit:
-        wish = self.wish()
-        writable(self.out)
+        options = self.scan_options()
+        check_writable(self.out)
         if self.out is not None:
             self._refuse_replacing(self.out)
         if self.what == "exposures":
@@ -45,32 +47,32 @@ class MeasureInstrument(WithRoot):
                 raise UsageError("--install and --out: are for noise and response; exposures go into the rig file")
         elif len(self.scans) > 1:
             raise UsageError(f"{' '.join(self.scans)}: the {self.what} is measured in one scan; give one")
-        with opened_scans(wish, self.scans) as (sources, progress):
+        with open_scans(options, self.scans) as (sources, progress):
             match self.what:
                 case "noise":
-                    return self._noise(sources[0], wish, progress)
+                    return self._noise(sources[0], options, progress)
                 case "response":
-                    return self._response(sources[0], wish, progress)
+                    return self._response(sources[0], options, progress)
                 case _:
-                    return self._exposures(sources, wish, progress)
+                    return self._exposures(sources, options, progress)
 
-    def _noise(self, source: SourceScan, wish: ScanOptions, progress: ProgressLine) -> Exit:
+    def _noise(self, source: SourceScan, options: ScanOptions, progress: ProgressLine) -> Exit:
         from appliance.calibrate import NoiseError
         from appliance.desk import noise_of_scan, noise_to_store
         from appliance.measure import NOISE, of_side
         from appliance.store import Instrument, SourceScan
 
-        folder, rig = source.scan.folder, SourceScan.instrument_of((source,), wish)
+        folder, rig = source.scan.folder, SourceScan.instrument_of((source,), options)
         path = self._target(rig.storage.root, Instrument(rig).noise_file)
         progress("comparing sine images")
         try:
-            found = noise_of_scan(source.rig, folder)
-            to_store = noise_to_store(rig, folder, found)
+            noise = noise_of_scan(source.rig, folder)
+            to_store = noise_to_store(rig, folder, noise)
         except NoiseError as error:
             raise ScanError(f"{folder}: {error}") from error
         _write(path, NOISE.encode(to_store))
         report: dict[str, dict[str, float]] = {}
-        for side, (measured, expected) in found.items():
+        for side, (measured, expected) in noise.items():
             light_dn, variance_dn2 = measured.variance_at_dn2
             figures = of_side(to_store.cameras, side)
             report[side] = {
@@ -84,49 +86,49 @@ class MeasureInstrument(WithRoot):
                 "black_level_dn": figures.black_level_dn,
                 "pixels": measured.pixels,
             }
-        # One row for each figure: as columns they are wider than a terminal.
-        rows = [(name, *(f"{said[name]:.5g}" for said in report.values())) for name in report["left"]]
+        # One row for each figure, because columns would be wider than a terminal.
+        rows = [(name, *(f"{figures[name]:.5g}" for figures in report.values())) for name in report["left"]]
         self.tell(report, [table(("", *report), rows), *([] if path is None else [f"written: {path}"])])
         return Exit.OK
 
-    def _response(self, source: SourceScan, wish: ScanOptions, progress: ProgressLine) -> Exit:
+    def _response(self, source: SourceScan, options: ScanOptions, progress: ProgressLine) -> Exit:
         from appliance.calibrate import ResponseError
         from appliance.desk import response_of_scan
         from appliance.measure import RESPONSE
         from appliance.store import Instrument, SourceScan
 
-        folder, rig = source.scan.folder, SourceScan.instrument_of((source,), wish)
+        folder, rig = source.scan.folder, SourceScan.instrument_of((source,), options)
         path = self._target(rig.storage.root, Instrument(rig).response_file)
         try:
-            found, measured = response_of_scan(rig, folder, progress)
+            response_file, measured = response_of_scan(rig, folder, progress)
         except ResponseError as error:
             raise ScanError(f"{folder}: {error}") from error
-        _write(path, RESPONSE.encode(found))
+        _write(path, RESPONSE.encode(response_file))
         fringes = measured.fringe_harmonics
         self.tell(
             {
                 "file": None if path is None else str(path),
-                "scan": found.made_from[0],
+                "scan": response_file.made_from[0],
                 "pixels": measured.pixels,
                 "residual_percent": 100.0 * measured.residual,
                 # Relative to the fundamental: order k of the fringe's Fourier series in percent, from the second on.
                 "harmonics_percent": [100.0 * b / fringes[1] for b in fringes[2:SHOWN_HARMONICS]],
                 "phase_error_deg": math.degrees(measured.phase_error_rad),
-                "hash": found.response.hash,
+                "hash": response_file.response.hash,
             }
         )
         return Exit.OK
 
-    def _exposures(self, sources: Sequence[SourceScan], wish: ScanOptions, progress: ProgressLine) -> Exit:
+    def _exposures(self, sources: Sequence[SourceScan], options: ScanOptions, progress: ProgressLine) -> Exit:
         from appliance.desk import exposure_found
         from appliance.store import SourceScan
 
-        SourceScan.instrument_of(sources, wish)  # refuses scans of several instruments
-        found = []
+        SourceScan.instrument_of(sources, options)  # refuses scans of several instruments
+        exposures = []
         for number, source in enumerate(sources):
             progress("decoding", number / len(sources))
-            found.append(exposure_found(source))
-        delays_us = sorted({one.trigger_delay_us for one in found})
+            exposures.append(exposure_found(source))
+        delays_us = sorted({item.trigger_delay_us for item in exposures})
         if len(delays_us) > 1:
             raise ScanError(
                 f"{', '.join(self.scans)}: taken with trigger delays of {' and '.join(map(str, delays_us))} us; an "
@@ -134,39 +136,42 @@ class MeasureInstrument(WithRoot):
                 "bits where it begins at another moment; give scans of one board.trigger_delay_us"
             )
         # An exposure is as good as its worst scan.
-        times_ms = {one.exposure.time_us / 1000.0: True for one in found}
-        for one in found:
-            times_ms[one.exposure.time_us / 1000.0] &= one.straight
+        times_ms = {item.exposure.time_us / 1000.0: True for item in exposures}
+        for item in exposures:
+            times_ms[item.exposure.time_us / 1000.0] &= item.straight
         straight_ms = sorted(time for time, good in times_ms.items() if good)
         rows: list[Mapping[str, object]] = [
             {
-                "scan": one.scan_id,
-                "exposure_ms": one.exposure.time_us / 1000.0,
-                "gain_db": one.exposure.gain_db,
-                "bend_px": one.bend_px,
-                "noise_px": one.noise_px,
-                "noisier": one.noisier,
-                "straight": one.straight,
+                "scan": item.scan_id,
+                "exposure_ms": item.exposure.time_us / 1000.0,
+                "gain_db": item.exposure.gain_db,
+                "bend_px": item.bend_px,
+                "noise_px": item.noise_px,
+                "noisier": item.noisier,
+                "straight": item.straight,
             }
-            for one in sorted(found, key=lambda one: one.exposure.time_us)
+            for item in sorted(exposures, key=lambda item: item.exposure.time_us)
         ]
         names = list(rows[0])
         end = f"for [scan] of the rig file: exposures_ms = {straight_ms}"
         self.tell(
             {"trigger_delay_us": delays_us[0], "exposures_ms": straight_ms, "scans": rows},
             [
-                table([n.upper().replace("_", " ") for n in names], [[_shown(row[n]) for n in names] for row in rows]),
+                table(
+                    [n.upper().replace("_", " ") for n in names],
+                    [[_format_cell(row[n]) for n in names] for row in rows],
+                ),
                 end if straight_ms else "none of them leaves fringes straight; try longer ones",
             ],
         )
         return Exit.OK if straight_ms else Exit.FAILED
 
     def _target(self, root: Path, file: Path) -> Path | None:
-        """Return the file to write; ``None``: nothing is written. Raises UsageError."""
+        """Return the file to write, ``None`` for no file. Raises UsageError."""
         if not self.install:
             return self.out
         self._refuse_replacing(file)
-        # Missing folders below it are made: a root that was mistyped would become a new instrument's without a word.
+        # Missing folders below it are made, so that a mistyped root would silently become that of a new instrument.
         if not root.is_dir():
             raise UsageError(f"--root {root}: no such folder; give the instrument's, or a file with --out FILE")
         return file
@@ -187,7 +192,7 @@ def _write(path: Path | None, content: bytes) -> None:
             LocalFileSystem().replace_file(path, content)
 
 
-def _shown(value: object) -> str:
+def _format_cell(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

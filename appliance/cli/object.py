@@ -1,4 +1,4 @@
-"""The verbs of an object: many scans that become one thing."""
+"""The verbs ``object add``, ``show`` and ``solve``: many scans as one object."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.base import use_one_blas_thread
-from appliance.cli.arguments import operand, operands, option, switch, whole
-from appliance.cli.desk import library_root, scan_in
+from appliance.cli.arguments import operand, operands, option, switch, whole_number
+from appliance.cli.desk import find_scan, library_root
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError, complain
 from appliance.cli.places import WithCalibration, WithRoot
@@ -19,38 +19,37 @@ if TYPE_CHECKING:
     from appliance.desk import Places, StoredObject
 
 LEAST_SCANS = 2
-"""Placed scans that make an object."""
+"""Least number of scans with a pose in a solved object."""
 _NAME = "the object's name; a folder objects/NAME is made under the storage root"
 _TAKEN_AS = "all scans that the instrument took as object N, besides those named; what it has already is left out"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AddToObject(WithRoot):
-    """Add scans to an object, which is made where there is none; without scans an empty one is made."""
+    """Add scans to an object, which is made if it does not exist; without scans an empty one is made."""
 
     name: str = operand("NAME", _NAME)
     scans: tuple[str, ...] = operands(
         "SCAN", "their numbers or folders, in the order they were taken", at_least_one=False
     )
-    taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
+    taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole_number(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
         from appliance.desk import object_exists
 
-        root = library_root(self.wish())
+        root = library_root(self.scan_options())
         new = not object_exists(root, self.name)
         if not new and not self.scans and self.taken_as is None:
             raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
-        added = _added(self, root)
-        # A name that was mistyped makes an object, too.
+        added = _add_scans(self, root)
+        # Reported, because a mistyped name makes a new object.
         self.tell(_document(added), [*([f"new object under {root}"] if new else []), *_lines(added)])
         return Exit.OK
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShowObject(WithRoot):
-    """Show where the scans of an object lie, how certain that is, and what was refused; without NAME list all
-    objects."""
+    """Show the scan poses of an object, their uncertainty and the rejected pairs; without NAME list all objects."""
 
     kernels: ClassVar[bool] = False
 
@@ -59,11 +58,11 @@ class ShowObject(WithRoot):
     def run(self) -> Exit:
         from appliance.desk import object_names, read_object
 
-        root = library_root(self.wish())
+        root = library_root(self.scan_options())
         if self.name is None:
-            found = object_names(root)
+            names = object_names(root)
             self.tell(
-                {"objects": found}, found or [f"no objects under {root}; make one: kingfisher object add NAME SCAN..."]
+                {"objects": names}, names or [f"no objects under {root}; make one: kingfisher object add NAME SCAN..."]
             )
         else:
             stored = read_object(root, self.name)
@@ -73,8 +72,10 @@ class ShowObject(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolveObject(WithCalibration):
-    """Find where every scan of an object lies relative to the first, or why it is left out; `kingfisher cloud
-    object:NAME` writes files."""
+    """Find the pose of every scan of an object relative to the first, or why it is left out.
+
+    `kingfisher cloud object:NAME` writes files.
+    """
 
     codes: ClassVar[Sequence[Exit]] = (Exit.LEFT_OUT,)
 
@@ -82,7 +83,7 @@ class SolveObject(WithCalibration):
     scans: tuple[str, ...] = operands(
         "SCAN", "scans to add first; the object is made if it is not there", at_least_one=False
     )
-    taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
+    taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole_number(1, 999_999), metavar="N")
     with_estimate: bool = switch(
         "--with-estimate",
         "believe what the overlaps say of the depth error that all scans share, and take it out of the points",
@@ -90,45 +91,47 @@ class SolveObject(WithCalibration):
 
     def run(self) -> Exit:
         use_one_blas_thread(os.environ)
-        wish = self.wish()
+        options = self.scan_options()
         from appliance.desk import read_object
 
-        root = library_root(wish)
-        more = self.scans or self.taken_as is not None
-        found = _added(self, root) if more else read_object(root, self.name)
+        root = library_root(options)
+        has_scans = self.scans or self.taken_as is not None
+        stored = _add_scans(self, root) if has_scans else read_object(root, self.name)
         compile_kernels()
         from appliance.desk import solve_object, tell_health
         from appliance.store import StorageError
 
         with ProgressLine() as progress:
-            solved = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
+            solved = solve_object(root, stored, options, progress, with_shared_error=self.with_estimate)
         try:
             tell_health(root, solved)
         except StorageError as error:
-            # The object is solved and kept: what it says of the calibration can be written by solving it again.
+            # The object is solved and stored; solving it again writes the calibration's health.
             complain(f"not written to the calibration's health: {error}", as_json=self.json)
         self.tell(_document(solved), _lines(solved))
         placed = 0 if solved.places is None else len(solved.places.places)
         if placed < LEAST_SCANS:
             return Exit.FAILED
-        # Whoever calls this from a program must notice what was not placed.
+        # A calling program must notice scans without a pose.
         return Exit.OK if placed == len(solved.scans) else Exit.LEFT_OUT
 
 
-def _added(verb: AddToObject | SolveObject, root: Path) -> StoredObject:
-    """Return the object with the verb's scans added, those named and those of the instrument's object ``taken_as`` that
-    it has not; it is made where there is none. Raises UsageError, ScanError, ObjectError."""
-    # All of them are looked up before the first byte is read.
-    named = [scan_in(verb.wish(), scan) for scan in verb.scans]
-    taken = [scan_in(verb.wish(), scan) for scan in _taken_as(root, verb.taken_as)]
+def _add_scans(verb: AddToObject | SolveObject, root: Path) -> StoredObject:
+    """Return the object with the verb's scans added; it is made if it does not exist.
+
+    Scans are those named, and those of the instrument's object ``taken_as`` that it lacks. Raises UsageError,
+    ScanError, ObjectError.
+    """
+    # All folders are found before the first byte is read.
+    named_scans = [find_scan(verb.scan_options(), scan) for scan in verb.scans]
+    taken_scans = [find_scan(verb.scan_options(), scan) for scan in _taken_as(root, verb.taken_as)]
     from appliance.desk import add_to_object
 
-    return add_to_object(root, verb.name, named, taken)
+    return add_to_object(root, verb.name, named_scans, taken_scans)
 
 
 def _taken_as(root: Path, number: int | None) -> Sequence[str]:
-    """Return the scans of an object by the number that the diver began it under. Raises UsageError for one that no scan
-    carries."""
+    """Return the scans of the object that the diver began as ``number``. Raises UsageError for an unknown one."""
     if number is None:
         return ()
     from appliance.store import Library
@@ -136,8 +139,8 @@ def _taken_as(root: Path, number: int | None) -> Sequence[str]:
     library = Library(root)
     scans = library.scans_of_object(number)
     if not scans:
-        known = ", ".join(str(one) for one in library.objects()) or "none; name the scans instead"
-        raise UsageError(f"--taken-as {number}: no scan under {root} was taken as that object; there are {known}")
+        numbers = ", ".join(str(item) for item in library.objects()) or "none; name the scans instead"
+        raise UsageError(f"--taken-as {number}: no scan under {root} was taken as that object; there are {numbers}")
     return scans
 
 
@@ -146,8 +149,7 @@ def _document(stored: StoredObject) -> Any:
 
     from appliance.desk import StoredObject as Kind
 
-    # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody
-    # else.
+    # Without the joint covariance: it is for programs that compute lengths (import kingfisher), and megabytes of text.
     return TypeAdapter(Kind).dump_python(stored, mode="json", exclude={"places": {"joint"}})
 
 
@@ -158,13 +160,12 @@ def _lines(stored: StoredObject) -> list[str]:
     return [
         begin,
         "not solved yet: kingfisher object solve",
-        *(f"  {one.name:<10} {one.folder}" for one in stored.scans),
+        *(f"  {scan.name:<10} {scan.folder}" for scan in stored.scans),
     ]
 
 
 def lines_of(places: Places) -> list[str]:
-    """Return what solving found, for people: places, then pairs that were refused, then warnings and the bending
-    budget."""
+    """Return a solution for people: scan poses, rejected pairs, warnings and the depth error."""
     lines = [
         f"{'centre of':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   bending, part of ±, mm (with --with-estimate)"
     ]
@@ -181,7 +182,7 @@ def lines_of(places: Places) -> list[str]:
         f"{len(used)} of {len(places.pairs)} pairs used" + (f", {unchecked} of them unchecked" if unchecked else "")
     )
     lines += [f"  {pair.first} - {pair.second}: overlap –; {pair.text}" for pair in places.pairs if not pair.used]
-    lines += [f"warning: {one}" for one in places.warnings]
+    lines += [f"warning: {text}" for text in places.warnings]
     if places.shared_error_score is not None:
         from appliance.calibrate import OVERLAP_LIMIT
 

@@ -1,7 +1,8 @@
 """Printing: results on stdout, progress and errors on stderr, one line per error.
 
-Texts come from manifests, objects and names of files that strangers wrote. All text goes out through here (``plain``),
-so that no character of theirs moves a cursor, turns the direction of writing, or begins a line."""
+Texts come from manifests, objects and file names by strangers. All of them are printed by ``plain``, so that none of
+their characters moves a cursor, turns the direction of writing, or begins a line.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +20,19 @@ from typing import Any, TextIO
 
 PROGRESS_AFTER_S = 1.0
 LINE_AFTER_S, LINE_EVERY_S = 4.0, 8.0
-"""Time in seconds before the first line of progress, and between two, where there is no terminal; calls come every
-second or two."""
+"""Seconds before the first line of progress and between two lines without a terminal; calls come every second or two.
+"""
 DIGITS = 4
-"""Significant digits of a measured value: a noise of 0.02489 mm is known to two, a distance of 500.13 mm to four."""
+"""Significant digits of a measured value: a noise of 0.02489 mm is measured to two, a distance of 500.13 mm to four."""
 _MORE = {"index": 6, "baseline": 6, "principal": 6, "latitude": 6}
-"""Significant digits, by a word of the name, of values whose fifth and sixth digit mean something."""
+"""Significant digits of values that are measured to more, by a word of the name."""
 _WHOLE_FROM = 1000.0
 HASH_DIGITS = 12
 _HASH = re.compile(r"[0-9a-f]{64}")
 _ODD = re.compile(r"[^ -~]")
 
 log = logging.getLogger(__name__)
-"""Logger for what makes somebody wait: heard from every verb (``log_lines``)."""
+"""Logger for waiting times, which every verb prints (``log_lines``)."""
 
 
 class Exit(IntEnum):
@@ -43,7 +44,7 @@ class Exit(IntEnum):
     USAGE = 2
     """Wrong arguments or a wrong rig file."""
     SCRIPT_FAILED = 3
-    """The diver's script of ``kingfisher sim`` did not come to its end."""
+    """The diver's script of ``kingfisher sim`` failed."""
     DAMAGED = 4
     """``scans verify`` found a damaged scan."""
     LEFT_OUT = 5
@@ -53,60 +54,60 @@ class Exit(IntEnum):
 
 
 class UsageError(Exception):
-    """An argument cannot be used; the text names it, its value, what is allowed and the remedy."""
+    """Error of an argument; the text names it, its value, the allowed values and the remedy."""
 
 
 class OutputError(Exception):
-    """Results cannot be written to standard output; the text says why."""
+    """Error of writing results to standard output; the text says why."""
 
 
 def plain(text: str, *, lines: bool = False) -> str:
-    r"""Return ``text`` with every character that is not to be read as ``\uXXXX``, which is JSON's way, too.
+    r"""Return ``text`` with every unreadable character as ``\uXXXX``, which is also JSON's form.
 
     ``lines``: line ends stay.
     """
-    return _ODD.sub(lambda found: _readable(found[0], lines=lines), text)
+    return _ODD.sub(lambda match: _escape_unreadable(match[0], lines=lines), text)
 
 
-def _readable(one: str, *, lines: bool) -> str:
-    # Not printable are Unicode's controls, formats, surrogates, unassigned ones and line ends; and blanks of other
-    # widths, which may stay.
-    if one.isprintable() or unicodedata.category(one) == "Zs" or (lines and one == "\n"):
-        return one
-    return _escaped(one)
+def _escape_unreadable(character: str, *, lines: bool) -> str:
+    # Python counts as not printable: Unicode's controls, formats, surrogates, unassigned characters, line ends, and
+    # blanks of other widths, which may stay.
+    if character.isprintable() or unicodedata.category(character) == "Zs" or (lines and character == "\n"):
+        return character
+    return _escape(character)
 
 
-def _escaped(one: str) -> str:
-    units = one.encode("utf-16-be", "surrogatepass")
+def _escape(character: str) -> str:
+    units = character.encode("utf-16-be", "surrogatepass")
     return "".join(f"\\u{units[k]:02x}{units[k + 1]:02x}" for k in range(0, len(units), 2))
 
 
 def use_any_encoding() -> None:
-    """Let what the terminal's encoding has no character for go out as an escape, as on stderr, instead of an error."""
+    """Escape characters that the terminal's encoding lacks, as on stderr, instead of raising an error."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def say(text: str) -> None:
-    """Print one result on stdout. Raises OutputError, BrokenPipeError."""
+    """Print one line of results on stdout. Raises OutputError, BrokenPipeError."""
     write(text + "\n")
 
 
 def write(text: str) -> None:
-    """Write text, its line ends included, to stdout. Raises OutputError, BrokenPipeError."""
+    """Write text with its line ends to stdout. Raises OutputError, BrokenPipeError."""
     with _writing():
         stdout().write(plain(text, lines=True))
 
 
 def flush() -> None:
-    """Have what was said written. Raises OutputError, BrokenPipeError."""
+    """Flush stdout. Raises OutputError, BrokenPipeError."""
     if sys.stdout is not None and not sys.stdout.closed:
         with _writing():
             sys.stdout.flush()
 
 
 def stdout() -> TextIO:
-    """Return standard output. Raises OutputError where it was closed before the program began."""
+    """Return standard output. Raises OutputError if it was closed before the program began."""
     if sys.stdout is None:
         raise OutputError("results cannot be written: standard output is closed; open it, or send it to a file")
     return sys.stdout
@@ -119,7 +120,7 @@ def _writing() -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        # What is left in the buffer would be tried again at the program's end, with a traceback.
+        # Otherwise the interpreter would write the buffer again at its end, with a traceback.
         with suppress(OSError):
             sys.stdout.close()
         raise OutputError(
@@ -142,8 +143,8 @@ def complain(text: str, *, as_json: bool) -> None:
             plain(json.dumps({"error": line}, ensure_ascii=False) if as_json else f"kingfisher: {line}") + "\n"
         )
     except OSError:
-        # There is nobody to tell, and the exit code says it: what is left in the buffer would turn that into another
-        # one.
+        # The exit code still reports the error. The interpreter would change it if it failed to write the buffer at its
+        # end.
         with suppress(OSError):
             sys.stderr.close()
 
@@ -158,47 +159,48 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     )
 
 
-def shown(key: str, value: object) -> str:
-    """Return a value as people read it: ``-`` for what is not known, ``none`` for an empty list, 12 digits of a
-    checksum."""
+def format_value(key: str, value: object) -> str:
+    """Return a value for people: ``-`` for none, ``none`` for an empty list, 12 digits of a hash."""
     match value:
         case None | "":
             return "-"
         case bool():
             return "yes" if value else "no"
         case float():
-            return number(key, value)
+            return format_number(key, value)
         case str():
             return value[:HASH_DIGITS] if _HASH.fullmatch(value) else value
         case Mapping():
-            return ", ".join(f"{name} {shown(str(name), one)}" for name, one in value.items()) or "none"
+            return ", ".join(f"{name} {format_value(str(name), item)}" for name, item in value.items()) or "none"
         case Sequence():
-            return "; ".join(shown(key, one) for one in value) or "none"
+            return "; ".join(format_value(key, item) for item in value) or "none"
         case _:
             return str(value)
 
 
-def number(key: str, value: float) -> str:
-    """Return a float without digits that mean nothing: whole from 1000 on, else ``DIGITS`` significant ones, percent
-    with two decimals."""
+def format_number(key: str, value: float) -> str:
+    """Return a float with ``DIGITS`` significant digits, or no decimals from 1000 on.
+
+    Percent have two decimals.
+    """
     if key.endswith("_percent") and abs(value) >= 1.0:
         return f"{value:.2f}"
     digits = next((more for word, more in _MORE.items() if word in key), DIGITS)
-    # `g` would write 12345 as 1.234e+04, which nobody reads as a number of µm.
+    # `g` would write 12345 as 1.234e+04, which is hard to read as a number of µm.
     if abs(value) >= 10.0 ** (digits - 1) and abs(value) >= _WHOLE_FROM:
         return f"{value:.{max(0, digits - len(str(int(abs(value)))))}f}"
     return f"{value:.{digits}g}"
 
 
 def say_report(report: Mapping[str, object]) -> None:
-    """Print one line per value, the names in a column."""
+    """Print one line per value, with the names in a column."""
     width = max(24, *(len(key) for key in report))
     for key, value in report.items():
-        say(f"{key:<{width}} {shown(key, value)}")
+        say(f"{key:<{width}} {format_value(key, value)}")
 
 
 def time_text(seconds: float) -> str:
-    """Return a time that is left, as people say it."""
+    """Return a remaining time for people."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
@@ -206,14 +208,14 @@ def time_text(seconds: float) -> str:
 
 @contextmanager
 def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
-    """Inside, what the program logs goes to stderr, one line each: warnings, and of a service its news, too."""
+    """Print log entries inside the block on stderr, one line each: warnings, and for a service also information."""
     root = logging.getLogger()
     before = root.level
     handler = logging.StreamHandler()
     handler.setFormatter(_Line(as_json=as_json))
     root.addHandler(handler)
     root.setLevel(logging.INFO if service else logging.WARNING)
-    log.setLevel(logging.INFO)  # a minute of silence is a warning of its own
+    log.setLevel(logging.INFO)  # waiting times are always printed
     try:
         yield
     finally:
@@ -223,7 +225,7 @@ def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
 
 
 class _Line(logging.Formatter):
-    """One line of what is logged, in JSON with its level where ``as_json``."""
+    """Formatter of log entries as one line, in JSON with the level if ``as_json``."""
 
     def __init__(self, *, as_json: bool) -> None:
         super().__init__("kingfisher: %(message)s")
@@ -236,8 +238,7 @@ class _Line(logging.Formatter):
 
 
 class ProgressLine:
-    """Says what work is at: on a terminal in one line that changes, elsewhere in lines some seconds apart. A context
-    manager."""
+    """Progress of the work: one changing line on a terminal, else lines some seconds apart. A context manager."""
 
     def __init__(
         self,
@@ -246,7 +247,7 @@ class ProgressLine:
         line: Callable[[str], None] = log.info,
         after_s: tuple[float, float] = (PROGRESS_AFTER_S, LINE_AFTER_S),
     ) -> None:
-        """``after_s``: nothing is said before so many seconds on a terminal, and so many elsewhere."""
+        """Stay silent for ``after_s``: seconds on a terminal, and elsewhere."""
         self._stream = stream or sys.stderr
         self._now_s = now_s
         self._line = line
@@ -254,13 +255,13 @@ class ProgressLine:
         self._next_s = now_s() + after_s[0 if self._terminal else 1]
         self._shown = 0
 
-    def __call__(self, what: str, fraction: float | None = None) -> None:
-        """Say what is being done now, and how much of the whole is done (0..1)."""
+    def __call__(self, step: str, fraction: float | None = None) -> None:
+        """Show the present step, and which part of the work is done (0..1)."""
         if self._now_s() < self._next_s:
             return
-        text = plain(what if fraction is None else f"{what} {100 * fraction:3.0f} %")
+        text = plain(step if fraction is None else f"{step} {100 * fraction:3.0f} %")
         if not self._terminal:
-            # In a file or a pipe a line that rewrites itself would be one long line of carriage returns.
+            # In a file or a pipe, a line that is overwritten would become one long line of carriage returns.
             self._line(text)
             self._next_s = self._now_s() + LINE_EVERY_S
             return

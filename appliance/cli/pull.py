@@ -1,4 +1,4 @@
-"""The verb ``archive pull``: scans off an instrument, or off its disk, onto a desk."""
+"""The verb ``archive pull``: copy scans from an instrument, or from its disk, to a desk."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ANSWER_S = 30.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pull(Verb):
-    """Take what is on the instrument and not in ``--out``; FAILED if anything finished there is not here afterwards."""
+    """Copy the scans of an instrument that ``--out`` lacks; FAILED if any complete one is still missing."""
 
     kernels: ClassVar[bool] = False
 
@@ -35,41 +35,41 @@ class Pull(Verb):
     all: bool = switch("--all", "also the rejected ones")
 
     def run(self) -> Exit:
-        """Raises UsageError, PullError, StorageError, MissingLibraryError."""
+        """Copy the scans. Raises UsageError, PullError, StorageError, MissingLibraryError."""
         target = target_folder(self.out, None)
         with ProgressLine() as progress:
-            begun_s = time.monotonic()
-            done = pull_scans(
+            start_s = time.monotonic()
+            result = pull_scans(
                 self.host,
                 self.out or target,
-                _Said(progress),
+                _PullProgress(progress),
                 every=self.all,
                 identity=self.identity,
                 known_hosts=self.known_hosts,
                 limit_s=self.timeout_s,
             )
-        took_s = time.monotonic() - begun_s
-        *lines, last = done.lines()
-        self.tell({**done.report(), "s": took_s}, [*lines, f"{last} in {time_text(took_s)}"])
-        return Exit.OK if done.is_complete else Exit.FAILED
+        duration_s = time.monotonic() - start_s
+        *lines, last = result.lines()
+        self.tell({**result.report(), "s": duration_s}, [*lines, f"{last} in {time_text(duration_s)}"])
+        return Exit.OK if result.is_complete else Exit.FAILED
 
 
-class _Said:
-    """Says how far it is and how long it will take, from the first byte of an attempt on."""
+class _PullProgress:
+    """Progress and remaining time of a transfer, from the first byte of an attempt."""
 
     def __init__(self, progress: ProgressLine) -> None:
         self._progress = progress
         self._begun_s = time.monotonic()
 
-    def __call__(self, doing: str, done: int, of: int, done_bytes: int, of_bytes: int) -> None:
-        took_s = time.monotonic() - self._begun_s
-        text = f"{doing}, {done} of {of}"
+    def __call__(self, doing: str, done: int, total: int, done_bytes: int, total_bytes: int) -> None:
+        duration_s = time.monotonic() - self._begun_s
+        text = f"{doing}, {done} of {total}"
         if not done_bytes:
             self._begun_s = time.monotonic()
-        elif of_bytes:
-            text += f", {done_bytes / 1e6:.0f} of {of_bytes / 1e6:.0f} MB"
-            if took_s > 1.0:
-                rate = done_bytes / took_s
-                left_s = max(0, of_bytes - done_bytes) / rate
+        elif total_bytes:
+            text += f", {done_bytes / 1e6:.0f} of {total_bytes / 1e6:.0f} MB"
+            if duration_s > 1.0:
+                rate = done_bytes / duration_s
+                left_s = max(0, total_bytes - done_bytes) / rate
                 text += f", {rate / 1e6:.1f} MB/s, {time_text(left_s)} left"
         self._progress(text)

@@ -1,4 +1,4 @@
-"""The verb ``report``: one page about a dive, about a table of reprocessed scans, or about an object."""
+"""The verb ``report``: one page about a dive, a table of reprocessed scans, or an object."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.cli.arguments import operands, path_option
-from appliance.cli.desk import WithObjects, object_named, writable_page, write_files, writing
+from appliance.cli.desk import WithObjects, check_page, object_name, write_files, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError
 
@@ -15,8 +15,10 @@ TABLE = ".csv"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MakeReport(WithObjects):
-    """One page, which asks for nothing from outside: verdicts, figures and a picture of each scan of a dive, or what
-    comes of the other."""
+    """Write one self-contained page about a dive, a table or an object.
+
+    The page of a dive has verdicts, figures and a picture of each scan.
+    """
 
     what: tuple[str, ...] = operands(
         "WHAT",
@@ -27,13 +29,13 @@ class MakeReport(WithObjects):
     out: Path | None = path_option("--out", "the page, .html (default: dive.html, season.html or NAME.html here)")
 
     def run(self) -> Exit:
-        """Raises UnknownScan, UsageError, ResultsError, ObjectError, StorageError."""
-        name = next((name for name in map(object_named, self.what) if name is not None), None)
-        table = name is None and any(Path(one).suffix.lower() == TABLE for one in self.what)
+        """Write the page. Raises UnknownScan, UsageError, ResultsError, ObjectError, StorageError."""
+        name = next((name for name in map(object_name, self.what) if name is not None), None)
+        table = name is None and any(Path(word).suffix.lower() == TABLE for word in self.what)
         if len(self.what) > 1 and (name is not None or table):
             raise UsageError(f"{' '.join(self.what)}: give scans, or one table, or one object")
         out = self.out or Path(f"{name or ('season' if table else 'dive')}.html")
-        writable_page(out)
+        check_page(out)
         if name is not None:
             return self._of_object(name, out)
         return self._of_table(Path(self.what[0]), out) if table else self._of_dive(out)
@@ -43,7 +45,7 @@ class MakeReport(WithObjects):
 
         root = self.existing_root()
         library = Library(root)
-        # In the order in which they were typed; without any, in that of their numbers.
+        # In the order in which they were typed, else in that of their numbers.
         entries = [library.entry(scan) for scan in self.what] or library.entries()
         if not entries:
             raise UsageError(
@@ -55,7 +57,7 @@ class MakeReport(WithObjects):
             report = report_of_dive(root, entries, progress)
             with writing(out):
                 write_report(out, report)
-        scans = [{"scan": one.name, "verdict": one.word} for one in report.scans]
+        scans = [{"scan": scan.name, "verdict": scan.word} for scan in report.scans]
         lines = [*(f"warning: {line}" for line in report.warnings), f"{out}: {report.subtitle}"]
         self.tell({"file": str(out), "scans": scans, "warnings": list(report.warnings)}, lines)
         return Exit.OK
@@ -69,8 +71,8 @@ class MakeReport(WithObjects):
         return Exit.OK
 
     def _of_object(self, name: str, out: Path) -> Exit:
-        wish = self.wish()
-        root, solved = self.solved(wish, name)
+        options = self.scan_options()
+        root, solved = self.solved(options, name)
         from appliance.base import require
 
         require("plotly", "plotly", "a page with a surface that can be turned")
@@ -78,7 +80,7 @@ class MakeReport(WithObjects):
         from appliance.desk import report_of_object, write_report
 
         with ProgressLine() as progress:
-            report = report_of_object(root, solved, wish, progress, self.spacing)
+            report = report_of_object(root, solved, options, progress, self.spacing)
             with writing(out):
                 write_report(out, report)
         self.tell({"object": solved.name, "files": [str(out)]}, [str(out)])

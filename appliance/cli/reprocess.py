@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from appliance.base import require
 from appliance.cli.archive import storage_root
-from appliance.cli.arguments import Verb, number, operand, option, path_option, switch, whole
+from appliance.cli.arguments import Verb, number, operand, option, path_option, switch, whole_number
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError
-from appliance.cli.places import measuring
+from appliance.cli.places import reject_air_calibration
 from appliance.store import Library
 
 if TYPE_CHECKING:  # brings NumPy
@@ -27,7 +27,7 @@ def _water(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reprocess(Verb):
-    """Work through every scan below SOURCE that has no result yet; FAILED if one has none afterwards."""
+    """Reprocess every scan below SOURCE that has no result yet; FAILED if any has none afterwards."""
 
     source: Path = operand("SOURCE", "storage root, packed or not", parse=Path)
     list: Path | None = operand(
@@ -51,17 +51,20 @@ class Reprocess(Verb):
     )
 
     def run(self) -> Exit:
-        """Raises UsageError, ListError, StorageError, CalibrationError, SchedulerError, MissingLibraryError."""
+        """Reprocess the scans.
+
+        Raises UsageError, ListError, StorageError, CalibrationError, SchedulerError, MissingLibraryError.
+        """
         if self.out is None:
             raise UsageError("--out is missing; give the folder for the results")
         storage_root("SOURCE", self.source)
         workers, scheduler = self._workers()
-        measuring(self.calibration)
+        reject_air_calibration(self.calibration)
         folders, scans = self._scans()
         for library in ("distributed", "cryptography"):
             require(library, library, "reprocess")
         if scheduler is None:
-            compile_kernels()  # once, before any worker starts: each of them would compile the same minute
+            compile_kernels()  # once, because otherwise each worker would compile
         from appliance.desk import ArchiveWork
 
         work = ArchiveWork(
@@ -82,17 +85,19 @@ class Reprocess(Verb):
         return Exit.OK if report["done"] == len(folders) else Exit.FAILED
 
     def _workers(self) -> tuple[int | None, str | None]:
-        """Return how many processes, or the address of a scheduler. Raises UsageError."""
+        """Return the number of processes, or the address of a scheduler. Raises UsageError."""
         if self.workers is None or not self.workers.lstrip("-").isdigit():
             return None, self.workers
         try:
-            return whole(1, 256)(self.workers), None
+            return whole_number(1, 256)(self.workers), None
         except ArgumentTypeError as error:
             raise UsageError(f"--workers {error}, or the address of a scheduler") from error
 
     def _scans(self) -> tuple[Mapping[Path, ListedScan | None], ScanList | None]:
-        """Return the folders of the scans, each with its entry in the list of artefacts, and that list. Raises
-        UsageError, ListError, before any work."""
+        """Return the folders of the scans with their entries in the list of artefacts, and that list.
+
+        Raises UsageError, ListError before any work.
+        """
         folders = Library(self.source).folders(every=self.all)
         if not folders:
             raise UsageError(
@@ -102,7 +107,7 @@ class Reprocess(Verb):
         from appliance.store import ScanList
 
         scans = None if self.list is None else ScanList.read(self.list)
-        listed = {} if scans is None else {_number(Path(one.scan)): one for one in scans.entries}
+        listed = {} if scans is None else {_number(Path(entry.scan)): entry for entry in scans.entries}
         if unknown := sorted(listed.keys() - {_number(folder) for folder in folders}):
             raise UsageError(
                 f"LIST {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their "

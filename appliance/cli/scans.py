@@ -1,7 +1,7 @@
-"""The verbs ``scans``: stored scans are looked at, also beside a running service, and labelled or put away where none
-runs.
+"""The verbs ``scans``: list, show, verify and label stored scans, and put them away.
 
-Nothing is deleted."""
+They also run beside the service, except those that change scans. Nothing is deleted.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any, ClassVar, Literal
 
 from appliance.base import ContentError
 from appliance.cli.arguments import operand, operands, option, path_option, switch
-from appliance.cli.desk import writable, write_files
-from appliance.cli.output import Exit, ProgressLine, UsageError, shown, table
+from appliance.cli.desk import check_writable, write_files
+from appliance.cli.output import Exit, ProgressLine, UsageError, format_value, table
 from appliance.cli.places import WithRoot, scan_folder
 from appliance.instrument import ASHORE
 from appliance.measure import SIDES, FaultCode
 from appliance.store import Label, Library, LibraryFolder, ScanEntry, hold_lock, verified_entry
 
-SHELVES = tuple(one.value for one in LibraryFolder)
+SHELVES = tuple(folder.value for folder in LibraryFolder)
 COLUMNS = ("SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE")
 
 
@@ -30,8 +30,10 @@ class OfScans(WithRoot):
     kernels: ClassVar[bool] = False
 
     def folder_of(self, scan: str) -> Path:
-        """Return the folder of ``scan``; one that was copied somewhere wants no storage root or rig file. Raises
-        UnknownScan, UsageError."""
+        """Return the folder of ``scan``; a folder needs neither storage root nor rig file.
+
+        Raises UnknownScan, UsageError.
+        """
         return scan_folder(scan) or Library(self.existing_root()).entry(scan).folder
 
 
@@ -48,7 +50,10 @@ class ListScans(OfScans):
             raise UsageError(f"SHELF {shelf}: there is none; there are: {', '.join(SHELVES)}")
         root = self.existing_root()
         entries = [
-            entry for one in LibraryFolder if self.all or one.value == shelf for entry in Library(root).entries(one)
+            entry
+            for folder in LibraryFolder
+            if self.all or folder.value == shelf
+            for entry in Library(root).entries(folder)
         ]
         lines = [table(COLUMNS, map(_row, entries)) if entries else f"no scans under {root}"]
         self.tell([_brief(entry) for entry in entries], lines)
@@ -57,7 +62,7 @@ class ListScans(OfScans):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShowScan(OfScans):
-    """Show everything that a scan's manifest says, or one of its frames as a picture; no other is decoded."""
+    """Show the manifest of a scan, or one of its frames as a picture; only that frame is decoded."""
 
     scan: str = operand("SCAN", "its number or its folder")
     side: str | None = operand("SIDE", "left or right: a frame instead", optional=True)
@@ -65,21 +70,24 @@ class ShowScan(OfScans):
     out: Path | None = path_option("--out", "of a frame: default SCAN-SIDE-PATTERN.png here")
 
     def run(self) -> Exit:
-        """Raises UnknownScan, UsageError, ScanError, StorageError, MissingLibraryError."""
+        """Print the manifest, or write the frame.
+
+        Raises UnknownScan, UsageError, ScanError, StorageError, MissingLibraryError.
+        """
         if self.side is not None:
             return self._frame(self.side)
         if self.out is not None:
             raise UsageError(f"--out {self.out}: is for a frame; say which, for example left bright")
         entry = ScanEntry.of(self.folder_of(self.scan), checksums=False)
-        told = [] if entry.manifest is None else entry.manifest.record.held_against
-        ashore = {code.value: ASHORE[code] for code in told if code in ASHORE}
+        codes = [] if entry.manifest is None else entry.manifest.record.held_against
+        ashore = {code.value: ASHORE[code] for code in codes if code in ASHORE}
         full = {
             **_brief(entry),
             "ashore": ashore,
             "manifest": None if entry.manifest is None else entry.manifest.as_json(),
         }
         if not self.json and entry.manifest is not None:
-            # Verdicts by their names, so that their numbers are lines of their own.
+            # Verdicts by name, so that each number has its own line.
             record = full["manifest"]["record"]
             record["verdicts"] = {verdict.pop("name"): verdict for verdict in record["verdicts"]}
         lines = _flat(full)
@@ -97,11 +105,11 @@ class ShowScan(OfScans):
         if self.pattern not in names:
             raise UsageError(f"PATTERN {self.pattern or 'is missing'}: this scan has {', '.join(names)}")
         out = self.out or Path(f"{folder.name}-{side}-{self.pattern}.png")
-        writable(out)
+        check_writable(out)
         if out.suffix.lower() != ".png":
             raise UsageError(f"--out {out}: the picture is a PNG; give {out.with_suffix('.png')}")
         frame = StoredScan.read_frame(folder, side, names.index(self.pattern))
-        import cv2  # late: the other verbs need no pictures
+        import cv2  # here, because other verbs need no pictures
 
         write_files({out: cv2.imencode(".png", frame)[1].tobytes()})
         height_px, width_px = frame.shape
@@ -112,7 +120,7 @@ class ShowScan(OfScans):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifyScans(OfScans):
-    """Read every byte and compare checksums, of packed frames decoded; DAMAGED if any does not fit."""
+    """Read every byte and compare checksums, of packed frames decoded; DAMAGED if any differs."""
 
     codes: ClassVar[Sequence[Exit]] = (Exit.DAMAGED,)
 
@@ -120,7 +128,7 @@ class VerifyScans(OfScans):
     all: bool = switch("--all", "of every shelf: also those rejected, set aside or in the trash")
 
     def run(self) -> Exit:
-        """Raises UnknownScan, UsageError, MissingLibraryError."""
+        """Verify the scans. Raises UnknownScan, UsageError, MissingLibraryError."""
         folders = [self.folder_of(scan) for scan in self.scans]
         if not self.scans:
             library = Library(self.existing_root())
@@ -132,7 +140,9 @@ class VerifyScans(OfScans):
                 progress(f"verifying {folder.name}", k / len(folders))
                 checked.append(verified_entry(folder))
         damaged = sum(not entry.ok for entry in checked)
-        lines = [f"{one.scan_id}  {'ok' if one.ok else 'DAMAGED: ' + '; '.join(one.problems)}" for one in checked]
+        lines = [
+            f"{entry.scan_id}  {'ok' if entry.ok else 'DAMAGED: ' + '; '.join(entry.problems)}" for entry in checked
+        ]
         self.tell(
             {"checked": len(checked), "damaged": damaged, "scans": [_brief(entry) for entry in checked]},
             [*lines, f"{len(checked)} checked, {damaged} damaged"],
@@ -142,25 +152,25 @@ class VerifyScans(OfScans):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelScan(OfScans):
-    """Call a scan something, and write a note about it; an empty text takes either away."""
+    """Give a scan a name, and write a note about it; an empty text removes either."""
 
     scan: str = operand("SCAN", "its number")
     name: str | None = option("--name", f"up to {Label.LONGEST['name']} characters", metavar="TEXT")
     note: str | None = option("--note", f"up to {Label.LONGEST['note']} characters", metavar="TEXT")
 
     def run(self) -> Exit:
-        """Raises UsageError, UnknownScan, StorageError."""
+        """Write the label. Raises UsageError, UnknownScan, StorageError."""
         if self.name is None and self.note is None:
             raise UsageError("what is written about it? Give --name TEXT or --note TEXT, or both")
         root, library = self.existing_root(), Library(self.existing_root())
-        name = _checked("name", self.name)
-        note = _checked("note", self.note)
+        name = _check_label("name", self.name)
+        note = _check_label("note", self.note)
         with hold_lock(root):
             entry = library.entry(self.scan)
             try:
                 before = Label.read(entry.folder)
             except ContentError:
-                before = Label()  # a damaged one is written anew: that is what the person wants
+                before = Label()  # a damaged one is replaced
             label = Label(before.name if self.name is None else name, before.note if self.note is None else note)
             library.set_label(entry.scan_id, label)
         self.tell(
@@ -177,12 +187,12 @@ class _MoveScans(OfScans):
     scans: Sequence[str] = operands("SCAN", "numbers", at_least_one=True)
 
     def run(self) -> Exit:
-        """Raises UnknownScan before any was moved, ScanError, StorageError."""
+        """Move the scans. Raises UnknownScan before any was moved, ScanError, StorageError."""
         root = self.existing_root()
         library = Library(root)
         with hold_lock(root):
             for scan_id in self.scans:
-                # All numbers before the first move: a typing error in the last one must not leave half of them moved.
+                # All numbers are checked before the first move, so that a mistyped one leaves no scan moved.
                 library.entry(scan_id)
             moved = [type(self).move(library, scan_id) for scan_id in self.scans]
         self.tell(
@@ -194,7 +204,7 @@ class _MoveScans(OfScans):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrashScans(_MoveScans):
-    """Put scans away; nothing is deleted."""
+    """Put scans in the trash, where they are kept."""
 
     move: ClassVar[Callable[[Library, str], Path]] = Library.trash
 
@@ -206,7 +216,7 @@ class RestoreScans(_MoveScans):
     move: ClassVar[Callable[[Library, str], Path]] = Library.restore
 
 
-def _checked(which: Literal["name", "note"], text: str | None) -> str | None:
+def _check_label(which: Literal["name", "note"], text: str | None) -> str | None:
     try:
         return None if text is None else Label.checked(which, text, f"--{which}")
     except ContentError as error:
@@ -245,25 +255,25 @@ def _state(entry: ScanEntry) -> str:
 
 
 def _row(entry: ScanEntry) -> tuple[str, ...]:
-    said = _brief(entry)
-    when = "?" if said["wall_time"] is None else f"{said['wall_time']}{'' if said['clock_trusted'] else ' ?'}"
-    known = [shown("", said[key]) for key in ("points", "object")]
+    fields = _brief(entry)
+    time = "?" if fields["wall_time"] is None else f"{fields['wall_time']}{'' if fields['clock_trusted'] else ' ?'}"
+    numbers = [format_value("", fields[key]) for key in ("points", "object")]
     size = f"{entry.size_bytes / 1e6:.1f}"
     return (
         entry.scan_id,
         _state(entry),
-        shown("", said["grade"]).upper(),
-        when,
-        *known,
+        format_value("", fields["grade"]).upper(),
+        time,
+        *numbers,
         size,
-        said["name"] or "-",
+        fields["name"] or "-",
         _remark(entry),
-        said["note"] or "",
+        fields["note"] or "",
     )
 
 
 def _remark(entry: ScanEntry) -> str:
-    """Return what the diver was told of the scan, or what became of it."""
+    """Return the faults that the diver read of the scan, or its state."""
     if entry.problems:
         return entry.problems[0]
     if entry.manifest is None:
@@ -271,8 +281,10 @@ def _remark(entry: ScanEntry) -> str:
     if entry.manifest.raw_only:
         return "raw frames only"
     record = entry.manifest.record
-    told = [_words(code) for code in record.held_against if code is not FaultCode.COMPENSATED]
-    return entry.manifest.reason or ", ".join([*([_words(FaultCode.COMPENSATED)] if record.compensated else []), *told])
+    faults = [_words(code) for code in record.held_against if code is not FaultCode.COMPENSATED]
+    return entry.manifest.reason or ", ".join(
+        [*([_words(FaultCode.COMPENSATED)] if record.compensated else []), *faults]
+    )
 
 
 def _words(code: FaultCode) -> str:
@@ -280,11 +292,11 @@ def _words(code: FaultCode) -> str:
 
 
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
-    """Return nested values as lines ``a.b.c value``; long lists only by their length."""
+    """Return nested values as lines ``a.b.c value``; of long lists only the length."""
     if isinstance(value, dict):
-        return [line for key, one in value.items() for line in _flat(one, f"{prefix}.{key}" if prefix else str(key))]
+        return [line for key, item in value.items() for line in _flat(item, f"{prefix}.{key}" if prefix else str(key))]
     if isinstance(value, list):
-        if len(value) > 6 or any(isinstance(one, dict | list) for one in value):
+        if len(value) > 6 or any(isinstance(item, dict | list) for item in value):
             return [(prefix, f"{len(value)} items")]
-        return [(prefix, ", ".join(shown(prefix, one) for one in value) or "-")]
-    return [(prefix, shown(prefix, value))]
+        return [(prefix, ", ".join(format_value(prefix, item) for item in value) or "-")]
+    return [(prefix, format_value(prefix, value))]

@@ -1,5 +1,4 @@
-"""The verbs ``setup guide``, ``measure`` and ``firmware``: a new instrument before its first scan, and the person at
-it."""
+"""The verbs ``setup guide``, ``measure`` and ``firmware``: a new instrument before its first scan."""
 
 from __future__ import annotations
 
@@ -14,23 +13,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
 from appliance.cli.arguments import number, operand, operands, option, path_option, switch
-from appliance.cli.desk import new_folder, writing
+from appliance.cli.desk import check_new_folder, writing
 from appliance.cli.output import Exit, ProgressLine, UsageError, complain, say, table
 from appliance.cli.places import WithRig
 from appliance.store import LocalFileSystem
 
-if TYPE_CHECKING:  # these bring OpenCV, which `--help` can do without
+if TYPE_CHECKING:  # these load OpenCV, which `--help` does not need
     from appliance.store import Rig
     from appliance.workshop import Finding, GuideResult, Part, StepRecord
 
 ANSWERED_WITHIN_S = 3600.0
-"""Time for which an Enter is waited for: whoever is away for longer calls again, and goes on where he was."""
+"""Timeout for an Enter; a later call continues at the same step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetupGuide(WithRig):
-    """Walk from a box of parts to the first plane in twelve steps, each checked; a second call goes on where the first
-    one stopped."""
+    """Lead from a box of parts to the first plane in twelve checked steps.
+
+    A second call continues where the first stopped.
+    """
 
     out: Path | None = path_option("--out", "folder for state, page and pictures", metavar="FOLDER")
     steps: Sequence[str] = operands(
@@ -57,7 +58,7 @@ class SetupGuide(WithRig):
             raise UsageError("--rig: not given, and the packaged rig file is never changed; give the instrument's")
         if self.out is None:
             raise UsageError("--out: not given; give a folder, in which state, page and pictures are kept")
-        new_folder(self.out)
+        check_new_folder(self.out)
         self.read_rig()
         from appliance.workshop import STEPS, GuideOptions, walk
 
@@ -68,7 +69,7 @@ class SetupGuide(WithRig):
         options = GuideOptions(tuple(self.steps), self.endurance_minutes, self.plane_mm)
         with ProgressLine() as progress:
             walked = walk(self.rig, self.out, options, AtTheTerminal(sys.stdin, sys.stderr), progress, self._tell)
-        # On stderr, where errors are looked for: findings are results, this is why there are no more.
+        # On stderr, because findings are results, but the reason for an early end is an error.
         if walked.stopped is not None:
             complain(walked.stopped, as_json=self.json)
         self.tell(report_of(walked), [_end(walked, self.out, len(names))])
@@ -82,8 +83,10 @@ class SetupGuide(WithRig):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetupMeasure(WithRig):
-    """Measure the projector before a white wall with the instrument's own cameras, or fire 64 triggers and count what
-    board and cameras make of them; FAILED where anything is wrong."""
+    """Measure the projector with the instrument's own cameras, or fire 64 triggers; FAILED for any fault.
+
+    The projector lights a white wall. Of the triggers, the frames by board and cameras are counted.
+    """
 
     what: str = operand("WHAT", "projector or trigger", choices=("projector", "trigger"))
     out: Path | None = path_option("--out", "of the projector: folder for the page and its pictures", metavar="FOLDER")
@@ -100,80 +103,80 @@ class SetupMeasure(WithRig):
         with ProgressLine() as progress:
             progress("firing")
             findings = measure_trigger(rig)
-        self.tell([one.as_dict() for one in findings], lines_of(findings))
-        return Exit.OK if all(one.ok for one in findings) else Exit.FAILED
+        self.tell([finding.as_dict() for finding in findings], lines_of(findings))
+        return Exit.OK if all(finding.ok for finding in findings) else Exit.FAILED
 
     def _projector(self, rig: Rig) -> Exit:
         path = self.rig
         if path is None and self.install:
             raise UsageError("--rig: not given, and the packaged rig file is never changed; give the instrument's")
-        # Before minutes of measuring, not after them.
+        # Checked before minutes of measuring.
         if self.out is not None:
-            new_folder(self.out)
+            check_new_folder(self.out)
         from appliance.workshop import projector_report, replace_rig
 
-        # Read before the long measurement: a file that cannot be read is known by then.
+        # Read before the long measurement, so that an unreadable file is reported at once.
         text = "" if path is None else path.read_text(encoding="utf-8-sig")
         with ProgressLine() as progress:
-            found = projector_report(rig, text, progress)
-        good, timing, kept = all(one.ok for one in found.findings), found.timing, None
-        written = [] if self.out is None else [self.out / name for name in found.files]
+            report_content = projector_report(rig, text, progress)
+        good, timing, backup = all(finding.ok for finding in report_content.findings), report_content.timing, None
+        written = [] if self.out is None else [self.out / name for name in report_content.files]
         if self.out is not None:
             with writing(self.out):
                 LocalFileSystem().make_folders(self.out)
-                for file, content in zip(written, found.files.values(), strict=True):
+                for file, content in zip(written, report_content.files.values(), strict=True):
                     LocalFileSystem().replace_file(file, content)
-        if path is not None and self.install and found.rig_text != text:
-            kept = replace_rig(path, text, found.rig_text)
+        if path is not None and self.install and report_content.rig_text != text:
+            backup = replace_rig(path, text, report_content.rig_text)
         report = {
             "good": good,
-            "findings": [one.as_dict() for one in found.findings],
+            "findings": [finding.as_dict() for finding in report_content.findings],
             "light": {
                 "latency_blanks": timing.latency_blanks,
                 "begins_us": timing.begins_us,
                 "ends_us": timing.ends_us,
-                "windows_us": [[one.begins_us, one.ends_us] for one in timing.windows],
+                "windows_us": [[window.begins_us, window.ends_us] for window in timing.windows],
             },
-            "keys": {f"{place.table}.{place.key}": value for place, value in found.keys.items()},
-            "rig_file": str(path) if kept is not None else None,
-            "before": None if kept is None else str(kept),
-            "written": [str(one) for one in written],
+            "keys": {f"{place.table}.{place.key}": value for place, value in report_content.keys.items()},
+            "rig_file": str(path) if backup is not None else None,
+            "before": None if backup is None else str(backup),
+            "written": [str(file) for file in written],
         }
         lines = [
             f"[{place.table}] {place.key} = {list(value) if isinstance(value, tuple) else value}"
-            for place, value in found.keys.items()
+            for place, value in report_content.keys.items()
         ]
-        end = f"written into {path}; as it was: {kept}" if kept is not None else "the rig file was not changed"
-        self.tell(report, [*lines_of(found.findings), *lines, end])
+        end = f"written into {path}; as it was: {backup}" if backup is not None else "the rig file was not changed"
+        self.tell(report, [*lines_of(report_content.findings), *lines, end])
         return Exit.OK if good else Exit.FAILED
 
 
 def lines_of(findings: Sequence[Finding]) -> list[str]:
-    """Return findings as a table, and remedies below it."""
-    rows = [(one.name, "ok" if one.ok else "WRONG", one.said) for one in findings]
+    """Return findings as a table, with the remedies below it."""
+    rows = [(finding.name, "ok" if finding.ok else "WRONG", finding.said) for finding in findings]
     return [
         table(("CHECK", "", "SEEN"), rows),
         *(
-            f"{one.name}: {one.remedy}" + (f" (allowed: {one.limits})" if one.limits else "")
-            for one in findings
-            if not one.ok
+            f"{finding.name}: {finding.remedy}" + (f" (allowed: {finding.limits})" if finding.limits else "")
+            for finding in findings
+            if not finding.ok
         ),
     ]
 
 
 class AtTheTerminal:
-    """``appliance.workshop.step.Person`` at a terminal, or a program in the place of one."""
+    """``appliance.workshop.step.Person`` at a terminal, or a program in their place."""
 
     def __init__(self, answers: TextIO, lines: TextIO) -> None:
         self._answers, self._lines = answers, lines
 
     def tell(self, what: str) -> None:
-        """Say it, in a line that begins with ``DO:``."""
+        """Print an instruction in a line that begins with ``DO:``."""
         self._lines.write(f"DO: {what}\n")
         self._lines.flush()
 
     def ask(self, what: str) -> None:
-        """Say it, and wait for an Enter. Raises GivenUp at the end of the input, or after an hour."""
+        """Print an instruction and wait for an Enter. Raises GivenUp at the end of the input, or after an hour."""
         from appliance.workshop import GivenUp
 
         self.tell(f"{what}; then press Enter")
@@ -185,30 +188,30 @@ class AtTheTerminal:
 
 
 def _line(stream: TextIO, timeout_s: float) -> str | None:
-    """Return the next line, without an end where the input ended; ``None``: none came in time."""
+    """Return the next line, without a line end at the end of the input; ``None`` if none came in time."""
     try:
         descriptor = stream.fileno()
-    except UnsupportedOperation:  # no file behind it: whatever is in it can be read at once
+    except UnsupportedOperation:  # not a file: all its content can be read at once
         return stream.readline()
-    # Byte by byte, past the stream's buffer: lines that wait in there would be seen by nobody who asks the kernel.
-    found = b""
-    while not found.endswith(b"\n"):
+    # Byte by byte, past the stream's buffer, because select() does not see lines that wait in there.
+    line = b""
+    while not line.endswith(b"\n"):
         if not select.select([descriptor], [], [], timeout_s)[0]:
             return None
         byte = os.read(descriptor, 1)
         if not byte:
             break
-        found += byte
-    return found.decode(errors="replace")
+        line += byte
+    return line.decode(errors="replace")
 
 
 def report_of(walked: GuideResult) -> dict[str, Any]:
-    """Return what came of a call, JSON-ready."""
+    """Return the result of a call, JSON-ready."""
     return {
         "good": walked.good,
         "steps": [
-            {"name": name, "good": one.good, "findings": [finding.as_dict() for finding in one.findings]}
-            for name, one in walked.steps.items()
+            {"name": name, "good": step.good, "findings": [finding.as_dict() for finding in step.findings]}
+            for name, step in walked.steps.items()
         ],
         "done": list(walked.done),
         "stopped": walked.stopped,
@@ -217,7 +220,7 @@ def report_of(walked: GuideResult) -> dict[str, Any]:
 
 
 def _end(walked: GuideResult, folder: Path, count: int) -> str:
-    good, page = sum(one.good for one in walked.steps.values()), folder / "bringup.html"
+    good, page = sum(step.good for step in walked.steps.values()), folder / "bringup.html"
     if walked.good and good == count:
         return f"\nall {count} steps are good; the page is {page}; next: calibrate (docs/calibration.md)"
     return f"\n{good} of {count} steps are good; the page to send to somebody who helps is {page}"
@@ -228,8 +231,10 @@ def _end(walked: GuideResult, folder: Path, count: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayOutFirmware(WithRig):
-    """Lay out the firmware of the trigger board or the key pad for the instrument of a rig file: its USB identity, and
-    which way its sync goes."""
+    """Write the firmware files of the trigger board or the key pad for the instrument of a rig file.
+
+    They contain its USB identity and the polarity of its vsync.
+    """
 
     kernels: ClassVar[bool] = False
 
@@ -259,10 +264,10 @@ class LayOutFirmware(WithRig):
 
 
 def _check(folder: Path, files: dict[str, bytes]) -> None:
-    """Refuse a folder with anything of another origin: it is replaced as a whole. Raises UsageError."""
-    new_folder(folder)
-    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
-    if strange := sorted(there - files.keys()):
+    """Raise UsageError for a folder with files of another origin, because it is replaced as a whole."""
+    check_new_folder(folder)
+    existing = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+    if strange := sorted(existing - files.keys()):
         raise UsageError(f"--out {folder}: holds {strange[0]}, which is not of this firmware; give an empty folder")
 
 
@@ -272,7 +277,7 @@ def _write(folder: Path, files: dict[str, bytes]) -> None:
     for name, content in files.items():
         fs.make_folders((draft / name).parent)
         fs.replace_file(draft / name, content)
-    # Whole or not at all: half a firmware would be copied like a whole one.
+    # As a whole or not at all, because a part of a firmware would be copied like a complete one.
     if folder.exists():
         old = folder.with_name(f".{folder.name}.old")
         shutil.rmtree(old, ignore_errors=True)

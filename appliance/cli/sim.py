@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from appliance.cli.arguments import meant, one_of, operands, path_option, switch, whole
+from appliance.cli.arguments import one_of, operands, path_option, suggestion, switch, whole_number
 from appliance.cli.instrument import serve
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, ProgressLine, UsageError
@@ -23,17 +23,17 @@ from appliance.cli.simrig import (
     TRUTHS,
     WORLDS,
     SimOptions,
+    apply_options,
+    check_simulated_wires,
     default_sim_rig,
-    simulated,
     simulator_kernels,
-    with_simulated_wires,
 )
 from appliance.store import Library, UnknownScan
 
-if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
+if TYPE_CHECKING:  # loads pydantic, which `--help` does not need
     from appliance.store import Rig
 
-SEED = whole(0, 999_999_999)
+SEED = whole_number(0, 999_999_999)
 FAULT = "fault"
 SETTINGS: Mapping[str, Callable[[str], Any]] = {
     "object": one_of(OBJECTS),
@@ -45,16 +45,16 @@ SETTINGS: Mapping[str, Callable[[str], Any]] = {
     "pace": one_of(PACES),
     FAULT: str,
     "chaos": SEED,
-    "scans": whole(1, 100_000),
+    "scans": whole_number(1, 100_000),
 }
-"""Settings of the world, and what reads the value of each; only ``fault`` may be given more than once."""
+"""Settings of the world with the parser of each value; only ``fault`` may be repeated."""
 
 
 def _setting(word: str) -> tuple[str, Any]:
     """Read ``NAME=VALUE``. Raises ArgumentTypeError."""
     name, equals, text = word.partition("=")
     if not equals or name not in SETTINGS:
-        near = meant(name, SETTINGS) or f"; there are: {', '.join(SETTINGS)}"
+        near = suggestion(name, SETTINGS) or f"; there are: {', '.join(SETTINGS)}"
         raise ArgumentTypeError(f"{word}: is no SETTING=VALUE{near}")
     try:
         return name, SETTINGS[name](text)
@@ -64,7 +64,7 @@ def _setting(word: str) -> tuple[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sim(WithRoot):
-    """The same instrument in a simulated world. What goes wrong there brings its own exit code."""
+    """Run the instrument in a simulated world. Errors of that world have their own exit code."""
 
     codes: ClassVar[Sequence[Exit]] = (Exit.SCRIPT_FAILED,)
     service: ClassVar[bool] = True
@@ -87,20 +87,20 @@ class Sim(WithRoot):
     window: bool = switch("--window", "show both screens in windows; the keyboard is the key pad")
 
     def run(self) -> Exit:
-        given, faults = self._given()
-        chaos_seed, scans = given.pop("chaos", None), given.pop("scans", 200)
-        if "object" in given:
-            given["object_name"] = given.pop("object")
+        settings, faults = self._given()
+        chaos_seed, scans = settings.pop("chaos", None), settings.pop("scans", 200)
+        if "object" in settings:
+            settings["object_name"] = settings.pop("object")
         from appliance.store import load_rig
 
         rig = load_rig(self.rig or default_sim_rig())
         options = SimOptions(
             root=self.new_root(),
-            **given,
+            **settings,
             script=self.script,
             faults=faults,
             window=self.window,
-            # Without a terminal standard input may be closed, or somebody else's text.
+            # Without a terminal, standard input may be closed or belong to another program.
             console=self.console or (self.window and sys.stdin.isatty()),
         )
         if chaos_seed is None:
@@ -108,25 +108,30 @@ class Sim(WithRoot):
         return chaos(rig, options, chaos_seed, scans, self.tell)
 
     def _given(self) -> tuple[dict[str, Any], Sequence[str]]:
-        """Return what each setting was given as, but for the faults, and these. Raises UsageError."""
-        given: dict[str, Any] = {}
+        """Return the values of the settings except the faults, and the faults.
+
+        Raises UsageError for a setting that is repeated.
+        """
+        settings: dict[str, Any] = {}
         for name, value in self.settings:
-            if name in given:
+            if name in settings:
                 raise UsageError(f"{name}={value}: {name} was given before; give one value")
             if name != FAULT:
-                given[name] = value
-        return given, [value for name, value in self.settings if name == FAULT]
+                settings[name] = value
+        return settings, [value for name, value in self.settings if name == FAULT]
 
 
 def dive(rig: Rig, options: SimOptions) -> Exit:
-    """Run the instrument of ``rig`` in its simulated world until that ends. Raises UsageError for options that do not
-    fit."""
-    wanted = simulated(with_simulated_wires(rig), options)
+    """Run the instrument of ``rig`` in its simulated world until it ends.
+
+    Raises UsageError for options that do not fit.
+    """
+    simulated_rig = apply_options(check_simulated_wires(rig), options)
     compile_kernels(simulator_kernels)
     from appliance.cli.simtruth import bring_calibration
 
-    bring_calibration(wanted)
-    return serve(wanted)
+    bring_calibration(simulated_rig)
+    return serve(simulated_rig)
 
 
 # ------------------------------------------------------------------------------------------ an unlucky dive
@@ -138,34 +143,32 @@ CHAOS = "chaos"
 def chaos(rig: Rig, options: SimOptions, seed: int, scans: int, tell: Callable[[Any, Iterable[str]], None]) -> Exit:
     """Dive while devices come and go; FAILED if an accepted scan is lost or damaged or a refusal had no reason.
 
-    ``seed`` of everything that happens; ``scans``: how often SCAN is pressed.
+    ``seed`` is that of everything that happens; SCAN is pressed ``scans`` times.
     """
     if options.script is not None or options.window:
         raise UsageError("chaos: its diver holds the instrument; leave --script and --window out")
     root = options.root or rig.storage.root
-    # Scans of before would be counted as saved by this dive, and its losses would be hidden among them.
+    # Earlier scans would be counted as saved by this dive and hide its losses.
     if (root / "scans").exists():
         raise UsageError(f"--root {root}: holds scans already; chaos counts what it left, so give a new folder")
     with tempfile.TemporaryDirectory(prefix="kingfisher-chaos-") as folder:
         report = Path(folder) / "report.json"
-        # The world says what it told the diver in a file of its own: only by that, not by the instrument's word, is the
-        # disk judged.
+        # The world writes what the screen reported into its own file: the disk is judged by that, not by the
+        # instrument's own record.
         chosen = {CHAOS: {"seed": seed, "scans": scans, "report": str(report)}, "stills": True}
-        # Handed on unread, as all options of a simulated world: the product knows the name of this one and nothing
-        # else.
+        # Passed on unread, like all options of a simulated world, of which the product knows only the name.
         world = replace(rig.rig, wires_options={**rig.rig.wires_options, **chosen})
         ended = dive(replace(rig, rig=world), options)
-        told: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
-    result = told | _compared(simulated(replace(rig, rig=world), options), told["accepted"])
+        outcome: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
+    result = outcome | _verify_accepted(apply_options(replace(rig, rig=world), options), outcome["accepted"])
     tell(result, (f"{key:<12} {_short(value)}" for key, value in result.items()))
-    whole = not (result["lost"] or result["damaged"] or result["unexplained"])
-    # How the service ended comes before what the comparison found: after a crash the rest is its consequence.
-    return ended if ended is not Exit.OK else Exit.OK if whole else Exit.FAILED
+    is_sound = not (result["lost"] or result["damaged"] or result["unexplained"])
+    # The exit code of the service comes first, because after a crash the other findings are its consequence.
+    return ended if ended is not Exit.OK else Exit.OK if is_sound else Exit.FAILED
 
 
-def _compared(rig: Rig, accepted: list[str]) -> dict[str, Any]:
-    """Verify the scans that the screen called saved. Return the lost ones, the damaged ones and how many scans there
-    are."""
+def _verify_accepted(rig: Rig, accepted: list[str]) -> dict[str, Any]:
+    """Verify the scans that the screen reported as saved; return lost and damaged ones, and the count of all."""
     library = Library(rig.storage.root)
     lost, damaged = [], []
     with ProgressLine() as progress:

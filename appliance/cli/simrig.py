@@ -1,7 +1,7 @@
 """The rig of ``kingfisher sim``: a rig file whose wires lead to a simulated world, changed by the options.
 
-The simulator is found by name, as a folder with a rig file in it; nothing of it is imported here. The options are
-those of ``docs/protocols/world.md`` and go into ``[rig.wires_options]``, unread by the product.
+The simulator is found by name, as a folder with a rig file in it; nothing of it is imported here. The options are those
+of ``docs/protocols/world.md`` and go into ``[rig.wires_options]``, unread by the product.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ TEXTURES = ("none", "slight", "strong", "checker", "labels")
 TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled", "outside")
 WORLDS = ("ordinary", "outside")
 DEFAULT_SEED = 1
-"""The world's own, where neither the command line nor the rig file names one."""
+"""Default seed of the world, where neither the command line nor the rig file has one."""
 PACES = ("lockstep", "realtime", "attended")
 
 
 @dataclass(frozen=True, slots=True)
 class SimOptions:
-    """Options that the command line may change; ``None`` leaves what the rig file says."""
+    """Options that the command line may change; ``None`` leaves the value of the rig file."""
 
     root: Path | None = None
     object_name: str | None = None
@@ -50,7 +50,7 @@ class SimOptions:
 
 
 def default_sim_rig() -> Path:
-    """Return the rig file that comes with the simulator. Raises UsageError where it is not installed."""
+    """Return the rig file that comes with the simulator. Raises UsageError if it is not installed."""
     spec = importlib.util.find_spec(SIMULATOR)
     if spec is None or spec.origin is None:
         raise UsageError("the simulator is not installed; install it, or give a rig file with --rig PATH")
@@ -58,14 +58,13 @@ def default_sim_rig() -> Path:
 
 
 def simulator_kernels() -> Iterable[tuple[str, str]]:
-    """Return the pieces that the simulator has to compile before it opens: what for, and the function that does it."""
+    """Return the pieces (text, function) that the simulator has to compile before it opens."""
     pieces: Iterable[tuple[str, str]] = importlib.import_module(f"{SIMULATOR}.rendering.warm").PIECES
     return pieces
 
 
-def with_simulated_wires(rig: Rig) -> Rig:
-    """Return ``rig`` itself. Raises UsageError where its wires do not lead to the simulator: nothing real is started
-    here."""
+def check_simulated_wires(rig: Rig) -> Rig:
+    """Return ``rig``. Raises UsageError unless its wires lead to the simulator: no real device is started."""
     if rig.rig.wires.partition(".")[0] != SIMULATOR:
         raise UsageError(
             f"--rig: wires of [rig] is {rig.rig.wires}, which is no simulated world; allowed: {SIMULATOR}.wires:open; "
@@ -74,16 +73,16 @@ def with_simulated_wires(rig: Rig) -> Rig:
     return rig
 
 
-def simulated(rig: Rig, options: SimOptions) -> Rig:
-    """Return ``rig`` with the options. Raises UsageError for one that does not fit, before anything is started."""
+def apply_options(rig: Rig, options: SimOptions) -> Rig:
+    """Return ``rig`` with the options. Raises UsageError for one that does not fit, before any device is started."""
     wires = dict(rig.rig.wires_options)
     if options.root is not None:
         rig = replace(rig, storage=replace(rig.storage, root=options.root.absolute()))
     if options.size is not None:
-        rig = _resized(rig, options.size)
+        rig = _resize(rig, options.size)
         wires |= {"width_px": rig.camera.left.width_px, "height_px": rig.camera.left.height_px}
     if options.truth is not None and options.truth not in TRUTHS:
-        wires["truth"] = str(_existing("truth=", Path(options.truth), f"one of {', '.join(TRUTHS)}, or a truth.toml"))
+        wires["truth"] = str(_check_file("truth=", Path(options.truth), f"one of {', '.join(TRUTHS)}, or a truth.toml"))
     elif options.truth is not None:
         wires["truth"] = options.truth
     if options.world == "ordinary":
@@ -91,7 +90,7 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
     elif options.world is not None:
         wires["outside"] = {"seed": options.seed if options.seed is not None else wires.get("seed", DEFAULT_SEED)}
     if options.script is not None:
-        wires["script"] = str(_existing("--script ", options.script, "the path of a diver's script"))
+        wires["script"] = str(_check_file("--script ", options.script, "the path of a diver's script"))
     chosen: dict[str, Any] = {
         "object": options.object_name,
         "texture": options.texture,
@@ -100,7 +99,7 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
         "pace": options.pace or ("attended" if options.window else None),
         "window": options.window or None,
         "console": options.console or None,
-        # Added to those of the rig file, where all other options take the place of what it says.
+        # Faults are added to those of the rig file, while all other options replace its values.
         "faults": [*wires.get("faults", []), *options.faults] if options.faults else None,
     }
     wires |= {name: value for name, value in chosen.items() if value is not None}
@@ -108,18 +107,17 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
     return replace(rig, rig=replace(rig.rig, wires_options=wires))
 
 
-def _existing(option: str, path: Path, allowed: str) -> Path:
+def _check_file(option: str, path: Path, allowed: str) -> Path:
     if not path.is_file():
         raise UsageError(f"{option}{path}: no such file; allowed: {allowed}")
     return path.absolute()
 
 
-def _resized(rig: Rig, size: str) -> Rig:
-    """Return cameras of another size with the same field of view: the pixel of the design grows as their number
-    shrinks."""
+def _resize(rig: Rig, size: str) -> Rig:
+    """Return cameras of another size with the same field of view: larger pixels if there are fewer."""
     old = rig.camera.left
-    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", size)
-    width_px, height_px = (int(found[1]), int(found[2])) if found else (0, 0)
+    match = re.fullmatch(r"(\d{2,4})x(\d{2,4})", size)
+    width_px, height_px = (int(match[1]), int(match[2])) if match else (0, 0)
     if not (64 <= width_px <= 8192 and width_px * old.height_px == height_px * old.width_px):
         raise UsageError(
             f"size={size}: allowed are WIDTHxHEIGHT from 64 to 8192 px in the ratio {old.width_px}:{old.height_px}; "

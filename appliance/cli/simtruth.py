@@ -1,8 +1,8 @@
-"""The calibration that ``kingfisher sim truth=nominal`` brings: what the simulator says its true rig is.
+"""The calibration of ``kingfisher sim truth=nominal``: the true rig as the simulator states it.
 
-The other sets of true rigs are there to be calibrated. The simulator is found by name, as in ``simrig``; what it says
-is the JSON of ``docs/protocols/world.md``, in the rig frame. A calibration that lies in the storage root is never
-touched."""
+Other sets of true rigs have to be calibrated. The simulator is found by name, as in ``simrig``; it returns the JSON of
+``docs/protocols/world.md``, in the rig frame. An existing calibration in the storage root is never changed.
+"""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration
 
 METHOD = "truth"
 KNOWN_SET = "nominal"
-"""Name of the true rigs that are built as drawn."""
+"""Name of the true rig that equals the nominal one."""
 
 log = logging.getLogger("kingfisher")
 
 
 def bring_calibration(rig: Rig) -> None:
-    """Give the storage root of a simulated ``rig`` its calibration, if its true rig is the nominal one and there is
-    none yet.
+    """Write the calibration of a simulated ``rig`` whose true rig is nominal, if its storage root has none.
 
-    Raises UsageError where the one that lies there was brought for a rig that is not the one of this start,
-    StorageError."""
+    Raises UsageError if an existing one was written for another true rig, StorageError.
+    """
     path = Instrument(rig).calibration_file
     options = rig.rig.wires_options
-    # In air the windows refract otherwise: what is true there is no calibration to measure in water with.
+    # In air the ports refract differently, so that the true rig in air is no calibration for water.
     nominal = options.get("truth") == KNOWN_SET and options.get("medium", "water") == "water"
     if nominal and not _calibrated_before(Instrument(rig)):
-        # Written like any calibration, before the service starts: nothing in the product knows that it is the truth.
+        # Written like any calibration, before the service starts, so that the product does not know that it is the
+        # truth.
         LocalFileSystem().make_folders(path.parent)
         LocalFileSystem().replace_file(path, encode_calibration(true_calibration(rig)))
         log.info("calibration: that of the simulated instrument as drawn, in %s", path)
@@ -55,15 +55,14 @@ def bring_calibration(rig: Rig) -> None:
 
 
 def true_calibration(rig: Rig) -> Calibration:
-    """Return the calibration that states the true rig of a simulated ``rig``; exact where that has neither wedge nor
-    lens field."""
-    told: Mapping[str, Any] = importlib.import_module(f"{SIMULATOR}.world").true_rig(rig.rig.wires_options).as_dict()
-    left, right = told["cameras"]["left"], told["cameras"]["right"]
+    """Return the calibration that equals the true rig of a simulated ``rig``; exact without wedge and lens field."""
+    truth: Mapping[str, Any] = importlib.import_module(f"{SIMULATOR}.world").true_rig(rig.rig.wires_options).as_dict()
+    left, right = truth["cameras"]["left"], truth["cameras"]["right"]
     return Calibration(
         rig_serial=rig.rig.serial,
         method=METHOD,
         made_at="unknown",
-        made_from=(f"the simulated true rig: {told['set']}",),
+        made_from=(f"the simulated true rig: {truth['set']}",),
         water=Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm),
         rig=StereoRig(_camera(left, left), _camera(right, left), Instrument(rig).volume),
         camera_serials=(rig.camera.left.serial, rig.camera.right.serial),
@@ -71,7 +70,7 @@ def true_calibration(rig: Rig) -> Calibration:
 
 
 def _calibrated_before(instrument: Instrument) -> bool:
-    """Tell whether somebody has calibrated, or begun to: what lies there is theirs."""
+    """Tell whether the instrument has been calibrated, or a calibration was begun."""
     measured = (instrument.response_file, instrument.noise_file)
     return instrument.kept_folder.exists() or any(
         path not in measured for path in instrument.calibration_file.parent.glob("*.json")
@@ -79,13 +78,16 @@ def _calibrated_before(instrument: Instrument) -> bool:
 
 
 def _refuse_nominal(rig: Rig) -> None:
-    """A calibration that was brought for the nominal rig would give wrong lengths with another, without a word."""
+    """Raise UsageError if the calibration is that of the nominal rig, which differs from the true one.
+
+    Lengths would be wrong without a sign.
+    """
     path = Instrument(rig).calibration_file
     try:
-        found = load_calibration(path)
+        calibration = load_calibration(path)
     except CalibrationError:
         return  # the service says what is wrong with it
-    if found.method == METHOD and any(one.endswith(f"rig: {KNOWN_SET}") for one in found.made_from):
+    if calibration.method == METHOD and any(source.endswith(f"rig: {KNOWN_SET}") for source in calibration.made_from):
         raise UsageError(
             f"--root {rig.storage.root}: its calibration is that of truth={KNOWN_SET}, this start has another true rig "
             f"and would measure wrong lengths; give another folder, truth={KNOWN_SET}, or remove {path}"
@@ -93,8 +95,10 @@ def _refuse_nominal(rig: Rig) -> None:
 
 
 def _camera(eye: Mapping[str, Any], left: Mapping[str, Any]) -> HousedCamera:
-    """Return ``eye`` in the left camera's frame, lengths in mm. R, then t_mm, turn a camera's points into the rig
-    frame."""
+    """Return camera ``eye`` in the left camera frame, lengths in mm.
+
+    R and then t_mm transform a camera's points into the rig frame.
+    """
     to_left: NDArray[np.float64] = np.array(left["R"]).T
     rotation = to_left @ np.array(eye["R"])
     t_mm = to_left @ (np.array(eye["t_mm"]) - np.array(left["t_mm"]))

@@ -1,6 +1,6 @@
-"""The list of verbs: each one's words, its line of help, and the class that declares its arguments and does it.
+"""List of the verbs: name, line of help, and the class that declares the arguments and does the work.
 
-The class is imported when its verb was typed, and no other's is.
+Only the class of the typed verb is imported.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from appliance.cli.arguments import Verb
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One verb."""
+    """Entry of one verb in the list."""
 
     name: str
     text: str
-    at: str
+    location: str
     """``module:class`` below ``appliance.cli``."""
 
     def load(self) -> type[Verb]:
-        """Import the verb's class and return it."""
-        # By its name as text, since an import at the head of this file would load every verb.
-        module, _, name = self.at.partition(":")
-        found: type[Verb] = getattr(importlib.import_module(f"appliance.cli.{module}"), name)
-        return found
+        """Import the class of the verb and return it."""
+        # By name, because an import at the head of this file would load every verb.
+        module, _, name = self.location.partition(":")
+        verb: type[Verb] = getattr(importlib.import_module(f"appliance.cli.{module}"), name)
+        return verb
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Verbs that follow a word of their own."""
+    """Verbs below a common first word."""
 
     name: str
     text: str
@@ -124,4 +124,4 @@ SOUGHT = {
     "object compare": "compare object:NAME", "archive verify": "scans verify",
     "archive frame": "scans show SCAN SIDE PATTERN", "calibration nominal": "calibration show nominal",
 }  # fmt: skip
-"""Words that people type for a verb, and what does it."""
+"""Verb that does the work of each word that people also type."""

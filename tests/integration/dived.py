@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
 from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.patterns import PatternSequence
@@ -35,7 +35,7 @@ def instrument(folder: Path, script: str, rig_file: Path | None = None, size: st
     path = folder / "dive.script"
     path.write_text(script, encoding="utf-8")
     wanted = SimOptions(root=folder / "root", size=size, script=path, **options)
-    return simulated(load_rig(rig_file or default_sim_rig()), wanted)
+    return apply_options(load_rig(rig_file or default_sim_rig()), wanted)
 
 
 class Service:

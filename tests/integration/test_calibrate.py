@@ -16,7 +16,7 @@ from appliance.calibrate.air.calibrate import AirCalibration
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import Step
 from appliance.calibrate.water.start import start_from_air
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.store.config import Rig, load_rig
@@ -135,7 +135,7 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     options = SimOptions(
         root=tmp_path / "dive", object_name="ballbar", texture="none", truth="realistic", seed=SEED, size=SIZE
     )
-    rig = simulated(load_rig(default_sim_rig()), options)
+    rig = apply_options(load_rig(default_sim_rig()), options)
     store, library = Calibrations(rig.storage.root, rig.rig.serial), Library(rig.storage.root)
     in_air = calibration_in_air(rig)
     store.folder.mkdir(parents=True)

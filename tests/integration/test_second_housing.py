@@ -16,7 +16,7 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import USED, RecordingCheck, Refusal, Session, Step
 from appliance.calibrate.water.start import start_from_air
 from appliance.calibrate.water_steps import Solution, examine_recording, solve_calibration
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.instrument.service.app import run
 from appliance.instrument.service.settings import live_light_of, machine_settings
@@ -130,7 +130,7 @@ def scanned(rig: Rig, truth: TrueRig, what: str, pose: Pose) -> tuple[PatternSeq
 
 def test_without_its_own_volume_it_has_no_point_and_exchanged_cameras_are_named_by_its_drawing_alone() -> None:
     """Drawing and world state the same twice: where they differ, lengths would be wrong."""
-    rig = simulated(load_rig(COMPACT), SimOptions(texture="none", truth="nominal", size="480x300"))
+    rig = apply_options(load_rig(COMPACT), SimOptions(texture="none", truth="nominal", size="480x300"))
     drawn, exact = Instrument(rig).design(), true_calibration(rig)
     for mine, its in ((drawn.rig.left, exact.rig.left), (drawn.rig.right, exact.rig.right)):
         assert mine.lens.f_px == pytest.approx(its.lens.f_px)
@@ -175,7 +175,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
     """The whole calibration, from stored scans as the instrument stores them."""
     root = tmp_path_factory.mktemp("calibrated")
     options = SimOptions(root=root, texture="none", truth="realistic", seed=SEED, size=SIZE)
-    rig = simulated(load_rig(COMPACT), options)
+    rig = apply_options(load_rig(COMPACT), options)
     truth = true_rig(rig.rig.wires_options)
     air = calibrate_air(views_of_boards(truth, BOARDS, SEED, NEARER), truth.left.width_px, truth.left.height_px)
     store, library, session = Calibrations(root, rig.rig.serial), Library(root), Session()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.instrument.service.app import run
 from appliance.store.config import load_rig
 from hw_sim.world import World
@@ -35,7 +35,7 @@ def rehearse(world: World, folder: Path) -> None:
     script = folder / "rehearsal.script"
     script.write_text(SCRIPT, encoding="utf-8")
     size = f"{o.width_px}x{o.height_px}"
-    rig = simulated(load_rig(default_sim_rig()), SimOptions(root=folder / "root", size=size, script=script))
+    rig = apply_options(load_rig(default_sim_rig()), SimOptions(root=folder / "root", size=size, script=script))
     options = {**rig.rig.wires_options, "world": o.world}
     board = replace(rig.board, url=f"kfsim://{o.world}/board")
     assert run(replace(rig, rig=replace(rig.rig, wires_options=options), board=board)) == 0

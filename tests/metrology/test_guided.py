@@ -15,7 +15,7 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import USED, RecordingCheck, Session, Step
 from appliance.calibrate.water.start import start_from_air
 from appliance.calibrate.water_steps import examine_recording, solve_calibration
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import Instrument
@@ -52,7 +52,7 @@ def record(rig: Rig) -> None:
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_five_recordings_at_full_size(tmp_path: Path) -> None:
-    rig = simulated(load_rig(default_sim_rig()), SimOptions(root=tmp_path))
+    rig = apply_options(load_rig(default_sim_rig()), SimOptions(root=tmp_path))
     store, library = Calibrations(tmp_path, rig.rig.serial), Library(tmp_path)
     store.folder.mkdir()
     store.air.write_bytes(

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.cli.output import number, say_report, shown
+from appliance.cli.output import format_number, format_value, say_report
 from appliance.store.lock import hold_lock
 from tests.support.commands import Shell
 
@@ -85,7 +85,7 @@ def test_a_disk_that_takes_no_changes_and_a_full_one_are_told_apart(
     ],
 )  # fmt: skip
 def test_numbers_are_rounded_to_what_they_mean(key: str, value: object, text: str) -> None:
-    assert shown(key, value) == text
+    assert format_value(key, value) == text
 
 
 def test_rounding_never_changes_a_number_by_more_than_its_digits_and_names_stand_in_a_column(
@@ -93,7 +93,7 @@ def test_rounding_never_changes_a_number_by_more_than_its_digits_and_names_stand
 ) -> None:
     chance = np.random.default_rng(3)
     for value in chance.normal(0, 1, 200) * 10.0 ** chance.integers(-6, 9, 200):
-        assert float(number("noise_mm", float(value))) == pytest.approx(float(value), rel=6e-4)
+        assert float(format_number("noise_mm", float(value))) == pytest.approx(float(value), rel=6e-4)
     say_report({"points": 12.0, "a_name_that_is_longer_than_the_others": 1.23456})
     first, second = capsys.readouterr().out.splitlines()
     assert first.split() == ["points", "12"]

@@ -153,4 +153,4 @@ def test_every_verb_that_may_take_long_says_how_far_it_is(words: tuple[str, ...]
     """Off a terminal, too: by the one class that does it."""
     source = inspect.getsource(sys.modules[listed.load().__module__])
     says = "ProgressLine(" in source or "opened_scans(" in source
-    assert says or listed.at.partition(":")[0] in QUICK or listed.load().service
+    assert says or listed.location.partition(":")[0] in QUICK or listed.load().service

@@ -11,7 +11,7 @@ import pytest
 
 from appliance.cli import main
 from appliance.cli.output import Exit, UsageError, log_lines
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, with_simulated_wires
+from appliance.cli.simrig import SimOptions, apply_options, check_simulated_wires, default_sim_rig
 from appliance.cli.verbs import SECTIONS, VERBS
 from appliance.store.config import default_rig_path, load_rig
 from hw_sim.options import options_from
@@ -88,7 +88,7 @@ def test_options_of_sim_become_options_of_the_world(tmp_path: Path) -> None:
     script.write_text("end\n")
     given = {"texture": "none", "truth": "hard", "seed": 7, "pace": "realtime"}
     faults = ("camera.left off frame=9", "board off")
-    rig = simulated(RIG, SimOptions(root=tmp_path, object_name="plane", script=script, faults=faults, **given))  # type: ignore[arg-type]
+    rig = apply_options(RIG, SimOptions(root=tmp_path, object_name="plane", script=script, faults=faults, **given))  # type: ignore[arg-type]
     more = {"object": "plane", "script": str(script), "faults": [*faults], "status": str(tmp_path / "run/status.json")}
     assert rig.rig.wires_options == {**given, **more}
     assert rig.storage.root == tmp_path
@@ -98,19 +98,19 @@ def test_options_of_sim_become_options_of_the_world(tmp_path: Path) -> None:
 def test_what_is_not_given_leaves_what_the_rig_file_says() -> None:
     wires = {"object": "shell", "faults": ["board off"], "seed": 5, "outside": {"seed": 4}}
     by_file = replace(RIG, rig=replace(RIG.rig, wires_options=wires))
-    given = simulated(by_file, SimOptions(faults=("keypad off",))).rig.wires_options
+    given = apply_options(by_file, SimOptions(faults=("keypad off",))).rig.wires_options
     assert given.items() >= {**wires, "faults": ["board off", "keypad off"]}.items()
-    assert "seed" not in simulated(RIG, SimOptions()).rig.wires_options
+    assert "seed" not in apply_options(RIG, SimOptions()).rig.wires_options
     # The harsher world is drawn by the seed of the command line or else of the rig file, or else by the world's own.
-    assert simulated(by_file, SimOptions(world="outside")).rig.wires_options["outside"] == {"seed": 5}
-    assert "outside" not in simulated(by_file, SimOptions(world="ordinary")).rig.wires_options
-    assert simulated(RIG, SimOptions(world="outside", seed=7)).rig.wires_options["outside"] == {"seed": 7}
-    unsaid = simulated(RIG, SimOptions(world="outside")).rig.wires_options
+    assert apply_options(by_file, SimOptions(world="outside")).rig.wires_options["outside"] == {"seed": 5}
+    assert "outside" not in apply_options(by_file, SimOptions(world="ordinary")).rig.wires_options
+    assert apply_options(RIG, SimOptions(world="outside", seed=7)).rig.wires_options["outside"] == {"seed": 7}
+    unsaid = apply_options(RIG, SimOptions(world="outside")).rig.wires_options
     assert options_from(unsaid).seed == unsaid["outside"]["seed"]
 
 
 def test_smaller_cameras_keep_the_field_of_view_in_world_and_design() -> None:
-    rig = simulated(RIG, SimOptions(size="800x600"))
+    rig = apply_options(RIG, SimOptions(size="800x600"))
     assert (rig.camera.right.width_px, rig.camera.right.height_px) == (800, 600)
     assert (rig.rig.wires_options["width_px"], rig.rig.wires_options["height_px"]) == (800, 600)
     assert rig.design.pixel_um * 800 == pytest.approx(RIG.design.pixel_um * 1600)
@@ -128,28 +128,28 @@ def test_a_size_of_another_shape_and_a_script_or_truth_that_is_not_there_are_ref
     options: SimOptions, said: str
 ) -> None:
     with pytest.raises(UsageError, match=said):
-        simulated(RIG, options)
+        apply_options(RIG, options)
 
 
 @pytest.mark.parametrize("truth", SETS)
 def test_every_set_of_the_world_is_a_truth(truth: str) -> None:
-    assert simulated(RIG, SimOptions(truth=truth)).rig.wires_options["truth"] == truth
+    assert apply_options(RIG, SimOptions(truth=truth)).rig.wires_options["truth"] == truth
 
 
 def test_windows_are_the_worlds_and_idle_time_is_then_a_persons() -> None:
-    rig = simulated(RIG, SimOptions(window=True))
+    rig = apply_options(RIG, SimOptions(window=True))
     assert (rig.display, rig.projector) == (RIG.display, RIG.projector), "the instrument stays as it is"
     assert (rig.rig.wires_options["window"], rig.rig.wires_options["pace"]) == (True, "attended")
-    assert "window" not in simulated(RIG, SimOptions()).rig.wires_options
-    assert simulated(RIG, SimOptions(window=True, pace="lockstep")).rig.wires_options["pace"] == "lockstep"
+    assert "window" not in apply_options(RIG, SimOptions()).rig.wires_options
+    assert apply_options(RIG, SimOptions(window=True, pace="lockstep")).rig.wires_options["pace"] == "lockstep"
 
 
 def test_sim_starts_no_real_instrument() -> None:
     with pytest.raises(UsageError, match=r"drivers\.native:open.*kingfisher run"):
-        with_simulated_wires(RIG)
+        check_simulated_wires(RIG)
     assert default_sim_rig().parts[-3:] == ("hw_sim", "rigs", "full.toml")
     rig = load_rig(default_sim_rig())
-    assert with_simulated_wires(rig) is rig
+    assert check_simulated_wires(rig) is rig
 
 
 @pytest.mark.parametrize("service", [True, False])

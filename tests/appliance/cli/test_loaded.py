@@ -22,7 +22,7 @@ from appliance.cli.arguments import (
     operands,
     option,
     repeated,
-    whole,
+    whole_number,
 )
 from appliance.cli.failures import FAILED, USAGE, exit_code_of
 from appliance.cli.output import Exit
@@ -120,8 +120,8 @@ def test_an_option_that_is_repeated_keeps_all_values_and_none_of_the_call_before
 @pytest.mark.parametrize(
     ("parse", "good", "bad", "allowed"),
     [
-        (whole(6, 200), {"6": 6, "200": 200, "0012": 12}, "5 201 -7 6.0 ٧ x 9999999999", "whole numbers 6..200"),
-        (whole(0, 999_999_999), {"0": 0, "000": 0, "999999999": 999_999_999}, "1000000000 -1", "0..999999999"),
+        (whole_number(6, 200), {"6": 6, "200": 200, "0012": 12}, "5 201 -7 6.0 ٧ x 9999999999", "whole numbers 6..200"),
+        (whole_number(0, 999_999_999), {"0": 0, "000": 0, "999999999": 999_999_999}, "1000000000 -1", "0..999999999"),
         (number(0.05, 16.0), {"0.05": 0.05, "16": 16.0, "1e1": 10.0}, "0.049 16.01 x nan inf", "allowed are 0.05..16"),
         (number(0.01, 50.0, "mm"), {"0.01": 0.01}, "0 50.1 nan", "allowed are numbers 0.01..50 (mm)"),
         (number_above(0.0, 10.0), {"10": 10.0, "0.001": 0.001}, "0 -1 10.01 nan", "numbers above 0, up to 10"),

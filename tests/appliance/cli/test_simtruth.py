@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.cli.output import UsageError
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import Instrument, load_calibration
@@ -19,7 +19,7 @@ from hw_sim.world import true_rig
 
 
 def rig_of(root: Path, truth: str, size: str = "800x600") -> Rig:
-    return simulated(load_rig(default_sim_rig()), SimOptions(root=root, truth=truth, size=size, seed=5))
+    return apply_options(load_rig(default_sim_rig()), SimOptions(root=root, truth=truth, size=size, seed=5))
 
 
 @pytest.mark.parametrize("truth", ["nominal", "modelled"])

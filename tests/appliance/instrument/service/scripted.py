@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simrig import SimOptions, apply_options, default_sim_rig
 from appliance.instrument.capture.grabber import Grabber, Timeouts
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Device
@@ -120,7 +120,7 @@ def no_process() -> Iterator[None]:
 
 
 def small_rig(root: Path) -> Rig:
-    return simulated(load_rig(default_sim_rig()), SimOptions(root=root, size="400x300"))
+    return apply_options(load_rig(default_sim_rig()), SimOptions(root=root, size="400x300"))
 
 
 @contextmanager
