@@ -152,5 +152,5 @@ def test_an_interruption_within_a_compiled_library_is_one() -> None:
 def test_every_verb_that_may_take_long_says_how_far_it_is(words: tuple[str, ...], listed: Listed) -> None:
     """Off a terminal, too: by the one class that does it."""
     source = inspect.getsource(sys.modules[listed.load().__module__])
-    says = "ProgressLine(" in source or "opened_scans(" in source
+    says = "ProgressLine(" in source or "open_scans(" in source
     assert says or listed.location.partition(":")[0] in QUICK or listed.load().service
