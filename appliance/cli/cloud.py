@@ -159,7 +159,7 @@ class MakeCloud(WithObjects):
         def work(out: Path, progress: ProgressLine) -> dict[str, Any]:
             from appliance.desk import write_cloud
 
-            report = write_cloud(folders, out, options, progress, own=own_form, mesh=meshed)
+            report = write_cloud(folders, out, options, progress, own_form=own_form, mesh=meshed)
             if report.get("salvaged"):
                 log.warning("%s: salvaged, not to be measured in: %s", folders[0], "; ".join(report["salvaged"]))
             return report

@@ -120,14 +120,14 @@ class MeasureInstrument(WithRoot):
         return Exit.OK
 
     def _exposures(self, sources: Sequence[SourceScan], options: ScanOptions, progress: ProgressLine) -> Exit:
-        from appliance.desk import exposure_found
+        from appliance.desk import check_exposure
         from appliance.store import SourceScan
 
         SourceScan.instrument_of(sources, options)  # refuses scans of several instruments
         exposures = []
         for number, source in enumerate(sources):
             progress("decoding", number / len(sources))
-            exposures.append(exposure_found(source))
+            exposures.append(check_exposure(source))
         delays_us = sorted({item.trigger_delay_us for item in exposures})
         if len(delays_us) > 1:
             raise ScanError(

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         import_images,  # Import the images below a folder, or those that a description describes
     )
     from .measuring import (
-        exposure_found,  # Return how straight the fringes of a stored scan are. Raises ScanError
+        check_exposure,  # Return how straight the fringes of a stored scan are. Raises ScanError
         noise_of_scan,  # Return by side the camera's noise in a stored scan, and what the rig file makes expect
         noise_to_store,  # Return what noise_of_scan found in a stored scan as figures of the instrument's cameras
         response_of_scan,  # Return the projector's response from the raw frames of a stored scan

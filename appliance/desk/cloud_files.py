@@ -1,5 +1,4 @@
-"""Owns the files of clouds: of a stored scan, of two as one, of a recording that broke, and of an object; and the
-reports of what is in them."""
+"""Files of clouds: of a stored scan, of two as one, of an incomplete scan, and of an object; with the reports about them."""
 
 from __future__ import annotations
 
@@ -31,13 +30,12 @@ from appliance.store import ChosenCalibration, IncompleteRecording, SalvagedScan
 
 
 def write_cloud(
-    folders: Sequence[Path], out: Path, wish: ScanOptions, progress: Progress, *, own: bool, mesh: bool
+    folders: Sequence[Path], out: Path, wish: ScanOptions, progress: Progress, *, own_form: bool, mesh: bool
 ) -> dict[str, Any]:
-    """Write the cloud of a stored scan, of two of the same scene as one, or of a recording that broke, and return the
-    report of it.
+    """Write the cloud of a stored scan, of two of the same scene as one, or of an incomplete scan, and return the report.
 
-    ``own``: in the instrument's own form, the only one of the last two; of a damaged scan it says what was made up.
-    ``mesh``: triangles instead of points. Raises ScanError, CalibrationError, ExportError, StorageError,
+    ``own_form``: in the instrument's own format, the only one of the last two; of a damaged scan it states the made-up
+    frames. ``mesh``: triangles instead of points. Raises ScanError, CalibrationError, ExportError, StorageError,
     MissingLibraryError.
     """
     folder = folders[0]
@@ -45,11 +43,11 @@ def write_cloud(
         recording = IncompleteRecording.load(folder)
         source = SourceScan.open(folder, wish, recording.scan)
         return rescue_recording(recording, source, source.calibration_for(wish), out, progress)
-    if own and len(folders) == 1:
+    if own_form and len(folders) == 1:
         salvaged = SalvagedScan.of(folder)
         source = SourceScan.open(folder, wish, salvaged.scan)
         return reconstruct_scan(source, source.calibration_for(wish), out, progress, salvaged)
-    sources = [SourceScan.open(one, wish, whole=True) for one in folders]
+    sources = [SourceScan.open(path, wish, whole=True) for path in folders]
     if len(sources) == 1:
         return _export(sources[0], sources[0].calibration_for(wish), out, progress, mesh=mesh)
     SourceScan.instrument_of(sources, wish)  # refuses two
@@ -57,7 +55,7 @@ def write_cloud(
 
 
 class ObjectFiles:
-    """The files of a solved object; its surface and the mesh of that are made once, when they are first wanted."""
+    """Files of a solved object; its surface and the mesh of that are made once, on first use."""
 
     def __init__(
         self,
@@ -68,19 +66,18 @@ class ObjectFiles:
         spacing_mm: float,
         close_holes_mm: float,
     ) -> None:
-        """``spacing_mm``: the surface has a point about so far apart; holes of its mesh up to ``close_holes_mm`` are
-        closed."""
+        """Keep the settings: ``spacing_mm`` of the surface's points, and the size of holes of its mesh that are closed."""
         self._of, self._progress, self._about = (root, solved, wish, progress), progress, metadata_of_object(solved)
         self._spacing_mm, self._close_holes_mm = spacing_mm, close_holes_mm
         self._surface: FusedCloud | None = None
         self._mesh: Mesh | None = None
 
     def prepare(self, out: Path, *, mesh: bool, single_scans: bool) -> Callable[[], None]:
-        """Make what goes into the file and return what writes it, which raises ExportError, StorageError,
-        MissingLibraryError.
+        """Prepare the content of a file and return the function that writes it.
 
-        ``mesh``: triangles where the suffix leaves the choice; ``single_scans``: scans with their places likewise,
-        which are made while they are written. Raises ScanError, CalibrationError.
+        ``mesh``: triangles where the suffix leaves the choice; ``single_scans``: scans with their poses likewise, which are
+        made while they are written. Raises ScanError, CalibrationError; the function raises ExportError, StorageError,
+        MissingLibraryError.
         """
         suffix = out.suffix.lower()
         if suffix in OBJECT_SCANS_SUFFIXES and (single_scans or suffix not in SURFACE_SUFFIXES):
@@ -89,7 +86,7 @@ class ObjectFiles:
         self._progress(f"writing {out.name}")
         if not has_triangles(out, mesh):
             return lambda: write_surface(out, surface, self._about)
-        # It takes as long as everything before.
+        # The mesh takes as long as all steps before.
         size_mm = max(VOXEL_MM, 2.0 * self._spacing_mm)
         triangles = self._mesh = self._mesh or mesh_of_surface(surface, size_mm, self._close_holes_mm)
         return lambda: write_mesh(out, triangles, self._about)
@@ -98,19 +95,19 @@ class ObjectFiles:
 def _export(
     source: SourceScan, chosen: ChosenCalibration, out: Path, progress: Progress, *, mesh: bool
 ) -> dict[str, Any]:
-    """Write the points of a stored scan, or with ``mesh`` its triangles, to ``out``; the suffix says how.
+    """Write the points of a stored scan, or with ``mesh`` its triangles, to ``out`` in the format of the suffix.
 
     Raises ExportError for a suffix that is not allowed, MissingLibraryError, ScanError, StorageError.
     """
     suffix = check_suffix(out, MESH_SUFFIXES if mesh else SCAN_SUFFIXES, "a mesh" if mesh else "a scan")
-    made = organised_scan(source, chosen, progress)
+    scan = organised_scan(source, chosen, progress)
     record, calibration = source.scan.manifest.record, chosen.calibration
-    warnings = [f"{fault.code.value}: {fault.detail}" for fault in made.faults]
-    about = Metadata(
+    warnings = [f"{fault.code.value}: {fault.detail}" for fault in scan.faults]
+    metadata = Metadata(
         title=f"scan {source.scan.manifest.scan_id}",
         frame=CAMERA_FRAME,
         notes=(
-            f"calibration {calibration.hash[:12]} ({calibration.method}), water index {made.water.index:.5f}",
+            f"calibration {calibration.hash[:12]} ({calibration.method}), water index {scan.water.index:.5f}",
             f"recorded {record.wall_time or 'at an unknown time'}, software {record.software_version}",
             *(f"warning {warning}" for warning in warnings),
         ),
@@ -118,14 +115,14 @@ def _export(
     faces = None
     if mesh:
         progress("meshing")
-        triangles = mesh_of_scan(made.cloud)
+        triangles = mesh_of_scan(scan.cloud)
         points, faces = len(triangles.grey), len(triangles.faces)
         progress("writing")
-        write_mesh(out, triangles, about)
+        write_mesh(out, triangles, metadata)
     else:
-        points = int(made.cloud.mask.sum())
+        points = int(scan.cloud.mask.sum())
         progress("writing")
-        write_scan(out, made.cloud, about)
+        write_scan(out, scan.cloud, metadata)
     return {
         "scan": source.scan.manifest.scan_id,
         "file": str(out),
@@ -135,6 +132,6 @@ def _export(
         "faces": faces,
         "calibration": calibration.hash,
         "calibration_from": chosen.whose,
-        "water_index": made.water.index,
+        "water_index": scan.water.index,
         "warnings": warnings,
     }

@@ -1,4 +1,4 @@
-"""Owns what the page about a dive says: each scan as it was judged, its warnings, and its cloud as a picture."""
+"""Content of the page about a dive: each scan with its verdicts, its warnings, and an image of its cloud."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ _VERDICTS: Mapping[Grade, ReportVerdict] = {
     Grade.USABLE: ReportVerdict.DOUBTFUL,
     Grade.BAD: ReportVerdict.REFUSED,
 }
-"""Signs of the grades."""
+"""Verdict of the report for each grade."""
 
 
 def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Progress) -> Report:
     """Return the page's content for scans under a storage root, in their order.
 
-    A scan that cannot be read is on the page, with its problem.
+    A scan that cannot be read is on the page, with its fault.
     """
-    # One at a time: a cloud is let go before the next is read.
+    # One at a time: a cloud is freed before the next is read.
     scans = []
     for number, entry in enumerate(entries):
         progress(f"scan {entry.scan_id}", number / max(len(entries), 1))
         scans.append(_scan(entry))
     records = [entry.manifest.record for entry in entries if entry.manifest is not None]
-    dates = sorted(one.wall_time for one in records if one.wall_time is not None)
-    points = sum(one.points or 0 for one in scans)
+    dates = sorted(record.wall_time for record in records if record.wall_time is not None)
+    points = sum(scan.points or 0 for scan in scans)
     return Report(
         title=_title(root.absolute().name),
         subtitle=f"{len(entries)} scans, {points / 1e6:.1f} million points",
@@ -46,13 +46,13 @@ def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Progress)
             "Recorded": " to ".join(dict.fromkeys((when(dates[0]), when(dates[-1]))))
             if dates
             else "at an unknown time",
-            "Calibration": _each(one.calibration_hash for one in records) or "none",
-            "Refractive index of the water": _each(
-                f"{index:.5f}" for one in records if (index := one.water.get("index")) is not None
+            "Calibration": _distinct(record.calibration_hash for record in records) or "none",
+            "Refractive index of the water": _distinct(
+                f"{index:.5f}" for record in records if (index := record.water.get("index")) is not None
             )
             or "–",
-            "Objects": _each(f"{one.object}" for one in records if one.object is not None) or "none",
-            "Software": f"Kingfisher {__version__}; recorded by {_each(one.software_version for one in records) or '–'}",
+            "Objects": _distinct(f"{record.object}" for record in records if record.object is not None) or "none",
+            "Software": f"Kingfisher {__version__}; recorded by {_distinct(record.software_version for record in records) or '–'}",
         },
         scans=scans,
         warnings=_warnings(entries, scans),
@@ -65,9 +65,9 @@ def _when(record: ScanRecord) -> str | None:
     return when(record.wall_time) + ("" if record.clock_trusted else " (clock not set)")
 
 
-def _each(values: Iterable[str | None]) -> str:
-    """Return what occurs among ``values``, each once and shortened, in the order of appearance."""
-    return ", ".join(dict.fromkeys(one[:_SHOWN_DIGITS] for one in values if one is not None))
+def _distinct(values: Iterable[str | None]) -> str:
+    """Return the distinct ``values``, shortened, in the order of appearance."""
+    return ", ".join(dict.fromkeys(value[:_SHOWN_DIGITS] for value in values if value is not None))
 
 
 def _scan(entry: ScanEntry) -> ReportScan:
@@ -76,15 +76,17 @@ def _scan(entry: ScanEntry) -> ReportScan:
         return ReportScan(name, ReportVerdict.REFUSED, "damaged", warnings=entry.problems)
     record = entry.manifest.record
     failed = {
-        one.name: f"{one.name}: {one.text}" if one.text else one.name for one in record.verdicts if one.passed is False
+        verdict.name: f"{verdict.name}: {verdict.text}" if verdict.text else verdict.name
+        for verdict in record.verdicts
+        if verdict.passed is False
     }
-    # The causes rank what other verdicts say in full.
-    others = [text for name, text in failed.items() if name not in {GRADE, CAUSES}]
-    told = others or list(failed.values())
-    ungraded = ReportVerdict.DOUBTFUL if told else ReportVerdict.GOOD
+    # Grade and causes only rank the faults that other verdicts state in full.
+    details = [text for name, text in failed.items() if name not in {GRADE, CAUSES}]
+    failures = details or list(failed.values())
+    ungraded = ReportVerdict.DOUBTFUL if failures else ReportVerdict.GOOD
     belongs = [] if record.object is None else [f"object {record.object}"]
     count = record.cloud.get("points")
-    found = ReportScan(
+    report_scan = ReportScan(
         name=name,
         verdict=_VERDICTS[record.grade] if record.grade is not None else ungraded,
         grade=record.grade,
@@ -93,24 +95,26 @@ def _scan(entry: ScanEntry) -> ReportScan:
         points=None if count is None else round(count),
         sigma_mm=record.cloud.get("noise_mm"),
         ray_gap_mm=record.gap_mm,
-        warnings=(*told, *entry.problems, *((entry.label.note,) if entry.label.note else ())),
+        warnings=(*failures, *entry.problems, *((entry.label.note,) if entry.label.note else ())),
     )
     if entry.problems:
-        return replace(found, verdict=ReportVerdict.REFUSED, grade=None)
+        return replace(report_scan, verdict=ReportVerdict.REFUSED, grade=None)
     try:
         cloud = StoredScan.load(entry.folder).cloud()
     except ScanError as error:
-        return replace(found, verdict=ReportVerdict.REFUSED, grade=None, warnings=(*found.warnings, str(error)))
-    if cloud is None or not len(cloud.points_mm):
-        # Its frames are whole: its points can be made again.
         return replace(
-            found,
+            report_scan, verdict=ReportVerdict.REFUSED, grade=None, warnings=(*report_scan.warnings, str(error))
+        )
+    if cloud is None or not len(cloud.points_mm):
+        # Its frames are complete: its points can be made again.
+        return replace(
+            report_scan,
             verdict=ReportVerdict.REFUSED,
             grade=None,
-            warnings=(*found.warnings, "raw frames only: kingfisher cloud"),
+            warnings=(*report_scan.warnings, "raw frames only: kingfisher cloud"),
         )
     return replace(
-        found,
+        report_scan,
         points=len(cloud.points_mm),
         distance_mm=float(np.median(cloud.points_mm[:, 2])),
         sigma_mm=float(np.median(cloud.sigma_mm)),
@@ -124,17 +128,17 @@ def _title(name: str) -> str:
 
 
 def _warnings(entries: Sequence[ScanEntry], scans: Sequence[ReportScan]) -> list[str]:
-    said = []
-    without = [one.name for one in scans if one.verdict is ReportVerdict.REFUSED and one.grade is None]
-    for names, words in (
+    warnings = []
+    without = [scan.name for scan in scans if scan.verdict is ReportVerdict.REFUSED and scan.grade is None]
+    for names, fault_text in (
         (without, "without points that can be used"),
-        ([one.name for one in scans if one.grade is Grade.BAD], "are bad"),
-        ([one.name for one in scans if one.grade is Grade.USABLE], "are usable, not good"),
+        ([scan.name for scan in scans if scan.grade is Grade.BAD], "are bad"),
+        ([scan.name for scan in scans if scan.grade is Grade.USABLE], "are usable, not good"),
     ):
         if names:
-            said.append(f"{len(names)} of {len(scans)} scans {words}: {', '.join(names)}")
-    # Scans without points have no calibration, which is no second one.
+            warnings.append(f"{len(names)} of {len(scans)} scans {fault_text}: {', '.join(names)}")
+    # Scans without points have no calibration; None does not count as a second one.
     used = {entry.manifest.record.calibration_hash for entry in entries if entry.manifest is not None} - {None}
     if len(used) > 1:
-        said.append(f"{len(used)} calibrations: points of different ones do not lie on each other")
-    return said
+        warnings.append(f"{len(used)} calibrations: points of different ones do not lie on each other")
+    return warnings

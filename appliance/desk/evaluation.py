@@ -1,4 +1,4 @@
-"""Owns an evaluation from list to report: which scan shows what, each reconstructed, its artefact measured."""
+"""Evaluation from a list to a report: each scan is reconstructed and its artefact measured."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def run_evaluation(
     chosen: Calibration,
     progress: Progress,
 ) -> Evaluation:
-    """Reconstruct and measure every scan of the list; ``sources`` are they, in its order, with whole raw frames.
+    """Reconstruct and measure every scan of the list; ``sources`` are in its order, with complete raw frames.
 
-    Raises ScanError, also for a scan that the calibration leaves no points of.
+    Raises ScanError, also for a scan in which the calibration leaves no points.
     """
     items = []
     for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):
@@ -33,7 +33,7 @@ def run_evaluation(
         step = part_of(progress, k / len(sources), (k + 1) / len(sources), scan.folder.name)
         settings = Instrument(source.rig).settings_of_scan(scan.manifest.record)
         reprocessed = reprocess_scan(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
-        # An artefact that was not found is a result; a calibration that does not fit the scan measures nothing.
+        # A missing artefact is a result; a calibration that does not fit the scan is an error.
         if reprocessed.empty is not None and reprocessed.empty.by_calibration:
             scan.refuse_empty(reprocessed.empty)
         cloud, water = reprocessed.cloud, reprocessed.water
@@ -57,11 +57,11 @@ def run_evaluation(
             "recorded_by_version": record.software_version,
             "recorded_with_rig": record.rig_hash,
             "recorded_with_calibration": record.calibration_hash,
-            # Which frames were measured can be proved later, wherever the folder has gone.
+            # The hashes prove later which frames were measured, even if the folder was moved.
             "sha256": {name: scan.manifest.files[name].sha256 for name in RAW_FILES},
         }
         items.append(Item(scan.manifest.scan_id, result, provenance))
-    about = {
+    provenance_of_all = {
         "operator": listed.operator,
         "rig_serial": chosen.rig_serial,
         "calibration": chosen.hash,
@@ -69,4 +69,4 @@ def run_evaluation(
         "calibration_made_at": chosen.made_at,
         "software_version": __version__,
     }
-    return Evaluation(about, listed.reference_mm, chosen.rig.left.width_px, tuple(items))
+    return Evaluation(provenance_of_all, listed.reference_mm, chosen.rig.left.width_px, tuple(items))

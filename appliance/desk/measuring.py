@@ -1,4 +1,4 @@
-"""Owns what is measured about the instrument from a scan it stored, besides its calibration."""
+"""Measurements of the instrument's response and noise from a stored scan."""
 
 from __future__ import annotations
 
@@ -32,21 +32,19 @@ from appliance.measure import (
 from appliance.store import Instrument, Rig, ScanError, SourceScan, StoredScan
 
 MOST_NOISIER = 1.1
-"""Factor by which points may be noisier for the exposure they were taken with: of a response as other projectors have,
-1.01."""
+"""Largest factor by which the exposure of a scan may make points noisier; with usual projectors it is 1.01."""
 
 
 def response_of_scan(rig: Rig, folder: Path, progress: Progress) -> tuple[StoredResponse, MeasuredResponse]:
-    """Return the projector's response from the raw frames of a stored scan, ready for its file, and what else the
-    scan says.
+    """Return the projector's response from the raw frames of a stored scan, ready for its file, and its details.
 
     Raises ScanError, ResponseError.
     """
     scan = StoredScan.load(folder, only_raw=True)
     record, sequence = scan.manifest.record, scan.sequence
-    # A scan drawn for a response shows what is left of it: without that very response its codes are not known.
-    drawn_for = _drawn_for(rig, scan.manifest.scan_id, record.response_hash)
-    seen = []
+    # A scan with patterns for a response shows its residual: only with that response are the codes known.
+    drawn_for = _response_of_patterns(rig, scan.manifest.scan_id, record.response_hash)
+    camera_images = []
     for k, side in enumerate(SIDES):
         frames = scan.frames[side]
         decoder = CameraDecoder(sequence, frames.shape[2], frames.shape[1])
@@ -54,28 +52,28 @@ def response_of_scan(rig: Rig, folder: Path, progress: Progress) -> tuple[Stored
             progress(f"decoding {side}", 0.5 * (k + index / len(sequence)))
             decoder.push(frames, index)
         decoder.finish()
-        seen.append(CameraImages(frames, decoder.p_px, decoder.q_px))
-    measured = measure_response(sequence, seen, drawn_for)
-    taken_us = Instrument(rig).exposure_of_scan(record).time_us, rig.board.trigger_delay_us
-    found = StoredResponse(
-        rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response.harmonics, *taken_us
+        camera_images.append(CameraImages(frames, decoder.p_px, decoder.q_px))
+    measured = measure_response(sequence, camera_images, drawn_for)
+    times_us = Instrument(rig).exposure_of_scan(record).time_us, rig.board.trigger_delay_us
+    stored = StoredResponse(
+        rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response.harmonics, *times_us
     )
-    return found, measured
+    return stored, measured
 
 
 @dataclass(frozen=True, slots=True)
-class ExposureFound:
-    """One scan's word on the exposure it was taken with."""
+class ExposureCheck:
+    """Ripple that the exposure of one scan leaves in its coordinates."""
 
     scan_id: str
     exposure: Exposure
     trigger_delay_us: int
     bend_px: float
-    """RMS of what the response bends coordinates by, in pattern px."""
+    """RMS of the ripple in the coordinates, in pattern px."""
     noise_px: float
-    """Standard deviation of a coordinate without it."""
+    """Standard deviation of a coordinate without the ripple."""
     noisier: float
-    """Factor by which points are noisier for it once it is taken out."""
+    """Factor by which points are noisier after the ripple is removed."""
 
     @property
     def straight(self) -> bool:
@@ -83,10 +81,10 @@ class ExposureFound:
         return self.noisier <= MOST_NOISIER
 
 
-def exposure_found(source: SourceScan) -> ExposureFound:
-    """Return how straight the fringes of a stored scan are.
+def check_exposure(source: SourceScan) -> ExposureCheck:
+    """Return the ripple in the fringes of a stored scan.
 
-    Raises ScanError, also for one that shows too little to tell.
+    Raises ScanError, also for a scan with too few points.
     """
     scan = StoredScan.load(source.scan.folder, only_raw=True)
     record, sequence = scan.manifest.record, scan.sequence
@@ -103,7 +101,7 @@ def exposure_found(source: SourceScan) -> ExposureFound:
         raise ScanError(
             f"{scan.folder}: too few points to tell how straight its fringes are; scan a surface that fills the image"
         )
-    return ExposureFound(
+    return ExposureCheck(
         scan.manifest.scan_id,
         Instrument(source.rig).exposure_of_scan(record),
         source.rig.board.trigger_delay_us,
@@ -114,14 +112,13 @@ def exposure_found(source: SourceScan) -> ExposureFound:
 
 
 def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, CameraNoise]]:
-    """Return by side the camera's noise in a stored scan, and what the rig file makes expect.
+    """Return, by side, the camera's noise in a stored scan and the noise that the rig file states.
 
     Raises ScanError, NoiseError.
     """
     scan = StoredScan.load(folder, only_raw=True)
     sequence = scan.sequence
-    # The gain is the scan's own where it says so; full well, read noise and black level are the camera's and stand in
-    # the rig file only.
+    # The gain is the scan's own if it states one; full well, read noise and black level are in the rig file only.
     expected = Instrument(rig).noise(Instrument(rig).exposure_of_scan(scan.manifest.record))
     return {
         "left": (measure_noise(sequence, scan.frames["left"]), expected.left),
@@ -129,9 +126,8 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
     }
 
 
-def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise, CameraNoise]]) -> StoredNoise:
-    """Return what ``noise_of_scan`` found in a stored scan as figures of the instrument's cameras, ready for their
-    file.
+def noise_to_store(rig: Rig, folder: Path, noise_by_side: dict[str, tuple[MeasuredNoise, CameraNoise]]) -> StoredNoise:
+    """Return the results of ``noise_of_scan`` as figures of the instrument's cameras, ready for their file.
 
     Raises ScanError, and NoiseError for figures that no camera has.
     """
@@ -140,23 +136,23 @@ def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise,
     figures = []
     for side in SIDES:
         camera = of_side(cameras, side)
-        # Both cameras are set to the scan's gain; what the right one's differs by in the rig file is kept.
+        # Both cameras have the scan's gain, plus the difference of the right camera in the rig file.
         gain_db = exposure.gain_db + camera.gain_db - cameras.left.gain_db
-        one = found[side][0].figures(camera.serial, gain_db)
+        camera_figures = noise_by_side[side][0].figures(camera.serial, gain_db)
         for name, limits in LIMITS.items():
-            value = getattr(one, name)
+            value = getattr(camera_figures, name)
             if not limits.takes(value):
                 raise NoiseError(
                     f"{name} of the {side} camera would be {value:.4g}; allowed are {limits.allowed}; scan something "
                     "light and "
                     "dark with still hands, in the dark"
                 )
-        figures.append(one)
+        figures.append(camera_figures)
     return StoredNoise(rig.rig.serial, (manifest.scan_id,), BothFigures(*figures))
 
 
-def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | None:
-    """Return the response that a scan's patterns were drawn for."""
+def _response_of_patterns(rig: Rig, scan_id: str, response_hash: str | None) -> Response | None:
+    """Return the response for which the patterns of a scan were drawn."""
     if response_hash is None:
         return None
     response = Instrument(rig).response()

@@ -1,5 +1,4 @@
-"""Owns two stored scans as one cloud: two exposures of the same scene, for what is too bright in one and too dark in
-the other."""
+"""Merging: two stored scans of one scene with different exposures as one cloud."""
 
 from __future__ import annotations
 
@@ -25,19 +24,18 @@ from appliance.store import (
 def merge_scans(
     sources: tuple[SourceScan, SourceScan], chosen: ChosenCalibration, out: Path, progress: Progress
 ) -> dict[str, Any]:
-    """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to
-    ``out``.
+    """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to ``out``.
 
-    Raises ScanError, also for scans that do not show the same, or are the same; CalibrationError, OSError.
+    Raises ScanError, also for scans that show different scenes, or are the same; CalibrationError, OSError.
     """
     rig, calibration = sources[0].rig, chosen.calibration
-    refuse_the_same(sources[0].scan, sources[1].scan)
+    refuse_same_scan(sources[0].scan, sources[1].scan)
     # The shorter exposure's grey values are those of the cloud: they are not saturated.
     scans = sorted(
         (source.scan for source in sources),
         key=lambda scan: Instrument(rig).exposure_of_scan(scan.manifest.record).light,
     )
-    cloud, verdict, water = merged_cloud_of((scans[0], scans[1]), rig, calibration, progress)
+    cloud, verdict, water = merge_clouds((scans[0], scans[1]), rig, calibration, progress)
     names = [scan.manifest.scan_id for scan in scans]
     progress("writing")
     LocalFileSystem().replace_file(out, *encode_ply(cloud))
@@ -59,13 +57,13 @@ def merge_scans(
     }
 
 
-def refuse_the_same(first: StoredScan, second: StoredScan) -> None:
-    """Raises ScanError for two scans with a file of frames in common, whatever their numbers.
+def refuse_same_scan(first: StoredScan, second: StoredScan) -> None:
+    """Raise ScanError for two scans with a common file of frames, also under different numbers.
 
-    The same frames counted twice would claim less noise than there is, by the root of two.
+    Counting the same frames twice would claim a noise too small by the root of two.
     """
     of_frames = FRAME_FILES
-    # By their content: a copy under another number is the same scan.
+    # Compare content: a copy under another number is the same scan.
     sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
     if sums[0] & sums[1]:
         raise ScanError(
@@ -75,7 +73,7 @@ def refuse_the_same(first: StoredScan, second: StoredScan) -> None:
         )
 
 
-def merged_cloud_of(
+def merge_clouds(
     scans: tuple[StoredScan, StoredScan],
     rig: Rig,
     calibration: Calibration,
@@ -83,20 +81,20 @@ def merged_cloud_of(
 ) -> tuple[Cloud, Verdict, Water]:
     """Return the full cloud of two scans as one, in the frame of the first; the verdict ``pair``, and the water.
 
-    Raises ScanError for scans of different patterns, or of two sequences, or that do not show the same.
+    Raises ScanError for scans of different patterns, of two sequences, or of different scenes.
     """
     first, second = scans
     for scan in scans:
         if scan.second is not None:
             raise ScanError(f"{scan.folder}: is of two exposures already; merge scans of one")
-    # Pixel by pixel, coordinates are compared: those of other patterns mean other places.
+    # Coordinates are compared pixel by pixel: those of other patterns mean other places.
     if first.manifest.record.sequence != second.manifest.record.sequence:
         raise ScanError("the scans were recorded with different patterns; merge two of the same fringe period")
     settings = (
         Instrument(rig).settings_of_scan(first.manifest.record),
         Instrument(rig).settings_of_scan(second.manifest.record),
     )
-    made = reprocess_bracket(first, second.frames, settings, calibration, progress)
-    first.refuse_empty(made.empty)
-    assert made.bracket is not None, "it has one of two exposures"
-    return made.cloud, made.bracket, made.water
+    merged = reprocess_bracket(first, second.frames, settings, calibration, progress)
+    first.refuse_empty(merged.empty)
+    assert merged.bracket is not None, "it has one of two exposures"
+    return merged.cloud, merged.bracket, merged.water

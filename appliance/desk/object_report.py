@@ -1,4 +1,4 @@
-"""Owns what the page about an object says: its places, pairs, budget and warnings as the report's values."""
+"""Content of the page about an object: its scan poses, scan pairs, uncertainty budget and warnings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNCHECKED = "in no loop: nothing checks it; one more scan across both would"
 def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
     """Return the page's content for a solved object and its fused surface.
 
-    Raises ValueError for one that is not solved.
+    Raises ValueError for an object that is not solved.
     """
     places = stored_object.places
     if places is None:
@@ -33,13 +33,13 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
         title=stored_object.name,
         subtitle=f"{len(places.places)} of {len(stored_object.scans)} scans placed",
         about={
-            "Calibration": ", ".join(one[:SHOWN_DIGITS] for one in places.calibrations),
+            "Calibration": ", ".join(hash_[:SHOWN_DIGITS] for hash_ in places.calibrations),
             "Refractive index of the water": f"{places.water_index[0]:.5f}",
             "Software": f"Kingfisher {__version__}",
             "Frame": f"left camera of scan {next(iter(places.places), '-')}, mm",
         },
-        scans=[_scan(one.name, places) for one in stored_object.scans],
-        pairs=[_pair(one) for one in places.pairs],
+        scans=[_scan(scan.name, places) for scan in stored_object.scans],
+        pairs=[_pair(pair) for pair in places.pairs],
         budget=_budget(stored_object, places),
         surface=surface,
         warnings=places.warnings,
@@ -57,12 +57,12 @@ def report_of_object(
 
 
 def _scan(name: str, places: Places) -> ReportScan:
-    warnings = tuple(one.partition(": ")[2] for one in places.warnings if one.startswith(f"scan {name}: "))
+    warnings = tuple(warning.partition(": ")[2] for warning in places.warnings if warning.startswith(f"scan {name}: "))
     cloud, place = places.clouds.get(name), places.places.get(name)
-    known = ReportScan(name, ReportVerdict.REFUSED, places.left_out.get(name, ""), warnings=warnings)
+    report_scan = ReportScan(name, ReportVerdict.REFUSED, places.left_out.get(name, ""), warnings=warnings)
     if cloud is not None:
-        known = replace(
-            known,
+        report_scan = replace(
+            report_scan,
             recorded=None if cloud.recorded is None else when(cloud.recorded),
             points=cloud.points,
             distance_mm=cloud.distance_mm,
@@ -70,14 +70,14 @@ def _scan(name: str, places: Places) -> ReportScan:
             ray_gap_mm=cloud.ray_gap_mm,
         )
     if place is None:
-        return known
-    turn = np.degrees(rotation_vector(np.array(place.rotation)))
+        return report_scan
+    rotation_deg = np.degrees(rotation_vector(np.array(place.rotation)))
     return replace(
-        known,
+        report_scan,
         verdict=ReportVerdict.DOUBTFUL if warnings else ReportVerdict.GOOD,
         reason="",
         position_mm=place.translation_mm,
-        rotation_deg=(float(turn[0]), float(turn[1]), float(turn[2])),
+        rotation_deg=(float(rotation_deg[0]), float(rotation_deg[1]), float(rotation_deg[2])),
         pose_sigma_mm=place.sigma_mm,
     )
 
@@ -99,13 +99,15 @@ def _pair(pair: ComparedScans) -> ReportPair:
 
 
 def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
-    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for
-    one scan."""
+    """Return the uncertainty of the distance between the middles of the first scan and of the farthest one.
+
+    ``None`` for one scan.
+    """
     if len(places.places) < 2:
         return None
     names = list(places.places)
     first = places.places[names[0]]
-    name = max(names, key=lambda one: _apart_mm(first, places.places[one]))
+    name = max(names, key=lambda candidate: _distance_mm(first, places.places[candidate]))
     farthest = places.places[name]
     length = length_between(stored_object, names[0], first.middle_mm, name, farthest.middle_mm)
     terms = (
@@ -130,5 +132,5 @@ def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
     )
 
 
-def _apart_mm(first: ScanPlace, place: ScanPlace) -> float:
+def _distance_mm(first: ScanPlace, place: ScanPlace) -> float:
     return float(np.linalg.norm(np.subtract(place.middle_mm, first.middle_mm)))

@@ -1,5 +1,4 @@
-"""Owns a stored scan on the pixel grid of its left image: made from the raw frames as ``kingfisher cloud`` does, with
-its bright image."""
+"""Organised cloud of a stored scan, made from the raw frames as ``kingfisher cloud`` does, with its bright frame."""
 
 from __future__ import annotations
 
@@ -16,30 +15,30 @@ from appliance.store import ChosenCalibration, SourceScan
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrganisedScan:
-    """A stored scan's cloud with its neighbours, and what is known about it."""
+    """Organised cloud of a stored scan, with its water and its faults."""
 
     cloud: OrganisedCloud
     water: Water
     """Water in which it was reconstructed."""
     faults: tuple[Fault, ...]
-    """Warnings about the scan; its points are there all the same."""
+    """Warnings about the scan, which has points nevertheless."""
 
     def __repr__(self) -> str:
-        """Return one line: how many points, and their median sigma."""
+        """Return one line: the number of points, and their median sigma."""
         sigma_mm = self.sigma_mm
-        said = [f"{len(sigma_mm):,} points"]
+        parts = [f"{len(sigma_mm):,} points"]
         if len(sigma_mm):
-            said.append(f"{1000.0 * float(np.median(sigma_mm)):.0f} µm")
-        return f"<{', '.join((*said, *(fault.code.value for fault in self.faults)))}>"
+            parts.append(f"{1000.0 * float(np.median(sigma_mm)):.0f} µm")
+        return f"<{', '.join((*parts, *(fault.code.value for fault in self.faults)))}>"
 
     @property
     def points_mm(self) -> NDArray[np.float32]:
-        """(n, 3) float32: the points alone, in the order of their pixels; left camera frame."""
+        """(n, 3) float32: the points without gaps, in the order of their pixels; left camera frame."""
         return self.cloud.points_mm[self.cloud.mask]
 
     @property
     def sigma_mm(self) -> NDArray[np.float32]:
-        """(n,) float32: the standard deviation of each along its ray."""
+        """(n,) float32: the standard deviation of each point along its ray."""
         return self.cloud.sigma_mm[self.cloud.mask]
 
 
@@ -49,7 +48,7 @@ def organised_scan(source: SourceScan, chosen: ChosenCalibration, progress: Prog
     Raises ScanError, also where no points are left.
     """
     scan = source.scan
-    worked = work_through(scan, source.rig, chosen.calibration, progress)
+    reprocessed = work_through(scan, source.rig, chosen.calibration, progress)
     # A copy: the frames may be a file that is mapped, and the cloud outlives it.
     bright = np.array(scan.frames["left"][scan.sequence.bright])
-    return OrganisedScan(organised(worked.cloud, bright), worked.water, worked.faults)
+    return OrganisedScan(organised(reprocessed.cloud, bright), reprocessed.water, reprocessed.faults)

@@ -1,4 +1,4 @@
-"""Owns the cloud of a stored scan made again from its raw frames: the file, and the report of what it says."""
+"""Cloud of a stored scan, made again from its raw frames: the file, and the report."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def reconstruct_scan(
 ) -> dict[str, Any]:
     """Make the cloud of a stored scan from its raw frames, written as PLY to ``out``.
 
-    The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what
-    became of those that the instrument stored. Of a ``salvaged`` scan, which ``source`` is then of, file and report say
-    what was lost. Raises ScanError, also where no points are left; CalibrationError, OSError.
+    The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` compares them with
+    the stored ones. With ``salvaged``, of which ``source`` is the scan, file and report state the losses. Raises ScanError,
+    also if no points are left; CalibrationError, OSError.
     """
     scan, rig, calibration = source.scan, source.rig, chosen.calibration
     record = scan.manifest.record
     notes = salvaged.notes if salvaged is not None else ()
-    worked = work_through(scan, rig, calibration, progress, salvaged)
+    reprocessed = work_through(scan, rig, calibration, progress, salvaged)
     progress("writing")
-    header, body = encode_ply(worked.cloud, "; ".join(notes) or None)
-    before = scan.compare_cloud(header, body)  # compared before it may be written over
+    header, body = encode_ply(reprocessed.cloud, "; ".join(notes) or None)
+    comparison = scan.compare_cloud(header, body)  # compared before it may be written over
     LocalFileSystem().replace_file(out, header, body)
-    s = worked.cloud.summary
+    s = reprocessed.cloud.summary
     return {
         "scan": scan.manifest.scan_id,
         "file": str(out),
@@ -57,14 +57,14 @@ def reconstruct_scan(
         "gap_mm": s.gap_mm,
         "exposure": Instrument(rig).exposures_label(record),
         "period_px": record.sequence.period_px,
-        "stored_cloud": before,
+        "stored_cloud": comparison,
         "salvaged": list(notes) or None,
         "calibration": calibration.hash,
         "calibration_from": chosen.whose,
         "calibration_method": calibration.method,
         "same_calibration": calibration.hash == record.calibration_hash,
-        "water_index": worked.water.index,
-        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in worked.faults],
+        "water_index": reprocessed.water.index,
+        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in reprocessed.faults],
     }
 
 
@@ -82,10 +82,10 @@ def work_through(
         # A made-up frame is noisier than a recorded one, and the points' sigmas must say so.
         settings = replace(settings, noise=salvaged.noise(settings.noise))
     if scan.second is None or record.second is None:
-        worked = reprocess_scan(scan, calibration, settings, progress)
+        reprocessed = reprocess_scan(scan, calibration, settings, progress)
     else:
-        both = (settings, Instrument(rig).settings(record.second.exposure))
-        worked = reprocess_bracket(scan, scan.second, both, calibration, progress)
+        bracket_settings = (settings, Instrument(rig).settings(record.second.exposure))
+        reprocessed = reprocess_bracket(scan, scan.second, bracket_settings, calibration, progress)
     # No file for a cloud without points: it would look like a result.
-    scan.refuse_empty(worked.empty)
-    return worked
+    scan.refuse_empty(reprocessed.empty)
+    return reprocessed

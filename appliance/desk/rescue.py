@@ -1,4 +1,4 @@
-"""Owns the cloud of an incomplete recording: of its first direction alone, unchecked, and marked so wherever it goes."""
+"""Cloud of an incomplete scan, from its first direction alone; it is unchecked, and marked so in file and report."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def rescue_recording(
     out: Path,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Make the cloud of ``recording``, which ``source`` is of, written as PLY to ``out``.
+    """Make the cloud of ``recording``, of which ``source`` is the scan, written as PLY to ``out``.
 
-    File and report say that it is unchecked, and what is missing. Raises ScanError, also where (nearly) no points are
+    File and report say that it is unchecked, and which frames are missing. Raises ScanError, also if (nearly) no points are
     left; StorageError.
     """
     scan, calibration = recording.scan, chosen.calibration
@@ -37,7 +37,7 @@ def rescue_recording(
     water = scan.water(calibration)
     progress("matching along epipolar curves")
     try:
-        cloud, found = first_direction_cloud(
+        cloud, correspondences = first_direction_cloud(
             scan.frames,
             scan.sequence,
             calibration,
@@ -63,7 +63,7 @@ def rescue_recording(
         "distance_mm": s.distance_mm,
         "noise_mm": s.noise_mm,
         "without_points": {
-            reason.name.lower(): found.count(reason) for reason in NoPoint if reason is not NoPoint.FOUND
+            reason.name.lower(): correspondences.count(reason) for reason in NoPoint if reason is not NoPoint.FOUND
         },
         "calibration": calibration.hash,
         "calibration_from": chosen.whose,

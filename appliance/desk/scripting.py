@@ -1,8 +1,7 @@
-"""Owns what a script at the desk works with: a dive's scans, their frames, and points made of them as one wishes.
-``import kingfisher`` names it.
+"""Scans of a dive for scripts at the desk: their frames, and points that are made of them.
 
-Everything that is returned is of the classes that the program itself uses, arrays are NumPy's with units in their
-names, and errors are those of the command line: one sentence that says what is wrong and what to do.
+``import kingfisher`` exports it. Results are of the classes that the program itself uses, arrays are NumPy's with units
+in their names, and errors are those of the command line: one sentence with the fault and the remedy.
 """
 
 from __future__ import annotations
@@ -50,19 +49,19 @@ from appliance.store import (
 
 @dataclass(frozen=True, slots=True)
 class ScanOfDive:
-    """One stored scan; nothing of it is read until it is asked for."""
+    """One stored scan, which is read on demand."""
 
     folder: Path
     wish: ScanOptions = field(default_factory=ScanOptions)
 
     @property
     def name(self) -> str:
-        """The scan's number as its folder has it."""
+        """Number of the scan, by its folder."""
         return self.folder.name
 
     @property
     def manifest(self) -> Manifest:
-        """The scan's manifest, read from the disk each time: what was recorded, how, and what was found then.
+        """The scan's manifest with its record and results, read from the disk on each access.
 
         Raises ScanError.
         """
@@ -70,14 +69,16 @@ class ScanOfDive:
 
     @property
     def time(self) -> datetime | None:
-        """Time at which it was taken, as the instrument's clock had it (``manifest.record.clock_trusted``); ``None``:
-        it had none. Raises ScanError."""
+        """Time of the capture by the instrument's clock (``manifest.record.clock_trusted``); ``None``: it had none.
+
+        Raises ScanError.
+        """
         wall_time = self.manifest.record.wall_time
         return None if wall_time is None else datetime.fromisoformat(wall_time)
 
     @property
     def object(self) -> int | None:
-        """Number of the object that the diver said it belongs to; ``None``: of none. Raises ScanError."""
+        """Number of the object to which it belongs by the diver's choice; ``None``: to none. Raises ScanError."""
         return self.manifest.record.object
 
     @property
@@ -87,26 +88,26 @@ class ScanOfDive:
 
     @property
     def grade(self) -> Grade | None:
-        """The one word that screen, lists and pages have for it; ``None``: it has no cloud. Raises ScanError."""
+        """Grade of the scan, as on screens, lists and pages; ``None``: it has no cloud. Raises ScanError."""
         return self.manifest.record.grade
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """Each judge's verdict on it, as it stands in the manifest. Raises ScanError."""
+        """Verdicts of all judges, as in the manifest. Raises ScanError."""
         return self.manifest.record.verdicts
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings that the diver had about it, in words, with the judge's name in front; mostly none.
+        """Warnings that the diver read, in words, with the judge's name in front; mostly none.
 
         Raises ScanError.
         """
-        failed = [one for one in self.verdicts if one.passed is False]
-        return tuple(f"{one.name}: {one.text}" if one.text else one.name for one in failed)
+        failed = [verdict for verdict in self.verdicts if verdict.passed is False]
+        return tuple(f"{verdict.name}: {verdict.text}" if verdict.text else verdict.name for verdict in failed)
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration its points are made with where no other is given. Raises CalibrationError, ScanError."""
+        """The default calibration of its points. Raises CalibrationError, ScanError."""
         return SourceScan.open(self.folder, self.wish).calibration_for(self.wish).calibration
 
     @refuse_wrong_types
@@ -131,10 +132,10 @@ class ScanOfDive:
         water: Water | None = None,
         progress: Progress = silent,
     ) -> OrganisedScan:
-        """Make the scan's points from its raw frames, every byte of which is compared with its checksum first.
+        """Make the scan's points from its raw frames, after comparing every byte with its checksum.
 
-        ``calibration``: another one than the scan's own, or the path of its file; ``water``: another than it was
-        recorded in. Left camera frame. Raises ScanError, also where no points are left, and CalibrationError.
+        ``calibration``: one in place of the scan's own, or the path of its file; ``water``: one in place of the recorded water.
+        Points are in the left camera frame. Raises ScanError, also if no points are left, and CalibrationError.
         """
         wish = self.wish
         if isinstance(calibration, Path | str):
@@ -152,12 +153,12 @@ class ScanOfDive:
                 "wavelength_nm": water.wavelength_nm,
             }
             manifest = source.scan.manifest
-            told = replace(manifest, record=replace(manifest.record, water=conditions))
-            source = replace(source, scan=replace(source.scan, manifest=told))
+            changed = replace(manifest, record=replace(manifest.record, water=conditions))
+            source = replace(source, scan=replace(source.scan, manifest=changed))
         return organised_scan(source, chosen, progress)
 
     def __repr__(self) -> str:
-        """Return one line; it never raises, whatever lies in the folder."""
+        """Return one line; it never raises an error, also for a damaged folder."""
         try:
             record = self.manifest.record
         except ScanError as error:
@@ -179,7 +180,7 @@ class Dive:
     wish: ScanOptions = field(default_factory=ScanOptions)
 
     def scans(self) -> list[ScanOfDive]:
-        """Return all scans that were kept, whole or not; ``entries`` says what is wrong with one."""
+        """Return all kept scans, also damaged ones; ``entries`` names their faults."""
         return [ScanOfDive(entry.folder, self.wish) for entry in self.entries()]
 
     def entries(self) -> list[ScanEntry]:
@@ -188,7 +189,7 @@ class Dive:
 
     @refuse_wrong_types
     def scan(self, number: int | str) -> ScanOfDive:
-        """Return a scan by its number, wherever under the root it lies; ``dive[7]`` is the same. Raises UnknownScan."""
+        """Return a scan by its number from any folder under the root; ``dive[7]`` is the same. Raises UnknownScan."""
         return ScanOfDive(Library(self.root).entry(str(number)).folder, self.wish)
 
     __getitem__ = scan
@@ -210,11 +211,11 @@ def open_dive(
     current_calibration: bool = False,
     foreign_calibration: bool = False,
 ) -> Dive:
-    """Return the dive under a storage root: the folder that holds ``scans/``; ``None``: the one around the working
-    directory, else that of the environment variable ``KINGFISHER_ROOT``.
+    """Return the dive under a storage root, the folder that holds ``scans/``.
 
-    ``rig``: a rig file in the place of each scan's own. ``current_calibration``: the one in use under the root instead
-    of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
+    ``None``: the root around the working directory, else that of the environment variable ``KINGFISHER_ROOT``. ``rig``: a
+    rig file in place of each scan's own. ``current_calibration``: the one in use under the root instead of each scan's own;
+    ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
     """
     place, vain = standing_root(os.environ) if root is None else (Path(root), "")
     if place is None:
@@ -225,21 +226,20 @@ def open_dive(
 
 
 def open_scan(folder: Path | str, rig: Path | str | None = None, *, foreign_calibration: bool = False) -> ScanOfDive:
-    """Return one scan by its folder, wherever that was copied to.
+    """Return one scan by its folder, also by that of a copy.
 
-    Raises ScanError for a folder that is none, ConfigError.
+    Raises ScanError for a folder without a scan, ConfigError.
     """
     scan = ScanOfDive(Path(folder), _wish(rig, None, foreign=foreign_calibration))
-    # Read and thrown away: a wrong folder is better said now than at the first points.
+    # Read the manifest to report a wrong folder now rather than at the first points.
     StoredScan.manifest_of(scan.folder)
     return scan
 
 
 def save_calibration(calibration: Calibration, path: Path | str) -> None:
-    """Write a calibration, for ``load_calibration``, ``--calibration`` and other instruments' desks. Never replaces a
-    file.
+    """Write a calibration, for ``load_calibration``, ``--calibration`` and desks of other instruments.
 
-    Raises CalibrationError where there is one of that name, StorageError.
+    It never replaces a file. Raises CalibrationError if there is one of that name, StorageError.
     """
     target = Path(path)
     if target.exists():
@@ -254,24 +254,24 @@ def export(
     notes: tuple[str, ...] = (),
     frame: str | None = None,
 ) -> None:
-    """Write points or a mesh for other programs; the suffix says how, as for ``kingfisher cloud``.
+    """Write points or a mesh for other programs, in the format of the suffix, as ``kingfisher cloud`` does.
 
     ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's.
     Raises ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.
     """
     target = Path(path)
-    about = Metadata(
+    metadata = Metadata(
         title or target.stem, frame or (OBJECT_FRAME if isinstance(what, FusedCloud) else CAMERA_FRAME), notes
     )
     match what:
         case Mesh():
-            write_mesh(target, what, about)
+            write_mesh(target, what, metadata)
         case FusedCloud():
-            write_surface(target, what, about)
+            write_surface(target, what, metadata)
         case OrganisedScan():
-            write_scan(target, what.cloud, about)
+            write_scan(target, what.cloud, metadata)
         case OrganisedCloud():
-            write_scan(target, what, about)
+            write_scan(target, what, metadata)
         case unknown:
             assert_never(unknown)
 

@@ -1,1 +1,1 @@
-"""All scans of an archive worked through anew: by what is the task, where results lie, and who does it."""
+"""Reprocessing of all scans of an archive: the task, its results, and the workers."""

@@ -1,12 +1,12 @@
-"""Owns where results of reprocessing lie, and that there is one of each, whole, whoever else was making the same one.
+"""Results of reprocessing on the disk: one complete result a scan, for any number of processes that make the same one.
 
-    <out>/<key>/settings.json           what the key stands for
+    <out>/<key>/settings.json           the settings of the key
     <out>/<key>/results/<name>/         row.json, and cloud.ply where clouds were asked for; published by one rename
-    <out>/<key>/failed/<name>.json      why there is no result; tried again by the next call
-    <out>/<key>/drafts/                 what is being made
+    <out>/<key>/failed/<name>.json      reason of a failure; tried again by the next call
+    <out>/<key>/drafts/                 unfinished results
     <out>/<key>/table.csv               all rows
 
-A name is the scan's number and a checksum of its manifest, so that scans of several instruments do not meet. Any number
+A name is the scan's number and a hash of its manifest, so that scans of several instruments do not meet. Any number
 of processes and computers may make results at once: the first rename wins, and the others see it.
 """
 
@@ -39,23 +39,23 @@ COLUMNS = (
     "grade", "spoilt", "faults", "verdicts", "e_l_percent", "length_error_mm", "artefact", "temperature_c", "salinity_psu", "water_index",
     "calibration", "same_calibration", "recorded_by_version", "cpu_s", "wall_s", "peak_mb", "host", "cloud_sha256", "folder",
 )  # fmt: skip
-"""Columns of the table, which are keys of a row; what is not known is empty."""
+"""Columns of the table, which are keys of a row; an unknown value is empty."""
 Row = dict[str, Any]
 
 
 class ResultsError(Exception):
-    """A folder of results cannot be used; the text says which and why."""
+    """A folder of results cannot be used; the text names it and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Results of one key below ``out``. Every method raises StorageError for what the disk refuses."""
+    """Results of one key below ``out``. Every method raises StorageError for errors of the disk."""
 
     folder: Path
 
     @classmethod
     def of(cls, out: Path, settings: Mapping[str, Any]) -> Results:
-        """Return the results made with ``settings`` (JSON-ready), their folder made where it is not there."""
+        """Return the results made with ``settings`` (JSON-ready); their folder is created if it is missing."""
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         results = cls(out / hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS])
         for name in ("results", "failed", "drafts"):
@@ -66,24 +66,30 @@ class Results:
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The settings that all of them are made with."""
+        """The settings of all results."""
         return _read(self.folder / SETTINGS)
 
     def row(self, name: str) -> Row | None:
-        """Return the published result's row; ``None`` where there is none."""
+        """Return the published result's row; ``None`` if there is none."""
         path = self.folder / "results" / name / ROW
         return _read(path) if path.exists() else None
 
     def publish(self, name: str, row: Row, cloud: tuple[Bytes, ...] | None) -> Row:
-        """Publish a result, whole, by one rename; where another process was first, what that one published is returned."""
+        """Publish a complete result by one rename, and return its row.
+
+        If another process was first, its row is returned.
+        """
         fs, target = LocalFileSystem(), self.folder / "results" / name
-        with StorageError.naming("cannot publish", target), TemporaryDirectory(dir=self.folder / "drafts") as made:
-            draft = Path(made) / name
+        with (
+            StorageError.naming("cannot publish", target),
+            TemporaryDirectory(dir=self.folder / "drafts") as draft_folder,
+        ):
+            draft = Path(draft_folder) / name
             fs.make_folder(draft)
             if cloud is not None:
                 row = {**row, "cloud_sha256": fs.write_new(draft / CLOUD, cloud).sha256}
-            fs.write_new(draft / ROW, (_encoded(row),))
-            # rename(2) refuses a folder that is not empty: of two who are done at once, one gets the name.
+            fs.write_new(draft / ROW, (_encode(row),))
+            # rename(2) refuses a folder that is not empty: of two processes at once, one gets the name.
             try:
                 fs.move_folder(draft, target)
             except StorageError:
@@ -94,14 +100,14 @@ class Results:
         return published
 
     def publish_failure(self, name: str, row: Row) -> Row:
-        """Write down why there is no result."""
-        LocalFileSystem().replace_file(self.folder / "failed" / f"{name}.json", _encoded(row))
+        """Store the reason of a failure."""
+        LocalFileSystem().replace_file(self.folder / "failed" / f"{name}.json", _encode(row))
         return row
 
     def sweep(self) -> int:
-        """Remove what processes left unfinished that are gone, and return how many there were.
+        """Remove the drafts of ended processes, and return their number.
 
-        For whoever holds the folder's lock.
+        The caller must hold the folder's lock.
         """
         with StorageError.naming("cannot sweep", self.folder / "drafts"):
             old = list((self.folder / "drafts").iterdir())
@@ -110,29 +116,32 @@ class Results:
         return len(old)
 
     def write_table(self, rows: Sequence[Row]) -> Path:
-        """Write the table of ``rows``, and of all other scans that have a result or a failure under this key, in the
-        order of their numbers."""
+        """Write the table of ``rows``, and of all other scans with a result or a failure under this key.
+
+        Rows are in the order of scan numbers.
+        """
         published = (*self.folder.glob("failed/*.json"), *self.folder.glob(f"results/*/{ROW}"))
-        # Of a scan that has several, the last one holds: of this call, else a result, else a failure, else why it is
-        # left.
+        # Of several rows of a scan the last one counts: a reason why it is left, a failure, a result, one of this call.
         of_all = (
             *(row for row in rows if "result" not in row),
             *map(_read, published),
             *(row for row in rows if "result" in row),
         )
-        found = {row["folder"]: row for row in of_all}
+        row_by_folder = {row["folder"]: row for row in of_all}
         text = io.StringIO()
         writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
-        writer.writerows(sorted(found.values(), key=_order))
+        writer.writerows(sorted(row_by_folder.values(), key=_order))
         LocalFileSystem().replace_file(self.folder / TABLE, text.getvalue().encode())
         return self.folder / TABLE
 
 
 @cache
 def program_digits(top: Path = Path(appliance.__file__).parent) -> str:
-    """Return what of an installation decides about points: version, digits of its files below ``top``, versions of the
-    libraries."""
+    """Return the parts of an installation that determine points, as a text.
+
+    They are the version, a hash of its files below ``top``, and the versions of the libraries.
+    """
     digest = hashlib.sha256()
     for path in sorted((*top.rglob("*.py"), *top.rglob("*.toml"))):
         digest.update(path.relative_to(top).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
@@ -141,7 +150,7 @@ def program_digits(top: Path = Path(appliance.__file__).parent) -> str:
 
 
 def name_of(folder: Path) -> str:
-    """Return the name of a scan's result, which follows its manifest. Raises OSError where that cannot be read."""
+    """Return the name of a scan's result, which follows from its manifest. Raises OSError if that cannot be read."""
     if not (folder / MANIFEST_FILE).exists():
         return f"{folder.name}-unreadable"
     return f"{folder.name}-{hashlib.sha256((folder / MANIFEST_FILE).read_bytes()).hexdigest()[:NAME_DIGITS]}"
@@ -165,8 +174,7 @@ def read_table(path: Path) -> list[dict[str, str]]:
 
 
 def _order(row: Mapping[str, Any]) -> tuple[float, str, str]:
-    """Return what orders rows by the number of their scan: of several instruments, those of one number by their
-    folders."""
+    """Return the sort key of a row: the number of its scan, then its folder."""
     return *by_number(str(row["scan"])), str(row.get("folder") or "")
 
 
@@ -180,5 +188,5 @@ def _read(path: Path) -> Row:
     return row
 
 
-def _encoded(row: Row) -> bytes:
+def _encode(row: Row) -> bytes:
     return (json.dumps(row, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()

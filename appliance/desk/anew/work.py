@@ -1,14 +1,11 @@
-"""Owns that every scan of an archive is reprocessed once: given out by Dask to processes of this computer, or to
-workers of many.
+"""Reprocessing of every scan of an archive, once each, by Dask in processes of this computer or in workers on many.
 
-A worker that dies is missed by Dask, which gives its scans to others; a scan that is not done after its limit ends its
-worker. Nothing here brings kernels: a worker must be told where they are before it imports any.
-
-It also owns one scan reprocessed: a job in, a row out, whoever runs it, and as often as somebody does.
-
-Nothing here knows of processes or networks. What is wrong with the scan itself is a result, written down with its
-reason; what is wrong with the machine (a full disk, no memory, another program, a folder that it does not see) is
-raised, and nothing written down.
+* ``ArchiveWork``, ``work_through_all``: the distribution. Dask notices a worker that dies, and gives its scans to others;
+  a scan that exceeds its limit ends its worker. Importing this module compiles no kernels: a worker must be told where
+  they are before it imports any.
+* ``attempt``: one scan: a job in, a row out, in any process, any number of times. It knows of no processes or networks.
+  A fault of the scan itself is a result, stored with its reason; a fault of the machine (a full disk, no memory, another
+  program, a folder that it does not see) is raised, and not stored.
 """
 
 from __future__ import annotations
@@ -59,14 +56,14 @@ from appliance.store import (
 )
 
 _MB = 1024.0
-_PASSED = {True: "yes", False: "no", None: "-"}
+_PASSED_WORDS = {True: "yes", False: "no", None: "-"}
 
 
 def attempt(job: Job) -> Row:
-    """Reprocess one scan, publish its result or why it has none, and return the row; where it has a result, nothing is
-    done.
+    """Reprocess one scan, publish its result or the reason of its failure, and return the row.
 
-    Raises Again, StorageError, OSError, MemoryError, MissingLibraryError where this computer cannot.
+    If it has a result already, that is returned. Raises RetryError, StorageError, OSError, MemoryError, MissingLibraryError
+    if this computer cannot do it.
     """
     results, folder = Results(Path(job.results)), Path(job.folder)
     settings = results.settings
@@ -77,73 +74,75 @@ def attempt(job: Job) -> Row:
     name = name_of(folder)
     if (published := results.row(name)) is not None:
         return published
-    begun_s, begun_cpu_s = time.monotonic(), time.process_time()
+    start_s, start_cpu_s = time.monotonic(), time.process_time()
     row: Row = {"scan": folder.name, "folder": job.folder, "host": socket.gethostname(), "result": name}
     try:
         row["recorded"] = StoredScan.manifest_of(folder).record.wall_time
-        found, cloud = _worked_through(job, settings, wish)
+        figures, cloud = _reprocess(job, settings, wish)
     except (ScanError, CalibrationError) as error:
         failure = {"reason": str(error)}
     except (StorageError, OSError, MemoryError, MissingLibraryError, ImportError):
         raise
     except Exception as error:
         raise_if_interrupted(error)
-        # A mistake of the program's: it ends this scan, and neither the process nor the others.
-        told = "".join(traceback.format_exception(error))
-        failure = {"reason": f"unexpected {type(error).__name__}: {error}", "traceback": told}
+        # A bug of the program ends this scan alone, and neither the process nor other scans.
+        traceback_text = "".join(traceback.format_exception(error))
+        failure = {"reason": f"unexpected {type(error).__name__}: {error}", "traceback": traceback_text}
     else:
         times = {
-            "cpu_s": round(time.process_time() - begun_cpu_s, 3),
-            "wall_s": round(time.monotonic() - begun_s, 3),
+            "cpu_s": round(time.process_time() - start_cpu_s, 3),
+            "wall_s": round(time.monotonic() - start_s, 3),
             "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MB),
         }
-        return results.publish(name, {**row, "state": DONE, **found, **times}, cloud)
-    # A disk that went away meanwhile looks like a damaged scan: only one that is still there as it was is to blame
-    # itself.
+        return results.publish(name, {**row, "state": DONE, **figures, **times}, cloud)
+    # A disk that was removed meanwhile looks like a damaged scan: a failure counts only if the scan is unchanged.
     if name_of(folder) != name:
-        raise Again(f"{folder} changed while it was worked through: {failure['reason']}")
+        raise RetryError(f"{folder} changed while it was worked through: {failure['reason']}")
     return results.publish_failure(name, {**row, "state": FAILED, **failure})
 
 
 def _refuse_unfit(job: Job, settings: Mapping[str, Any]) -> None:
-    """Raises Again where this computer can do no job like ``job``; the text says why and what to do.
+    """Raise RetryError, with reason and remedy, if this computer cannot do jobs like ``job``.
 
-    Cheap enough for every scan.
+    It is cheap enough for every scan.
     """
     if settings["program"] != program_digits():
-        # Results of two programs under one key would be neither's.
-        raise Again(f"has {program_digits()}, not {settings['program']}; install the same version everywhere")
+        # Results of two programs must not share one key.
+        raise RetryError(f"has {program_digits()}, not {settings['program']}; install the same version everywhere")
     if not Path(job.folder).is_dir():
-        raise Again(f"does not see {job.folder}; mount SOURCE there under the same path")
-    # The key was made from the caller's file: one that was exchanged meanwhile would be published under a wrong key.
+        raise RetryError(f"does not see {job.folder}; mount SOURCE there under the same path")
+    # The key is from the caller's file: results with a file that was replaced since would get a wrong key.
     if job.calibration is not None and load_calibration(Path(job.calibration)).hash != settings["calibration"]:
-        raise Again(f"sees another calibration in {job.calibration}; let it see the same file, and call again")
+        raise RetryError(f"sees another calibration in {job.calibration}; let it see the same file, and call again")
 
 
-def _worked_through(job: Job, settings: Mapping[str, Any], wish: ScanOptions) -> tuple[Row, Any]:
+def _reprocess(job: Job, settings: Mapping[str, Any], wish: ScanOptions) -> tuple[Row, Any]:
     source = SourceScan.open(Path(job.folder), wish, whole=True)
     chosen = source.calibration_for(wish)
     if settings["water"] is not None:
         source = _in_water(source, settings["water"], chosen.calibration)
-    worked = work_through(source.scan, source.rig, chosen.calibration, silent)
+    reprocessed = work_through(source.scan, source.rig, chosen.calibration, silent)
     record = source.scan.manifest.record
-    found: Row = {
-        **asdict(worked.cloud.summary),
+    row: Row = {
+        **asdict(reprocessed.cloud.summary),
         "exposure": Instrument(source.rig).exposures_label(record),
-        "grade": worked.grade.value,
-        "spoilt": any(fault.code in SPOILS_SCAN for fault in worked.faults),
-        "faults": "; ".join(f"{fault.code.value}: {fault.detail}" for fault in worked.faults),
-        "verdicts": " ".join(f"{one.verdict.name}={_PASSED[one.verdict.passed]}" for one in worked.judgements),
-        "temperature_c": worked.water.temperature_c,
-        "salinity_psu": worked.water.salinity_psu,
-        "water_index": worked.water.index,
+        "grade": reprocessed.grade.value,
+        "spoilt": any(fault.code in SPOILS_SCAN for fault in reprocessed.faults),
+        "faults": "; ".join(f"{fault.code.value}: {fault.detail}" for fault in reprocessed.faults),
+        "verdicts": " ".join(
+            f"{judgement.verdict.name}={_PASSED_WORDS[judgement.verdict.passed]}"
+            for judgement in reprocessed.judgements
+        ),
+        "temperature_c": reprocessed.water.temperature_c,
+        "salinity_psu": reprocessed.water.salinity_psu,
+        "water_index": reprocessed.water.index,
         "calibration": chosen.calibration.hash,
         "same_calibration": chosen.calibration.hash == record.calibration_hash,
         "recorded_by_version": record.software_version,
     }
     if job.listed is not None:
-        found |= _lengths(job.listed, settings["reference_mm"], source, chosen.calibration)
-    return found, encode_ply(worked.cloud) if settings["clouds"] else None
+        row |= _lengths(job.listed, settings["reference_mm"], source, chosen.calibration)
+    return row, encode_ply(reprocessed.cloud) if settings["clouds"] else None
 
 
 def _in_water(source: SourceScan, water_of: Sequence[float], calibration: Calibration) -> SourceScan:
@@ -153,7 +152,7 @@ def _in_water(source: SourceScan, water_of: Sequence[float], calibration: Calibr
         **recorded,
         "temperature_c": water_of[0],
         "salinity_psu": water_of[1],
-        # Without a wavelength the recorded water counts as not known, and this one would be left out in silence.
+        # Without a wavelength the recorded water counts as unknown, and this one would be ignored silently.
         "wavelength_nm": calibration.water.wavelength_nm if colour_nm is None else colour_nm,
     }
     record = replace(manifest.record, water=water)
@@ -161,13 +160,13 @@ def _in_water(source: SourceScan, water_of: Sequence[float], calibration: Calibr
 
 
 def _lengths(listed: ListedScan, reference_mm: float, source: SourceScan, calibration: Calibration) -> Row:
-    """Return what ``kingfisher evaluate`` says of the scan's artefact, with its own limits of quality."""
+    """Return the results of ``kingfisher evaluate`` for the scan's artefact, with its own quality limits."""
     scans = ScanList((listed,), None, reference_mm)
     evaluation = run_evaluation(scans, (source,), calibration, lambda *_: None)
     (item,) = evaluation.items
     if isinstance(item.result.fit, NotFound):
         return {"artefact": listed.artefact.value, "reason": f"not evaluated: {item.result.fit.reason}"}
-    errors = [one.measured_mm - one.calibrated_mm for one in item.result.lengths]
+    errors = [length.measured_mm - length.calibrated_mm for length in item.result.lengths]
     worst = item.result.worst_e_l
     return {
         "artefact": listed.artefact.value,
@@ -177,56 +176,53 @@ def _lengths(listed: ListedScan, reference_mm: float, source: SourceScan, calibr
 
 
 DONE, FAILED, AGAIN = "done", "failed", "again"
-"""States of a row; one that is to be tried again is never published."""
+"""States of a row; a row with the last one is never published."""
 RETRIES = 2
-"""Times that a scan is given out once more because the machine refused, before it is left for the next call."""
+"""Number of further tries of a scan after faults of a machine, before it is left for the next call."""
 TROUBLES_IN_A_ROW = 8
-"""Scans left with no result between them that are no accident of one: the disk is full, or a worker sees no scans.
-
-The call ends.
-"""
+"""Number of scans in a row without a result after which the call ends: the disk is full, or a worker sees no scans."""
 IN_WORK = 1000
-"""Scans that Dask knows of at a time, so that neither its memory nor ours grows with the archive."""
+"""Number of scans that Dask holds at a time, so that neither its memory nor ours grows with the archive."""
 CONNECT_S = 30.0
 WORKER_MEMORY = "3GB"
 """Memory at which Dask starts a process of this computer again; one that reprocesses stays below half of it."""
 
 _UNINTERRUPTED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-"""Ctrl-C reaches every process of a terminal: Dask's of this computer are ended by ours."""
+"""Code that makes Dask's processes ignore Ctrl-C, which reaches every process of a terminal: this process ends them."""
 
 
-class Again(Exception):
-    """A scan cannot be done now, or not on this computer, and is not to blame for it; the text says why."""
+class RetryError(Exception):
+    """A scan cannot be done now, or not on this computer, through no fault of its own; the text says why."""
 
 
 class SchedulerError(Exception):
-    """The scheduler cannot be reached, or has no worker; the text says which and what to do."""
+    """The scheduler cannot be reached, or has no worker; the text names the fault and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Everything that one scan's task must know; small, and the same bytes on every computer."""
+    """Task of one scan: small, and the same bytes on every computer."""
 
     folder: str
-    """The scan's; every computer must see it there."""
+    """Folder of the scan; every computer must see it there."""
     results: str
-    """Folder of the results of this key, whose settings say how it is done."""
+    """Folder of the results of this key, which holds the settings."""
     calibration: str | None
     """Calibration file; ``None``: each scan's own."""
     listed: ListedScan | None
-    """The artefact that the scan shows; ``None``: none that is known."""
+    """The artefact in the scan; ``None``: no known one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArchiveWork:
-    """Scans of an archive that are to be reprocessed, how, and by whom."""
+    """Reprocessing of an archive: its scans, settings and workers."""
 
     folders: Mapping[Path, ListedScan | None]
-    """Folders of the scans, and the artefact that each shows; ``None``: none that is known."""
+    """Folders of the scans, and the artefact in each; ``None``: no known one."""
     out: Path
-    """Folder of results, one below it for each way of making them."""
+    """Folder of results, with one folder below it for each key."""
     scans: ScanList | None
-    """The list that the artefacts are from."""
+    """The list with the artefacts."""
     calibration: Path | None
     """``None``: each scan's own."""
     foreign: bool
@@ -236,11 +232,10 @@ class ArchiveWork:
     scheduler: str | None
     workers: int | None
     limit_s: float
-    """Time for one scan before it is begun again."""
+    """Time limit for one scan, after which it is started again."""
 
     def run(self, progress: Progress) -> tuple[dict[str, Any], list[str]]:
-        """Work through every scan that has no result yet, and write the table; return the report, JSON-ready, and its
-        lines.
+        """Reprocess every scan without a result, and write the table; return the report, JSON-ready, and its lines.
 
         Raises StorageError, CalibrationError, SchedulerError, MissingLibraryError.
         """
@@ -273,8 +268,10 @@ class ArchiveWork:
             table = results.write_table(rows)
         count = Counter(row["state"] for row in rows)
         not_begun = len(jobs) - len(rows)
-        told = {FAILED: "failed", AGAIN: "left for the next call"}
-        lines = [f"{row['scan']}  {told[row['state']]}: {row['reason']}" for row in rows if row["state"] in told]
+        state_text = {FAILED: "failed", AGAIN: "left for the next call"}
+        lines = [
+            f"{row['scan']}  {state_text[row['state']]}: {row['reason']}" for row in rows if row["state"] in state_text
+        ]
         lines.append(f"{count[DONE]} done, {count[FAILED]} failed, {count[AGAIN] + not_begun} left; {table}")
         return {
             "done": count[DONE],
@@ -293,26 +290,26 @@ class ArchiveWork:
 def work_through_all(
     jobs: Sequence[Job], scheduler: str | None, processes: int | None, limit_s: float
 ) -> Generator[Row, None, None]:
-    """Yield a row of every job, as they are done by workers of ``scheduler``, or by ``processes`` of this computer
-    (default: its cores).
+    """Yield a row of every job, as workers of ``scheduler``, or ``processes`` of this computer, finish them.
 
-    Ends early where one scan after another is left. Raises SchedulerError, MissingLibraryError.
+    The default of ``processes`` is the number of cores. Ends early if scan after scan is left. Raises SchedulerError,
+    MissingLibraryError.
     """
     dask = needed("distributed", "distributed", "reprocess")
     troubles, waiting = 0, iter(jobs)
     with _client(dask, scheduler, processes) as client:
         name = f"reprocess-{uuid4().hex}"
 
-        def begun(most: int) -> list[Any]:
-            # Under one name, so that Dask keeps what waits at its scheduler: a worker that dies is then suspected for
-            # one or two scans alone.
+        def submit(max_count: int) -> list[Any]:
+            # With one name Dask keeps waiting jobs at its scheduler: a worker that dies is then blamed for one or two
+            # scans only.
             return [
                 client.submit(do, job, limit_s, key=(name, job.folder), retries=RETRIES, pure=False)
-                for job in islice(waiting, most)
+                for job in islice(waiting, max_count)
             ]
 
-        ended = dask.as_completed(begun(IN_WORK))
-        for future in ended:
+        finished = dask.as_completed(submit(IN_WORK))
+        for future in finished:
             try:
                 row, troubles = future.result(timeout=limit_s), 0
             except Exception as error:  # also what Dask raises where every worker of a scan died, or its scheduler did
@@ -321,13 +318,13 @@ def work_through_all(
             yield row
             if troubles == TROUBLES_IN_A_ROW:
                 return
-            ended.update(begun(1))
+            finished.update(submit(1))
 
 
 def do(job: Job, limit_s: float) -> Row:
-    """Do one job in a worker of Dask's (``task.attempt``).
+    """Do one job in a worker of Dask (``attempt``).
 
-    Raises Again, which names this computer; ends the process after ``limit_s``.
+    Raises RetryError, which names this computer; ends the process after ``limit_s``.
     """
     try:
         _find_kernels()
@@ -338,9 +335,9 @@ def do(job: Job, limit_s: float) -> Row:
         faulthandler.dump_traceback_later(limit_s, exit=True)
         return attempt(job)
     except Exception as error:
-        told = str(error) if isinstance(error, Again) else f"{type(error).__name__}: {error}"
-        # Its cause stays here: not every error survives being pickled.
-        raise Again(f"{socket.gethostname()}: {told}") from None
+        reason = str(error) if isinstance(error, RetryError) else f"{type(error).__name__}: {error}"
+        # Drop the cause: not every error can be pickled.
+        raise RetryError(f"{socket.gethostname()}: {reason}") from None
     finally:
         faulthandler.cancel_dump_traceback_later()
 
@@ -350,9 +347,9 @@ def _find_kernels() -> None:
     kernels = use_kernel_cache()  # before any kernel is imported
     from appliance.measure import PIECES
 
-    # Each worker would compile all of them by itself, at the same time, for longer than a scan's limit.
+    # Else each worker would compile all of them at the same time, for longer than a scan's limit.
     if kernels.origin is not KernelOrigin.GIVEN and missing_kernels(kernels.path, PIECES):
-        raise Again("its kernels are not compiled; call `kingfisher setup compile` there, once")
+        raise RetryError("its kernels are not compiled; call `kingfisher setup compile` there, once")
 
 
 def _client(dask: Any, scheduler: str | None, processes: int | None) -> Any:

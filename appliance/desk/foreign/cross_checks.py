@@ -276,8 +276,8 @@ def _pose_hypotheses(geometry: _Geometry, rig: ForeignRig) -> list[_Hypothesis]:
         (TURN, f"it is {TURN_DEG:g}° less", tilt.T @ R, T),
     ):
         x, y, z = (float(value) for value in -other_R.T @ other_T)
-        other = replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z))
-        hypotheses.append(_Hypothesis(subject, text, {"right": other}))
+        right_camera = replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z))
+        hypotheses.append(_Hypothesis(subject, text, {"right": right_camera}))
     if right.lens_in_water:
         return hypotheses
     for word in ("distance_mm", "thickness_mm") if rig.calibration is None else ():

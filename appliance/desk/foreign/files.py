@@ -108,7 +108,7 @@ def _shared(camera: ImageFiles, sides: str) -> dict[str, ImageFiles]:
 def exchange_sides(cameras: Mapping[str, ImageFiles]) -> dict[str, ImageFiles]:
     """Return two cameras with left and right exchanged."""
     sides = re.sub("left|right", lambda match: SIDES[match[0] == "left"], cameras["left"].sides)
-    return {side: replace(cameras[other], sides=sides) for side, other in zip(SIDES, SIDES[::-1], strict=True)}
+    return {side: replace(cameras[source], sides=sides) for side, source in zip(SIDES, SIDES[::-1], strict=True)}
 
 
 def _best(names: list[str]) -> dict[str, list[str]] | None:

@@ -82,8 +82,8 @@ def _question(folder: Path, out: Path, candidates: Sequence[TriedSequence]) -> s
         )
     differing = [
         k
-        for k, words in enumerate(zip(*(candidate.words for candidate in candidates), strict=False), 1)
-        if len(set(words)) > 1
+        for k, roles in enumerate(zip(*(candidate.words for candidate in candidates), strict=False), 1)
+        if len(set(roles)) > 1
     ]
     question = (
         f"what do images {differing[0]} to {differing[-1]} show? See {beside_cloud(out)[1].name}, and "
@@ -125,8 +125,8 @@ def guessed_text(candidate: TriedSequence, beside: Path) -> str:
     for axis in description.axes:
         lines += ["", f"[{axis.name}]"]
         for word, value in _keys_of(axis):
-            about = f"{axis.name}.{'steps' if word == 'steps_deg' else word}"
-            check = _confidence(tested, about, MOVES_NOTHING if is_stereo else NOTHING_TELLS)
+            subject = f"{axis.name}.{'steps' if word == 'steps_deg' else word}"
+            check = _confidence(tested, subject, MOVES_NOTHING if is_stereo else NOTHING_TELLS)
             lines.append(f"{f'{word} = {toml_value(value)}':{WIDTH}} # {check}")
     lines += ["", "[cameras]"]
     table = description.cameras.content

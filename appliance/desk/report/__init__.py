@@ -1,2 +1,1 @@
-"""The page that is handed to a client: one HTML file with a surface that can be turned, its deviations, and how it came
-about."""
+"""Report for a client: one HTML page with an interactive surface, its deviations, and its provenance."""

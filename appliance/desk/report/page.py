@@ -1,8 +1,9 @@
-"""Owns the page of a report: what stands where, how it looks on a screen and on paper, and that it asks for nothing
-from outside.
+"""Page of a report: its layout on a screen and on paper, without any request to other servers.
 
-It also owns the surface that can be turned: plotly's own JavaScript within the page, fed with numbers as base64, and
-buttons to colour it; colour bars and the net of the scans.
+* ``page``, ``write_report``: the page.
+* ``interactive_view``: the surface in a browser: plotly's own JavaScript within the page, fed with numbers as base64,
+  and buttons to colour it.
+* ``colour_bar``, ``net``: the legend of a colouring, and the graph of the scans.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from appliance.desk.report.content import (
     ReportVerdict,
     Vector,
 )
-from appliance.desk.report.shown import Colouring, ShownSurface, shown, thinned
+from appliance.desk.report.drawn_surface import Colouring, DrawnSurface, surface_to_draw, thin_out
 from appliance.desk.report.still import still, view_direction
 from appliance.measure import Grade
 from appliance.store import LocalFileSystem
@@ -79,20 +80,20 @@ _SCRIPT = """
 """
 
 
-def turned(shown: ShownSurface, up: Vector) -> tuple[str, str]:
+def interactive_view(drawn: DrawnSurface, up: Vector) -> tuple[str, str]:
     """Return the element of the surface with its buttons, and the scripts that fill it.
 
     Raises MissingLibraryError where plotly is absent.
     """
     library = needed("plotly.offline", "plotly", "a page with a surface that can be turned")
     buttons = "".join(
-        f'<button type="button" class="look" data-colouring="{k}" aria-pressed="{"true" if k == 0 else "false"}">{one.name}</button>'
-        for k, one in enumerate(shown.colourings)
+        f'<button type="button" class="look" data-colouring="{k}" aria-pressed="{"true" if k == 0 else "false"}">{colouring.name}</button>'
+        for k, colouring in enumerate(drawn.colourings)
     )
     content = {
-        "trace": _trace(shown),
-        "layout": _layout(shown, up),
-        "colourings": [_as_json(one) for one in shown.colourings],
+        "trace": _trace(drawn),
+        "layout": _layout(drawn, up),
+        "colourings": [_as_json(colouring) for colouring in drawn.colourings],
     }
     # "</script>" in a text would end the element: every "<" is written as its number.
     text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
@@ -103,30 +104,30 @@ def turned(shown: ShownSurface, up: Vector) -> tuple[str, str]:
     return f'<div class="looks" role="group" aria-label="Colours">{buttons}</div><div id="turned"></div>', scripts
 
 
-def _trace(shown: ShownSurface) -> dict[str, Any]:
-    first = shown.colourings[0]
-    places = {axis: _packed(shown.points_mm[:, k], "<f4") for k, axis in enumerate("xyz")}
+def _trace(drawn: DrawnSurface) -> dict[str, Any]:
+    first = drawn.colourings[0]
+    places = {axis: _pack(drawn.points_mm[:, k], "<f4") for k, axis in enumerate("xyz")}
     scale = first.scale.stops
     hover = "x %{x:.2f}  y %{y:.2f}  z %{z:.2f} mm<extra></extra>"
-    if shown.faces is None:
+    if drawn.faces is None:
         marker = {
             "size": 2.4,
-            "color": _packed(first.values, "<f4"),
+            "color": _pack(first.values, "<f4"),
             "colorscale": scale,
             "cmin": first.low,
             "cmax": first.high,
         }
         return {"type": "scatter3d", "mode": "markers", **places, "marker": marker, "hovertemplate": hover}
-    corners = {name: _packed(shown.faces[:, k], "<i4") for k, name in enumerate("ijk")}
+    corners = {name: _pack(drawn.faces[:, k], "<i4") for k, name in enumerate("ijk")}
     return {
-        "type": "mesh3d", **places, **corners, "intensity": _packed(first.values, "<f4"), "colorscale": scale,
+        "type": "mesh3d", **places, **corners, "intensity": _pack(first.values, "<f4"), "colorscale": scale,
         "cmin": first.low, "cmax": first.high, "showscale": False, "hovertemplate": hover, "flatshading": False,
         "lighting": {"ambient": 0.62, "diffuse": 0.55, "specular": 0.08, "roughness": 0.9, "fresnel": 0.05},
     }  # fmt: skip
 
 
-def _layout(shown: ShownSurface, up: Vector) -> dict[str, Any]:
-    eye = _DISTANCE * view_direction(shown, up)
+def _layout(drawn: DrawnSurface, up: Vector) -> dict[str, Any]:
+    eye = _DISTANCE * view_direction(drawn, up)
     axis = {
         "showbackground": False, "gridcolor": "#d5dde5", "zeroline": False, "tickfont": {"size": 11, "color": "#5b6b7b"},
         "ticksuffix": "", "nticks": 6,
@@ -145,12 +146,17 @@ def _layout(shown: ShownSurface, up: Vector) -> dict[str, Any]:
     }
 
 
-def _as_json(one: Colouring) -> dict[str, Any]:
-    return {"values": _packed(one.values, "<f4"), "scale": one.scale.stops, "low": one.low, "high": one.high}
+def _as_json(colouring: Colouring) -> dict[str, Any]:
+    return {
+        "values": _pack(colouring.values, "<f4"),
+        "scale": colouring.scale.stops,
+        "low": colouring.low,
+        "high": colouring.high,
+    }
 
 
-def _packed(values: NDArray[Any], kind: str) -> dict[str, str]:
-    """Return an array as the script unpacks it: a third of the length of its digits."""
+def _pack(values: NDArray[Any], kind: str) -> dict[str, str]:
+    """Return an array in the form that the script unpacks: a third of the length of its digits."""
     data = np.ascontiguousarray(values, kind)
     return {"dtype": {"<f4": "f4", "<i4": "i4"}[kind], "bdata": base64.b64encode(data.tobytes()).decode()}
 
@@ -164,8 +170,7 @@ VERDICT_COLOURS = {
 }
 SUFFIX = ".html"
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'"
-"""Content security policy: whatever a browser would fetch from elsewhere is forbidden, so that nothing leaves with the
-page."""
+"""Content security policy: a browser must not load any other file, so that no data leave with the page."""
 _WORDS = {
     ReportVerdict.GOOD: ("good", "✓"),
     ReportVerdict.DOUBTFUL: ("doubtful", "!"),
@@ -176,78 +181,78 @@ _SMALL_MM = 1.0
 
 
 def write_report(path: Path | str, report: Report) -> None:
-    """Write the page, whole or not at all. Raises StorageError, MissingLibraryError where plotly is absent."""
+    """Write the page, complete or not at all. Raises StorageError, MissingLibraryError where plotly is absent."""
     LocalFileSystem().replace_file(Path(path), page(report).encode())
 
 
 def page(report: Report) -> str:
-    """Return the page as HTML; everything it needs is in it. Raises MissingLibraryError where plotly is absent."""
-    full = shown(report)
-    made, scripts = Page(report.title, report.subtitle, report.about), ""
-    made.tiles(_tiles(report))
+    """Return the page as self-contained HTML. Raises MissingLibraryError where plotly is absent."""
+    full = surface_to_draw(report)
+    html_page, scripts = Page(report.title, report.subtitle, report.about), ""
+    html_page.tiles(_tiles(report))
     if report.warnings:
         lines = "".join(f"<li>{html.escape(line)}</li>" for line in report.warnings)
-        made.add(f'<section class="warnings"><h2>Warnings</h2><ul>{lines}</ul></section>')
+        html_page.add(f'<section class="warnings"><h2>Warnings</h2><ul>{lines}</ul></section>')
     if full is not None:
         view, scripts = _view(full, report.up)
-        made.add(view)
+        html_page.add(view)
         if report.nominal is not None:
-            made.add(_nominal(report.nominal, full))
+            html_page.add(_nominal(report.nominal, full))
     if report.budget is not None:
-        made.add(_budget(report.budget))
-    _add_scans(made, report.scans)
-    _add_pairs(made, report.scans, report.pairs)
-    made.add(_READING)
-    return made.as_html(_POLICY, scripts)
+        html_page.add(_budget(report.budget))
+    _add_scans(html_page, report.scans)
+    _add_pairs(html_page, report.scans, report.pairs)
+    html_page.add(_READING)
+    return html_page.as_html(_POLICY, scripts)
 
 
 def _tiles(report: Report) -> list[tuple[str, str, str]]:
-    found: list[tuple[str, str, str]] = []
+    tiles: list[tuple[str, str, str]] = []
     if report.scans:
         graded = [scan.grade for scan in report.scans if scan.grade is not None]
         used = [scan for scan in report.scans if scan.verdict is not ReportVerdict.REFUSED]
         doubtful = sum(scan.verdict is ReportVerdict.DOUBTFUL for scan in used)
         counts = [f"{graded.count(grade)} {grade.value}" for grade in Grade if grade in graded]
         of_them = ", ".join(counts) if graded else f"{doubtful} doubtful" if doubtful else ""
-        found.append(("Scans used", f"{len(used)} of {len(report.scans)}", of_them))
+        tiles.append(("Scans used", f"{len(used)} of {len(report.scans)}", of_them))
     if report.surface is not None and len(report.surface.grey):
         median = float(np.median(report.surface.sigma_mm))
-        found.append(("Points", _count(len(report.surface.grey)), f"sigma {_mm(median)} (median)"))
+        tiles.append(("Points", _count(len(report.surface.grey)), f"sigma {_mm(median)} (median)"))
     elif report.mesh is not None:
-        found.append(("Triangles", _count(len(report.mesh.faces)), f"between {_count(len(report.mesh.grey))} points"))
+        tiles.append(("Triangles", _count(len(report.mesh.faces)), f"between {_count(len(report.mesh.grey))} points"))
     if report.nominal is not None:
         summary = report.nominal.deviation.summary
-        found.append(("Deviation, RMS", _mm(summary.rms_mm), f"from {report.nominal.name}"))
+        tiles.append(("Deviation, RMS", _mm(summary.rms_mm), f"from {report.nominal.name}"))
     if report.budget is not None:
-        found.append(
+        tiles.append(
             (
                 f"Uncertainty over {report.budget.over_mm:.0f} mm",
                 f"± {_mm(2 * report.budget.combined_mm)}",
                 "two standard deviations",
             )
         )
-    return found
+    return tiles
 
 
-def _view(full: ShownSurface, up: Vector) -> tuple[str, str]:
-    few = thinned(full)
-    element, scripts = turned(few, up)
-    # Points are drawn from all there are; triangles from those of the browser, since they are filled one by one.
-    drawn = few if few.faces is not None else full
+def _view(full: DrawnSurface, up: Vector) -> tuple[str, str]:
+    thinned = thin_out(full)
+    element, scripts = interactive_view(thinned, up)
+    # The still picture has all points, but only the browser's triangles, since these are filled one by one.
+    drawn = thinned if thinned.faces is not None else full
     picture = still(drawn, drawn.colourings[0], up)
     bars = "".join(
-        f'<div class="colouring" data-colouring="{k}"{"" if k == 0 else " hidden"}>{colour_bar(one)}</div>'
-        for k, one in enumerate(full.colourings)
+        f'<div class="colouring" data-colouring="{k}"{"" if k == 0 else " hidden"}>{colour_bar(colouring)}</div>'
+        for k, colouring in enumerate(full.colourings)
     )
-    told = f"{_count(len(few.points_mm))} of {_count(len(full.points_mm))}" if few is not full else "all"
-    what = "triangles between" if full.faces is not None else "surface of"
+    count_text = f"{_count(len(thinned.points_mm))} of {_count(len(full.points_mm))}" if thinned is not full else "all"
+    content_text = "triangles between" if full.faces is not None else "surface of"
     return (
         f'<section class="view"><h2>Surface</h2>{element}<figure class="paper">{picture}</figure>{bars}'
-        f'<p class="note screen">Drag to turn, wheel to go nearer. Drawn: {what} {told} points.</p></section>'
+        f'<p class="note screen">Drag to turn, wheel to go nearer. Drawn: {content_text} {count_text} points.</p></section>'
     ), scripts
 
 
-def _nominal(nominal: ReportNominal, full: ShownSurface) -> str:
+def _nominal(nominal: ReportNominal, full: DrawnSurface) -> str:
     summary = nominal.deviation.summary
     share = 100.0 * summary.beyond / max(1, summary.points)
     lines = [
@@ -267,7 +272,7 @@ def _nominal(nominal: ReportNominal, full: ShownSurface) -> str:
     ]
     if nominal.tolerance_mm is not None:
         near = abs(nominal.deviation.deviation_mm)
-        # Points beyond the limit are NaN, and out of tolerance all the same.
+        # Points beyond the limit are NaN, and also out of tolerance.
         outside = 100.0 * (1.0 - float((near <= nominal.tolerance_mm).mean())) if len(near) else 0.0
         lines.append((f"Out of ± {_mm(nominal.tolerance_mm)}", f"{outside:.2f} %"))
     map_ = full.colourings[0]
@@ -297,21 +302,21 @@ def _budget(budget: ReportBudget) -> str:
     )
 
 
-def _add_scans(made: Page, scans: Sequence[ReportScan]) -> None:
+def _add_scans(html_page: Page, scans: Sequence[ReportScan]) -> None:
     if not scans:
         return
     rows = (
         (
             f"<b>{html.escape(scan.name)}</b>",
             _chip(scan.verdict, scan.word),
-            _given(scan.points, _count),
-            _given(scan.distance_mm, lambda mm: f"{mm:.0f} mm"),
+            _or_dash(scan.points, _count),
+            _or_dash(scan.distance_mm, lambda mm: f"{mm:.0f} mm"),
             _mm(scan.sigma_mm),
             _mm(scan.ray_gap_mm),
             _vector(scan.position_mm, 2),
             _vector(scan.rotation_deg, 3),
-            _given(scan.pose_sigma_mm, lambda mm: f"± {_mm(mm)}"),
-            _said(scan.reason, scan.warnings, scan.recorded),
+            _or_dash(scan.pose_sigma_mm, lambda mm: f"± {_mm(mm)}"),
+            _remarks(scan.reason, scan.warnings, scan.recorded),
         )
         for scan in scans
     )
@@ -327,44 +332,44 @@ def _add_scans(made: Page, scans: Sequence[ReportScan]) -> None:
         "Pose",
         "Remarks",
     )
-    made.heading("Scans")
-    made.table(columns, rows, "scans")
+    html_page.heading("Scans")
+    html_page.table(columns, rows, "scans")
     pictures = [(scan, scan.picture_png) for scan in scans if scan.picture_png is not None]
     if not pictures:
         return
-    made.heading("Pictures")
-    made.note("As the left camera sees them; yellow is near, dark is far, within each picture.")
-    made.add('<div class="pictures">')
+    html_page.heading("Pictures")
+    html_page.note("As the left camera sees them; yellow is near, dark is far, within each picture.")
+    html_page.add('<div class="pictures">')
     for scan, png in pictures:
-        made.figure(f"scan {scan.name}: {_given(scan.points, _count)} points", png)
-    made.add("</div>")
+        html_page.figure(f"scan {scan.name}: {_or_dash(scan.points, _count)} points", png)
+    html_page.add("</div>")
 
 
-def _add_pairs(made: Page, scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> None:
+def _add_pairs(html_page: Page, scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> None:
     if not pairs:
         return
     rows = (
         (
             f"<b>{html.escape(pair.first)}</b> – <b>{html.escape(pair.second)}</b>",
             _chip(pair.verdict),
-            _given(pair.overlap_percent, lambda percent: f"{percent:.0f} %"),
-            _given(pair.matches, str),
+            _or_dash(pair.overlap_percent, lambda percent: f"{percent:.0f} %"),
+            _or_dash(pair.matches, str),
             _mm(pair.residual_mm),
-            _given(pair.sigma_mm, lambda mm: f"± {_mm(mm)}"),
-            _given(pair.sigma_deg, lambda deg: f"± {deg:.4f}°"),
-            _said(pair.reason, (), None),
+            _or_dash(pair.sigma_mm, lambda mm: f"± {_mm(mm)}"),
+            _or_dash(pair.sigma_deg, lambda deg: f"± {deg:.4f}°"),
+            _remarks(pair.reason, (), None),
         )
         for pair in pairs
     )
-    made.heading("Pairs of scans")
+    html_page.heading("Pairs of scans")
     drawn = net(scans, pairs)
     if drawn:
-        made.add(
+        html_page.add(
             f"<figure>{drawn}<figcaption>Places of the scans; the thicker a line, the larger the overlap. Dashed: "
             "refused, overlap unknown.</figcaption></figure>"
         )
     columns = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Displacement", "Rotation", "Remarks")
-    made.table(columns, rows, "pairs")
+    html_page.table(columns, rows, "pairs")
 
 
 _READING = (
@@ -387,14 +392,14 @@ def _chip(verdict: ReportVerdict, shown: str | None = None) -> str:
     return f'<span class="chip {word}">{sign} {shown or word}</span>'
 
 
-def _said(reason: str, warnings: Sequence[str], recorded: str | None) -> str:
+def _remarks(reason: str, warnings: Sequence[str], recorded: str | None) -> str:
     lines = [html.escape(line) for line in (reason, *warnings) if line]
     if recorded:
         lines.append(f"<small>{html.escape(recorded)}</small>")
     return "<br>".join(lines)
 
 
-def _given(value: float | None, text: Callable[[float], str]) -> str:
+def _or_dash(value: float | None, text: Callable[[float], str]) -> str:
     return "–" if value is None else text(value)
 
 
@@ -410,8 +415,7 @@ def _count(number: float) -> str:
 
 
 def _mm(value: float | None) -> str:
-    """Return a length as people say it: µm below a millimetre, to a tenth of one, and from a tenth of a millimetre on
-    whole."""
+    """Return a length as text: in µm below a millimetre, with a decimal only below a tenth of a millimetre."""
     if value is None:
         return "–"
     if abs(value) < _SMALL_MM:
@@ -419,43 +423,45 @@ def _mm(value: float | None) -> str:
     return minus(f"{value:.3f} mm")
 
 
-def colour_bar(one: Colouring) -> str:
-    """Return the scale of a colouring with its ends and middle; empty for a plain picture."""
-    if one.name == "Picture":
+def colour_bar(colouring: Colouring) -> str:
+    """Return the legend of a colouring with its ends and middle; empty for a plain picture."""
+    if colouring.name == "Picture":
         return ""
-    stops = "".join(f'<stop offset="{at:.3f}" stop-color="{colour}"/>' for at, colour in one.scale.stops)
-    name = f"bar-{one.name.lower()}"
+    stops = "".join(f'<stop offset="{offset:.3f}" stop-color="{colour}"/>' for offset, colour in colouring.scale.stops)
+    name = f"bar-{colouring.name.lower()}"
     ticks = "".join(
-        f'<text x="{10 + 400 * part:.0f}" y="40" text-anchor="{anchor}">{html.escape(number_text(one.low + part * (one.high - one.low)))}</text>'
+        f'<text x="{10 + 400 * part:.0f}" y="40" text-anchor="{anchor}">{html.escape(number_text(colouring.low + part * (colouring.high - colouring.low)))}</text>'
         for part, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end"))
     )
-    unit = f" in {one.unit}" if one.unit else ""
+    unit = f" in {colouring.unit}" if colouring.unit else ""
     return (
-        f'<svg class="bar" viewBox="0 0 620 48" role="img" aria-label="{one.name}{unit}"><defs><linearGradient id="{name}">{stops}'
+        f'<svg class="bar" viewBox="0 0 620 48" role="img" aria-label="{colouring.name}{unit}"><defs><linearGradient id="{name}">{stops}'
         f'</linearGradient></defs><rect x="10" y="6" width="400" height="16" rx="3" fill="url(#{name})"/>'
-        f'<g font-size="15" fill="{MUTED}">{ticks}<text x="424" y="20" fill="{INK}">{one.name}{html.escape(unit)}</text></g></svg>'
+        f'<g font-size="15" fill="{MUTED}">{ticks}<text x="424" y="20" fill="{INK}">{colouring.name}{html.escape(unit)}</text></g></svg>'
     )
 
 
 def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
-    """Return where the scans were taken from and which pairs hold them together; empty where fewer than two have a
-    place."""
+    """Return the graph of the scans and their pairs, seen from the side where it is widest.
+
+    Empty if fewer than two scans have a pose.
+    """
     placed = {scan.name: scan for scan in scans if scan.position_mm is not None}
     if len(placed) < 2:
         return ""
     places = np.array([scan.position_mm for scan in placed.values()], float)
     centred = places - places.mean(axis=0)
-    # The plane in which the places differ most: the two first right singular vectors.
+    # The plane in which the places differ most, by the first two right singular vectors.
     flat = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
     if flat.shape[1] < 2:
         flat = np.column_stack([flat, np.zeros(len(flat))])
     reach = np.maximum(np.abs(flat).max(axis=0), 1e-6)
     scale = min(270.0 / reach[0], 110.0 / reach[1])
-    at = {name: (320 + scale * p[0], 140 + scale * p[1]) for name, p in zip(placed, flat, strict=True)}
+    place_of = {name: (320 + scale * p[0], 140 + scale * p[1]) for name, p in zip(placed, flat, strict=True)}
     lines = []
-    for pair in sorted(pairs, key=lambda one: one.verdict is not ReportVerdict.REFUSED):
-        if pair.first in at and pair.second in at:
-            (x1, y1), (x2, y2) = at[pair.first], at[pair.second]
+    for pair in sorted(pairs, key=lambda pair_: pair_.verdict is not ReportVerdict.REFUSED):
+        if pair.first in place_of and pair.second in place_of:
+            (x1, y1), (x2, y2) = place_of[pair.first], place_of[pair.second]
             dash = ' stroke-dasharray="4 4"' if pair.verdict is ReportVerdict.REFUSED else ""
             thick = 1.0 + 3.0 * math.sqrt((pair.overlap_percent or 0.0) / 100.0)
             lines.append(
@@ -465,7 +471,7 @@ def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
     dots = "".join(
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="13" fill="#fff" stroke="{VERDICT_COLOURS[placed[name].verdict]}" stroke-width="2.5"/>'
         f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{html.escape(_short(name))}</text>'
-        for name, (x, y) in at.items()
+        for name, (x, y) in place_of.items()
     )
     return (
         '<svg class="chart net" viewBox="0 0 640 280" role="img" aria-label="Places of the scans and the pairs between them">'
@@ -474,5 +480,5 @@ def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
 
 
 def _short(name: str) -> str:
-    """Return a name that fits into a dot: a scan's number without its zeros."""
+    """Return a name that fits into a dot: a scan's number without leading zeros."""
     return (name.lstrip("0") or "0")[-4:]

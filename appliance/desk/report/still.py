@@ -1,5 +1,4 @@
-"""Owns the still picture of a surface, for paper and for browsers that cannot turn it: an orthographic view with light
-and a scale."""
+"""Still picture of a surface, for paper and for browsers without WebGL: an orthographic view with light and a scale."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from appliance.base import ColourScale, png
 from appliance.desk.report.content import Vector
-from appliance.desk.report.shown import Colouring, ShownSurface
+from appliance.desk.report.drawn_surface import Colouring, DrawnSurface
 
 WIDTH_PX, HEIGHT_PX = 1400, 900
 _SCAN_PX = (480, 360)
@@ -23,47 +22,46 @@ LEAST_PX = 450
 _AMBIENT = 0.45
 
 
-def view_direction(shown: ShownSurface, up: Vector) -> NDArray[np.float64]:
-    """Return the unit vector from the object to the eye: where most of it looks to, a little from above and from the
-    side."""
-    mean = np.nanmean(shown.normals.astype(np.float64), axis=0)
+def view_direction(drawn: DrawnSurface, up: Vector) -> NDArray[np.float64]:
+    """Return the unit vector from the object to the viewer: along its mean normal, a little from above and from the side."""
+    mean = np.nanmean(drawn.normals.astype(np.float64), axis=0)
     top = np.asarray(up, np.float64) / np.linalg.norm(up)
-    # What looks in all directions alike is seen from the front.
+    # An object with normals in all directions is seen from the front.
     towards = mean if np.linalg.norm(mean) > 0.15 else np.array([0.0, 0.0, -1.0])
     towards = towards / np.linalg.norm(towards)
     side = np.cross(top, towards)
     if np.linalg.norm(side) < 0.1:
         side = np.cross([1.0, 0.0, 0.0], towards)
     eye = towards + 0.25 * top + 0.35 * side / np.linalg.norm(side)
-    found: NDArray[np.float64] = eye / np.linalg.norm(eye)
-    return found
+    unit: NDArray[np.float64] = eye / np.linalg.norm(eye)
+    return unit
 
 
-def still(shown: ShownSurface, colouring: Colouring, up: Vector) -> str:
-    """Return the picture as a whole ``svg`` element, with a bar of a round length."""
-    towards = view_direction(shown, up)
+def still(drawn: DrawnSurface, colouring: Colouring, up: Vector) -> str:
+    """Return the picture as a complete ``svg`` element, with a bar of a round length."""
+    towards = view_direction(drawn, up)
     right = np.cross(up, towards)
     right = right / np.linalg.norm(right)
     above = np.cross(towards, right)
-    points = shown.points_mm.astype(np.float64)
+    points = drawn.points_mm.astype(np.float64)
     u, v, depth = points @ right, points @ above, points @ towards
-    wide, high = (max(float(np.ptp(one)), 1e-6) for one in (u, v))
-    px_per_mm = (1 - 2 * _MARGIN) * min(WIDTH_PX / wide, HEIGHT_PX / high)
+    width_mm, height_mm = (max(float(np.ptp(coordinate)), 1e-6) for coordinate in (u, v))
+    px_per_mm = (1 - 2 * _MARGIN) * min(WIDTH_PX / width_mm, HEIGHT_PX / height_mm)
     column = WIDTH_PX / 2 + (u - (u.min() + u.max()) / 2) * px_per_mm
     row = HEIGHT_PX / 2 - (v - (v.min() + v.max()) / 2) * px_per_mm
 
-    normal = np.nan_to_num(shown.normals, nan=0.0)
+    normal = np.nan_to_num(drawn.normals, nan=0.0)
     lamp = towards + 0.4 * above - 0.4 * right
     light = np.abs(normal @ (lamp / np.linalg.norm(lamp)))
-    light[~np.isfinite(shown.normals[:, 0])] = 0.7
+    light[~np.isfinite(drawn.normals[:, 0])] = 0.7
     rgb = colouring.rgb() * (_AMBIENT + (1 - _AMBIENT) * light)[:, None]
-    if shown.faces is not None:
-        image = _triangles(shown.faces, column, row, depth, rgb)
+    if drawn.faces is not None:
+        image = _triangles(drawn.faces, column, row, depth, rgb)
     else:
         image = _splats(column, row, depth, rgb)
     data = png(image[:, :, ::-1])
-    # What is wider than high is cut to what there is of it, so that paper is not spent on white.
-    tall = min(HEIGHT_PX, max(LEAST_PX, high * px_per_mm + 2 * _MARGIN * HEIGHT_PX + 2 * _BAR_PX))
+    # Cut a low picture to its height, so that paper is not wasted.
+    tall = min(HEIGHT_PX, max(LEAST_PX, height_mm * px_per_mm + 2 * _MARGIN * HEIGHT_PX + 2 * _BAR_PX))
     top = (HEIGHT_PX - tall) / 2
     foot = top + tall
     bar_mm = _round_length(0.22 * WIDTH_PX / px_per_mm)
@@ -77,11 +75,13 @@ def still(shown: ShownSurface, colouring: Colouring, up: Vector) -> str:
 
 
 def picture_of_scan(points_mm: NDArray[np.float32], grey: NDArray[np.uint8]) -> bytes:
-    """Return a PNG file of one scan's points (n, 3), n at least 1, as its left camera sees them: colour by depth,
-    brightness by ``grey`` (n,)."""
+    """Return a PNG file of one scan's points (n, 3), n at least 1, as its left camera sees them.
+
+    Colour is by depth, brightness by ``grey`` (n,).
+    """
     points = points_mm.astype(np.float64)
     across, down = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    wide, high = (max(float(np.ptp(one)), 1e-6) for one in (across, down))
+    wide, high = (max(float(np.ptp(tangent)), 1e-6) for tangent in (across, down))
     px = (1 - 2 * _MARGIN) * min(_SCAN_PX[0] / wide, _SCAN_PX[1] / high)
     column = _SCAN_PX[0] / 2 + (across - (across.min() + across.max()) / 2) * px
     row = _SCAN_PX[1] / 2 + (down - (down.min() + down.max()) / 2) * px
@@ -101,7 +101,7 @@ def _splats(
 ) -> NDArray[np.uint8]:
     """Draw points as squares, the nearer ones (of larger ``depth``) over the farther ones."""
     width, height = size_px
-    # Squares as large as the way between points, so that the surface is closed: from the area that they cover.
+    # Squares as large as the distance of points, by the area that they cover, so that the surface is closed.
     covered = len(np.unique((row / 8).astype(np.int64) * 10_000 + (column / 8).astype(np.int64))) * 64.0
     half = int(np.clip(math.ceil(0.75 * math.sqrt(covered / len(column))), 1, 12))
     order = np.argsort(depth)
@@ -115,11 +115,11 @@ def _splats(
             # Of several values for one pixel NumPy keeps the last, which is the nearest here.
             layer = np.full((height, width), -1, np.int64)
             layer[i, j] = np.arange(len(x))
-            of = layer[layer >= 0]
+            covered_points = layer[layer >= 0]
             where = np.nonzero(layer >= 0)
-            better = near[of] > nearest[where]
-            at = (where[0][better], where[1][better])
-            nearest[at], image[at] = near[of[better]], colour[of[better]]
+            better = near[covered_points] > nearest[where]
+            pixels = (where[0][better], where[1][better])
+            nearest[pixels], image[pixels] = near[covered_points[better]], colour[covered_points[better]]
     return image
 
 
@@ -144,7 +144,7 @@ def _triangles(
     return image
 
 
-def _round_length(most_mm: float) -> float:
-    """Return the largest of 1, 2 or 5 times a power of ten that is not above ``most_mm``."""
-    power = 10.0 ** math.floor(math.log10(most_mm))
-    return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= most_mm)
+def _round_length(max_mm: float) -> float:
+    """Return the largest of 1, 2 or 5 times a power of ten that is not above ``max_mm``."""
+    power = 10.0 ** math.floor(math.log10(max_mm))
+    return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= max_mm)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from appliance.calibrate.photon_transfer import MeasuredNoise, NoiseError
-from appliance.desk.measuring import ExposureFound, noise_to_store
+from appliance.desk.measuring import ExposureCheck, noise_to_store
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import CameraNoise
 from appliance.measure.light.patterns import build_sequence
@@ -106,4 +106,4 @@ def test_figures_that_no_camera_has_are_refused(
 
 def test_an_exposure_is_straight_if_points_are_a_tenth_noisier_at_most() -> None:
     for noisier, straight in ((1.0, True), (1.1, True), (1.101, False)):
-        assert ExposureFound("1", Exposure(8_000), 500, 0.1, 0.02, noisier).straight == straight
+        assert ExposureCheck("1", Exposure(8_000), 500, 0.1, 0.02, noisier).straight == straight

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.base import silent
-from appliance.desk.merging import merge_scans, merged_cloud_of
+from appliance.desk.merging import merge_clouds, merge_scans
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import load_calibration
@@ -51,7 +51,7 @@ def test_a_cloud_of_two_exposures_has_more_points_and_is_as_true(rig: Rig, tmp_p
     assert report["scans"] == "000002 + 000001", "the shorter one gives the grey values"
     assert report["exposures"] == "2.5 ms + 16 ms"
     loaded = (StoredScan.load(folders["000002"]), StoredScan.load(folders["000001"]))
-    cloud, _, _ = merged_cloud_of(loaded, rig, load_calibration(path), silent)
+    cloud, _, _ = merge_clouds(loaded, rig, load_calibration(path), silent)
     np.testing.assert_array_equal(read_ply(out).points_mm, cloud.points_mm)
     alone = [judge(scan, reconstruct(scan, load_calibration(path))[1]) for scan in scans.values()]
     together = judge(scans["000001"], cloud)
@@ -67,4 +67,4 @@ def test_scans_between_which_the_instrument_moved_and_of_other_patterns_are_refu
     loaded = [StoredScan.load(store(scan, tmp_path / f"{k:06d}")) for k, scan in enumerate(scans, 1)]
     for other, said in ((loaded[1], r"moved by|too little in common|one rigid thing"), (loaded[2], "patterns")):
         with pytest.raises(ScanError, match=said):
-            merged_cloud_of((loaded[0], other), rig, true_calibration(scans[0].renderer.truth), silent)
+            merge_clouds((loaded[0], other), rig, true_calibration(scans[0].renderer.truth), silent)

@@ -1,5 +1,4 @@
-"""Open what dives left on the disk: points as NumPy arrays in mm, objects of many scans, meshes, deviations, files for
-other programs.
+"""Python interface to stored dives: points in mm as NumPy arrays, objects, meshes, deviations, and files.
 
     dive = kingfisher.open_dive("ROOT")           the folder that holds scans/
     scan = dive[7]                                <scan 000007: 282,679 points, 21 µm, good>
@@ -18,9 +17,9 @@ The names, each with a help of its own, in ``kingfisher.__all__``:
     errors         CalibrationError ConfigError ExportError MissingLibraryError NominalError ObjectError ScanError StorageError
                    SurfaceMatchError UnknownScan; a wrong type is a TypeError, a folder that is not there a NotADirectoryError
 
-Each is loaded when it is first asked for. They are the program's own classes and functions under one roof; functions
-compare their arguments with their annotations first. Before the first of them is loaded, compiled kernels are looked
-for, as the command line does: numba asks for their folder when a kernel is defined.
+Each is loaded on first use. They are the program's own classes and functions in one module; functions compare their
+arguments with their annotations first. Before the first of them is loaded, compiled kernels are searched, as the command
+line does: numba needs their folder when a kernel is defined.
 """
 
 from __future__ import annotations
@@ -98,12 +97,12 @@ __all__ = [*sorted(_MODULES), "__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    """Return one of the names above. Raises AttributeError for any other."""
+    """Return one of the names above. Raises AttributeError for any other name."""
     if name not in _MODULES:
         from appliance.base import other_program
 
-        there = f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_MODULES))}"
-        raise AttributeError("; ".join(filter(None, (there, other_program()))))
+        message = f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_MODULES))}"
+        raise AttributeError("; ".join(filter(None, (message, other_program()))))
     return _loaded(name)
 
 
@@ -112,13 +111,13 @@ def _loaded(name: str) -> Any:
     from appliance.base import use_kernel_cache
 
     use_kernel_cache()
-    found = getattr(importlib.import_module(_MODULES[name]), name)
-    if not inspect.isfunction(found):
-        return found
+    value = getattr(importlib.import_module(_MODULES[name]), name)
+    if not inspect.isfunction(value):
+        return value
     from appliance.base import refuse_wrong_types
 
-    checked = refuse_wrong_types(found, name)
-    # As what it is known by here, it is found again by pickles, too.
+    checked = refuse_wrong_types(value, name)
+    # Under its name in this module pickles find it again, too.
     checked.__module__, checked.__name__, checked.__qualname__ = __name__, name, name
     return checked
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from appliance.desk.anew.results import COLUMNS, Results, ResultsError, Row, name_of, program_digits, read_table
-from appliance.desk.anew.work import AGAIN, DONE, FAILED, Again, Job, attempt
+from appliance.desk.anew.work import AGAIN, DONE, FAILED, Job, RetryError, attempt
 from appliance.measure.calibration import file as calibration_file
 from appliance.store.atomic import LocalFileSystem, StorageError
 from appliance.store.scan import ScanError, StoredScan, write_raw
@@ -144,15 +144,15 @@ def test_a_computer_that_can_do_no_such_job_writes_nothing_down_and_says_what_to
     results: Results, shelf: Path, tmp_path: Path
 ) -> None:
     other = Results.of(tmp_path / "out", {**MADE_WITH, "program": "0.0.9-abc"})
-    with pytest.raises(Again, match="same version"):
+    with pytest.raises(RetryError, match="same version"):
         attempted(2, shelf, other)
-    with pytest.raises(Again, match=f"{shelf}/000003"):
+    with pytest.raises(RetryError, match=f"{shelf}/000003"):
         attempted(3, shelf, results)
     with pytest.raises(StorageError, match="same path"):
         attempted(2, shelf, Results(tmp_path / "nowhere" / "key"))
     encoded = calibration_file.encode_calibration(true_calibration(draw_truth("nominal", 1, 64, 48, 1.34)))
     (tmp_path / "other.json").write_bytes(encoded)
-    with pytest.raises(Again, match="calibration"):
+    with pytest.raises(RetryError, match="calibration"):
         attempted(2, shelf, results, str(tmp_path / "other.json"))
     assert below(results, "failed") == below(other, "failed") == []
 
@@ -190,7 +190,7 @@ def test_a_scan_that_goes_meanwhile_is_no_failure_and_what_is_wrong_with_it_or_t
     assert "in wrong" in json.loads(path.read_text())["traceback"]
     path.unlink()
     monkeypatch.setattr(StoredScan, "refuse_damage", unmounted)
-    with pytest.raises(Again, match="000001 changed"):
+    with pytest.raises(RetryError, match="000001 changed"):
         attempted(1, shelf, results)
     assert not list((results.folder / "failed").glob("000001*"))
 

@@ -15,7 +15,7 @@ import pytest
 from appliance.base import kernel_cache
 from appliance.desk.anew import work
 from appliance.desk.anew.results import Results, program_digits
-from appliance.desk.anew.work import AGAIN, FAILED, TROUBLES_IN_A_ROW, Again, Job, SchedulerError, work_through_all
+from appliance.desk.anew.work import AGAIN, FAILED, TROUBLES_IN_A_ROW, Job, RetryError, SchedulerError, work_through_all
 
 distributed = pytest.importorskip("distributed")
 MADE_WITH = {"calibration": None, "foreign": False, "water": None, "clouds": True, "program": program_digits()}
@@ -83,7 +83,7 @@ def test_a_worker_without_kernels_refuses_and_says_what_to_do(tmp_path: Path, mo
     monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / "given"))
     work._find_kernels.__wrapped__()  # whoever gave the folder keeps it
     monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / kernel_cache.fingerprint()))
-    with pytest.raises(Again, match="call `kingfisher setup compile` there"):
+    with pytest.raises(RetryError, match="call `kingfisher setup compile` there"):
         work._find_kernels.__wrapped__()
 
 

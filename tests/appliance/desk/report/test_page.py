@@ -15,8 +15,8 @@ import pytest
 
 from appliance.desk.report import content as told
 from appliance.desk.report.content import Report, ReportScan, ReportVerdict
+from appliance.desk.report.drawn_surface import surface_to_draw, thin_out
 from appliance.desk.report.page import page, write_report
-from appliance.desk.report.shown import shown, thinned
 from appliance.desk.surface.deviation import deviations
 from appliance.desk.surface.fusion import FusedCloud, PlacedScan, fuse
 from appliance.desk.surface.mesh import mesh_of_scan
@@ -99,10 +99,10 @@ def test_nothing_is_fetched_and_the_scripts_get_the_points_as_they_are(report: R
     assert not re.search(r"""(?:src|href)=["'](?!data:)|url\(http|<link""", own)
     found = re.search(r'id="surface-data">(.*?)</script>', written)
     assert found is not None
-    content, full = json.loads(found[1]), shown(report)
+    content, full = json.loads(found[1]), surface_to_draw(report)
     assert full is not None
     x = np.frombuffer(base64.b64decode(content["trace"]["x"]["bdata"]), "<f4")
-    np.testing.assert_array_equal(x, thinned(full).points_mm[:, 0])
+    np.testing.assert_array_equal(x, thin_out(full).points_mm[:, 0])
     assert content["colourings"][0]["scale"][-1] == [1.0, "#" + "".join(f"{part:02x}" for part in RED)]
 
 
@@ -113,9 +113,9 @@ def test_a_comparison_of_other_points_is_refused(report: Report, surface: FusedC
 
 
 def test_few_points_are_drawn_and_they_are_all_over_the_surface(report: Report) -> None:
-    full = shown(report)
+    full = surface_to_draw(report)
     assert full is not None
-    few = thinned(full, 2000)
+    few = thin_out(full, 2000)
     assert 1000 <= len(few.points_mm) <= 2000
     for corner in (full.points_mm.min(axis=0), full.points_mm.max(axis=0)):
         assert np.abs(few.points_mm - corner).min(axis=0).max() < 1.5
@@ -127,9 +127,9 @@ def test_few_points_are_drawn_and_they_are_all_over_the_surface(report: Report) 
 
 def test_a_thinned_mesh_is_still_the_surface() -> None:
     mesh = mesh_of_scan(seen([BALL], looking((0.0, 0.0, -400.0)), 1, noise_mm=0.0))
-    full = shown(Report("mesh", mesh=mesh))
+    full = surface_to_draw(Report("mesh", mesh=mesh))
     assert full is not None
-    few = thinned(full, 1500)
+    few = thin_out(full, 1500)
     assert few.faces is not None
     assert full.faces is not None
 

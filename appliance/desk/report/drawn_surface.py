@@ -1,5 +1,4 @@
-"""Owns what of a surface is drawn: few enough points for a browser to turn, each with the values that it can be
-coloured by."""
+"""Surface as it is drawn: few enough points for a browser, each with the values by which it can be coloured."""
 
 from __future__ import annotations
 
@@ -11,8 +10,8 @@ from numpy.typing import NDArray
 from appliance.base import ColourScale
 from appliance.desk.report.content import Report
 
-MOST_TURNED = 60_000
-"""Points or vertices that a browser on a plain computer turns smoothly."""
+MAX_DRAWN_POINTS = 60_000
+"""Number of points or vertices that a browser on a plain computer can draw smoothly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,7 +20,7 @@ class Colouring:
 
     name: str
     values: NDArray[np.float32]
-    """(n,) float32; NaN where there is none."""
+    """(n,) float32; NaN if there is none."""
     low: float
     high: float
     """Values of the first and the last colour."""
@@ -34,8 +33,8 @@ class Colouring:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShownSurface:
-    """Points or a mesh, with the ways to colour them; the first is the one that the page begins with."""
+class DrawnSurface:
+    """Points or a mesh, with the ways to colour them; the page begins with the first one."""
 
     points_mm: NDArray[np.float32]
     normals: NDArray[np.float32]
@@ -43,59 +42,64 @@ class ShownSurface:
     colourings: tuple[Colouring, ...]
 
 
-def shown(report: Report) -> ShownSurface | None:
-    """Return what is drawn of a report at full resolution; ``None`` where it has neither points nor a mesh."""
+def surface_to_draw(report: Report) -> DrawnSurface | None:
+    """Return the surface of a report at full resolution; ``None`` if it has neither points nor a mesh."""
     surface, mesh, nominal = report.surface, report.mesh, report.nominal
     if nominal is None and mesh is not None and len(mesh.faces):
         colourings = (_grey(mesh.grey), _sigma(mesh.sigma_mm))
-        return ShownSurface(mesh.vertices_mm, mesh.normals, mesh.faces, colourings)
+        return DrawnSurface(mesh.vertices_mm, mesh.normals, mesh.faces, colourings)
     if surface is None or not len(surface.grey):
         return None
-    found = [_grey(surface.grey), _sigma(surface.sigma_mm)]
+    all_colourings = [_grey(surface.grey), _sigma(surface.sigma_mm)]
     if surface.shares is not None:
-        found.append(replace(_sigma(surface.shares.bending_mm), name="Bending"))
+        all_colourings.append(replace(_sigma(surface.shares.bending_mm), name="Bending"))
     if nominal is not None:
         deviation = nominal.deviation.deviation_mm
         near = np.abs(deviation[np.isfinite(deviation)])
-        # Twice the tolerance shows what is out of it; else nearly all points are within the colours.
+        # Twice the tolerance shows points beyond it; without one, nearly all points are within the colours.
         reach = (
             2.0 * nominal.tolerance_mm if nominal.tolerance_mm else float(np.percentile(near, 99)) if len(near) else 1.0
         )
-        found.insert(
+        all_colourings.insert(
             0,
             Colouring(
                 "Deviation", deviation * np.float32(1000), -1000 * reach, 1000 * reach, "µm", ColourScale.DIVERGING
             ),
         )
-    most = int(surface.views.max())
-    if most > 1:
-        found.append(Colouring("Scans", surface.views.astype(np.float32), 1.0, float(most), "", ColourScale.SEQUENTIAL))
-    return ShownSurface(surface.points_mm, surface.normals, None, tuple(found))
+    most_views = int(surface.views.max())
+    if most_views > 1:
+        all_colourings.append(
+            Colouring("Scans", surface.views.astype(np.float32), 1.0, float(most_views), "", ColourScale.SEQUENTIAL)
+        )
+    return DrawnSurface(surface.points_mm, surface.normals, None, tuple(all_colourings))
 
 
-def thinned(full: ShownSurface, most: int = MOST_TURNED) -> ShownSurface:
-    """Return at most about ``most`` points of it, evenly over the surface: one for each cell of a grid."""
-    if len(full.points_mm) <= most:
+def thin_out(full: DrawnSurface, max_points: int = MAX_DRAWN_POINTS) -> DrawnSurface:
+    """Return at most about ``max_points`` of its points, evenly over the surface: one for each cell of a grid."""
+    if len(full.points_mm) <= max_points:
         return full
     low, high = full.points_mm.min(axis=0), full.points_mm.max(axis=0)
-    # A surface meets about (side / cell)² cells; a few tries find the cell that leaves so many.
-    cell = float(np.linalg.norm(high - low)) / np.sqrt(most)
+    # A surface meets about (side / cell)² cells; a few tries find the right size of a cell.
+    cell = float(np.linalg.norm(high - low)) / np.sqrt(max_points)
     for _ in range(12):
         first, cell_of = _cells(full.points_mm, low, cell)
-        if len(first) <= most:
+        if len(first) <= max_points:
             break
-        cell *= max(1.05, float(np.sqrt(len(first) / most)))
+        cell *= max(1.05, float(np.sqrt(len(first) / max_points)))
     faces = full.faces
     if faces is not None:
         faces = cell_of[faces].astype(np.int32)
-        # A triangle whose corners became one point or two is none.
+        # Remove triangles whose corners fell together.
         flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 0] == faces[:, 2])
         _, once = np.unique(np.sort(faces[~flat], axis=1), axis=0, return_index=True)
         faces = faces[~flat][once]
     colourings = tuple(
-        Colouring(one.name, one.values[first], one.low, one.high, one.unit, one.scale) for one in full.colourings
+        Colouring(
+            colouring.name, colouring.values[first], colouring.low, colouring.high, colouring.unit, colouring.scale
+        )
+        for colouring in full.colourings
     )
-    return ShownSurface(full.points_mm[first], full.normals[first], faces, colourings)
+    return DrawnSurface(full.points_mm[first], full.normals[first], faces, colourings)
 
 
 def _grey(grey: NDArray[np.uint8]) -> Colouring:
