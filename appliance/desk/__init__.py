@@ -8,13 +8,13 @@ from appliance.base import lazy_face
 
 if TYPE_CHECKING:
     from .anew.season import (
-        page_of_table,  # Return the page about the season of a table, and how many scans it has. Raises ResultsError
+        page_of_table,  # Return the page about the season of a table, and the number of its scans. Raises ResultsError
     )
     from .anew.work import (
-        ArchiveWork,  # Scans of an archive that are to be reprocessed, how, and by whom
+        ArchiveWork,  # Reprocessing of an archive: its scans, settings and workers
     )
     from .cloud_files import (
-        ObjectFiles,  # The files of a solved object; its surface and the mesh of that are made once
+        ObjectFiles,  # Files of a solved object; its surface and the mesh of that are made once, on first use
         write_cloud,  # Write the cloud of a stored scan, of two of the same scene as one
     )
     from .comparing import (
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
         has_triangles,  # Return whether a mesh is written to path; preferred: also if its suffix leaves the choice
     )
     from .foreign.first_look import (
-        check_import,  # Refuse whatever can be refused at once
+        check_import,  # Check all that can be checked without decoding
         import_images,  # Import the images below a folder, or those that a description describes
     )
     from .measuring import (
-        check_exposure,  # Return how straight the fringes of a stored scan are. Raises ScanError
-        noise_of_scan,  # Return by side the camera's noise in a stored scan, and what the rig file makes expect
-        noise_to_store,  # Return what noise_of_scan found in a stored scan as figures of the instrument's cameras
+        check_exposure,  # Return the ripple in the fringes of a stored scan. Raises ScanError
+        noise_of_scan,  # Return, by side, the camera's noise in a stored scan and the noise that the rig file states
+        noise_to_store,  # Return the results of noise_of_scan as figures of the instrument's cameras
         response_of_scan,  # Return the projector's response from the raw frames of a stored scan
     )
     from .object_report import (
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
         work_through,  # Reconstruct and judge a scan, one sequence or both. Raises ScanError
     )
     from .report.page import (
-        write_report,  # Write the page, whole or not at all. Raises StorageError
+        write_report,  # Write the page, complete or not at all. Raises StorageError
     )
     from .surface.drawing_file import (
         check_drawing,  # Return a CAD model's suffix; NominalError for one that cannot be read

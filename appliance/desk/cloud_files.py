@@ -30,7 +30,7 @@ from appliance.store import ChosenCalibration, IncompleteRecording, SalvagedScan
 
 
 def write_cloud(
-    folders: Sequence[Path], out: Path, wish: ScanOptions, progress: Progress, *, own_form: bool, mesh: bool
+    folders: Sequence[Path], out: Path, options: ScanOptions, progress: Progress, *, own_form: bool, mesh: bool
 ) -> dict[str, Any]:
     """Write the cloud of a stored scan, of two of the same scene as one, or of an incomplete scan, and return the report.
 
@@ -41,17 +41,17 @@ def write_cloud(
     folder = folders[0]
     if IncompleteRecording.is_in(folder):
         recording = IncompleteRecording.load(folder)
-        source = SourceScan.open(folder, wish, recording.scan)
-        return rescue_recording(recording, source, source.calibration_for(wish), out, progress)
+        source = SourceScan.open(folder, options, recording.scan)
+        return rescue_recording(recording, source, source.calibration_for(options), out, progress)
     if own_form and len(folders) == 1:
         salvaged = SalvagedScan.of(folder)
-        source = SourceScan.open(folder, wish, salvaged.scan)
-        return reconstruct_scan(source, source.calibration_for(wish), out, progress, salvaged)
-    sources = [SourceScan.open(path, wish, whole=True) for path in folders]
+        source = SourceScan.open(folder, options, salvaged.scan)
+        return reconstruct_scan(source, source.calibration_for(options), out, progress, salvaged)
+    sources = [SourceScan.open(path, options, whole=True) for path in folders]
     if len(sources) == 1:
-        return _export(sources[0], sources[0].calibration_for(wish), out, progress, mesh=mesh)
-    SourceScan.instrument_of(sources, wish)  # refuses two
-    return merge_scans((sources[0], sources[1]), SourceScan.one_calibration(sources, wish), out, progress)
+        return _export(sources[0], sources[0].calibration_for(options), out, progress, mesh=mesh)
+    SourceScan.instrument_of(sources, options)  # refuses two
+    return merge_scans((sources[0], sources[1]), SourceScan.one_calibration(sources, options), out, progress)
 
 
 class ObjectFiles:
@@ -61,13 +61,13 @@ class ObjectFiles:
         self,
         root: Path,
         solved: StoredObject,
-        wish: ScanOptions,
+        options: ScanOptions,
         progress: Progress,
         spacing_mm: float,
         close_holes_mm: float,
     ) -> None:
         """Keep the settings: ``spacing_mm`` of the surface's points, and the size of holes of its mesh that are closed."""
-        self._of, self._progress, self._about = (root, solved, wish, progress), progress, metadata_of_object(solved)
+        self._of, self._progress, self._about = (root, solved, options, progress), progress, metadata_of_object(solved)
         self._spacing_mm, self._close_holes_mm = spacing_mm, close_holes_mm
         self._surface: FusedCloud | None = None
         self._mesh: Mesh | None = None

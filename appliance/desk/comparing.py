@@ -146,9 +146,9 @@ class StoredComparison:
 
 def compare_stored(
     root: Path,
-    what: Path | StoredObject,
+    subject: Path | StoredObject,
     nominal: Path | StoredObject,
-    wish: ScanOptions,
+    options: ScanOptions,
     progress: Progress,
     *,
     spacing_mm: float,
@@ -157,38 +157,40 @@ def compare_stored(
 ) -> StoredComparison:
     """Compare a scan (its folder), or the surface of a solved object, with a CAD model (its file) or another object.
 
-    ``start``: its pose, x, y, z in mm and the rotation as axis times angle in degrees. Raises ScanError,
+    ``start``: pose of ``subject``, x, y, z in mm and the rotation as axis times angle in degrees. Raises ScanError,
     CalibrationError, NominalError, ObjectError, SurfaceMatchError, MissingLibraryError.
     """
-    reference, errors, stored = _nominal_surface(root, nominal, wish, progress, spacing_mm), None, None
-    if isinstance(what, StoredObject):
-        surface, metadata = surface_of(root, what, wish, progress, spacing_mm), metadata_of_object(what)
-        errors, stored = errors_of(what), what
+    reference, errors, stored = _nominal_surface(root, nominal, options, progress, spacing_mm), None, None
+    if isinstance(subject, StoredObject):
+        surface, metadata = surface_of(root, subject, options, progress, spacing_mm), metadata_of_object(subject)
+        errors, stored = errors_of(subject), subject
     else:
-        surface, metadata = _surface_of_scan(what, wish, progress, spacing_mm)
+        surface, metadata = _surface_of_scan(subject, options, progress, spacing_mm)
     progress(f"laying it onto {reference.name}")
     begin = None if start is None else Rigid(rotation_matrix(np.radians(start[3:])), np.array(start[:3]))
     return StoredComparison(compare(surface, reference, limit_mm, begin, errors), metadata, stored)
 
 
 def _surface_of_scan(
-    folder: Path, wish: ScanOptions, progress: Progress, spacing_mm: float
+    folder: Path, options: ScanOptions, progress: Progress, spacing_mm: float
 ) -> tuple[FusedCloud, Metadata]:
     progress(f"comparing checksums of {folder.name}")
-    source = SourceScan.open(folder, wish, whole=True)
-    points = organised_scan(source, source.calibration_for(wish), progress)
+    source = SourceScan.open(folder, options, whole=True)
+    points = organised_scan(source, source.calibration_for(options), progress)
     # A single scan has no pose relative to others.
     placed = PlacedScan(points.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
     return fuse([placed], spacing_mm), Metadata(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)
 
 
 def _nominal_surface(
-    root: Path, nominal: Path | StoredObject, wish: ScanOptions, progress: Progress, spacing_mm: float
+    root: Path, nominal: Path | StoredObject, options: ScanOptions, progress: Progress, spacing_mm: float
 ) -> NominalSurface:
     if isinstance(nominal, Path):
         return NominalSurface(nominal.name, read_nominal(nominal))
     # The registration removes the common motion from the errors of the reference object.
-    surface = with_sigma_after_registration(surface_of(root, nominal, wish, progress, spacing_mm), errors_of(nominal))
+    surface = with_sigma_after_registration(
+        surface_of(root, nominal, options, progress, spacing_mm), errors_of(nominal)
+    )
     mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm))
     return NominalSurface(f"object {nominal.name}", nominal_of_mesh(mesh), mesh.sigma_mm)
 
@@ -311,10 +313,10 @@ def _pose_words(pose: Rigid, best: Rigid) -> str:
     rotation = rotation_vector(best.inverse.then(pose).rotation)
     angle = float(np.degrees(np.linalg.norm(rotation)))
     if angle < 1.0:
-        how = f"{np.linalg.norm(pose.translation_mm - best.translation_mm):.1f} mm beside"
+        difference = f"{np.linalg.norm(pose.translation_mm - best.translation_mm):.1f} mm beside"
     else:
-        how = f"turned by {angle:.0f}° about {_vector(rotation)}"
-    return f"{_start_words(pose)} ({how})"
+        difference = f"turned by {angle:.0f}° about {_vector(rotation)}"
+    return f"{_start_words(pose)} ({difference})"
 
 
 def _write(

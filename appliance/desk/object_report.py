@@ -47,13 +47,13 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
 
 
 def report_of_object(
-    root: Path, solved: StoredObject, wish: ScanOptions, progress: Progress, spacing_mm: float
+    root: Path, solved: StoredObject, options: ScanOptions, progress: Progress, spacing_mm: float
 ) -> Report:
     """Return the page's content for a solved object, with its surface, a point about every ``spacing_mm``.
 
     Raises ScanError, CalibrationError.
     """
-    return report_of(solved, surface_of(root, solved, wish, progress, spacing_mm))
+    return report_of(solved, surface_of(root, solved, options, progress, spacing_mm))
 
 
 def _scan(name: str, places: Places) -> ReportScan:

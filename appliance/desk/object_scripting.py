@@ -74,7 +74,7 @@ class ObjectOfDive:
     ) -> Comparison:
         """Align its surface to ``nominal`` and return the deviations, with the object's own errors in their sigma.
 
-        Raises SurfaceMatchError, and what ``surface`` raises.
+        Raises SurfaceMatchError, and the errors of ``surface``.
         """
         return compare(self.surface(spacing_mm), nominal, limit_mm, start, self.errors)
 
@@ -103,8 +103,8 @@ def open_object(
     ``--calibration``. Raises ObjectError, NotADirectoryError, ConfigError.
     """
     dive = open_dive(root, rig, current_calibration=current_calibration, foreign_calibration=foreign_calibration)
-    wish = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
-    opened = ObjectOfDive(dive.root, name, wish)
+    options = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
+    opened = ObjectOfDive(dive.root, name, options)
     # Read the file to report a wrong name now rather than at the first points.
     objects.read_object(opened.root, name)
     return opened

@@ -192,7 +192,11 @@ class StoredObject:
     @property
     def added_since(self) -> tuple[str, ...]:
         """Names of the scans that were added after the object was solved."""
-        return () if self.places is None else tuple(n for n, why in self.places.left_out.items() if why == ADDED_SINCE)
+        return (
+            ()
+            if self.places is None
+            else tuple(n for n, reason in self.places.left_out.items() if reason == ADDED_SINCE)
+        )
 
 
 def _refuse_names(stored: StoredObject) -> None:
@@ -320,10 +324,10 @@ def merge_places(now: StoredObject | None, solved: StoredObject) -> StoredObject
         raise ObjectError(
             f"object '{solved.name}': was made again while it was solved; its places are not kept: solve it once more"
         )
-    more = sorted(_scans_with_result(now.places) - _scans_with_result(solved.places))
-    if more:
+    further = sorted(_scans_with_result(now.places) - _scans_with_result(solved.places))
+    if further:
         raise ObjectError(
-            f"object '{solved.name}': was solved with {', '.join(more)}, too, meanwhile; those places are kept, and "
+            f"object '{solved.name}': was solved with {', '.join(further)}, too, meanwhile; those places are kept, and "
             "these are not"
         )
     return _with_places(now, solved.places)
@@ -333,7 +337,7 @@ def _scans_with_result(places: Places | None) -> set[str]:
     """Return the scans that have a pose, or a reason for having none."""
     if places is None:
         return set()
-    return {*places.places, *(name for name, why in places.left_out.items() if why != ADDED_SINCE)}
+    return {*places.places, *(name for name, reason in places.left_out.items() if reason != ADDED_SINCE)}
 
 
 def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:

@@ -85,7 +85,9 @@ def add_to_object(root: Path, name: str, named: Sequence[Path], new_only: Sequen
     return objects.update_object(root, name, more)
 
 
-def clouds_of(root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress) -> Iterator[MemberCloud]:
+def clouds_of(
+    root: Path, stored_object: StoredObject, options: ScanOptions, progress: Progress
+) -> Iterator[MemberCloud]:
     """Yield every scan's cloud, from the object's folder or made again from the frames and kept there.
 
     One cloud is held at a time. Raises ScanError for a scan that is gone, was replaced, or has no points; CalibrationError.
@@ -93,18 +95,18 @@ def clouds_of(root: Path, stored_object: StoredObject, wish: ScanOptions, progre
     count = len(stored_object.scans)
     for number, member in enumerate(stored_object.scans):
         progress(f"points of scan {member.name}, {number + 1} of {count}", number / max(count, 1))
-        yield _cloud_of(root, stored_object.name, member, wish)
+        yield _cloud_of(root, stored_object.name, member, options)
 
 
-def _cloud_of(root: Path, name: str, member: MemberScan, wish: ScanOptions) -> MemberCloud:
+def _cloud_of(root: Path, name: str, member: MemberScan, options: ScanOptions) -> MemberCloud:
     folder = root / member.folder
     now = member_of(root, folder)
     if now.frames_sha256 != member.frames_sha256:
         raise ScanError(
             f"{folder}: holds other frames than when it was added to object '{name}'; make the object again"
         )
-    source = SourceScan.open(folder, wish)
-    chosen = source.calibration_for(wish)
+    source = SourceScan.open(folder, options)
+    chosen = source.calibration_for(options)
     calibration = chosen.calibration
     index = source.scan.water(calibration).index
     key = hashlib.sha256(repr((member.frames_sha256, calibration.hash, index, __version__)).encode()).hexdigest()
@@ -144,7 +146,12 @@ def light_of(calibration: Calibration) -> NDArray[np.float64]:
 
 
 def solve_object(
-    root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress, *, with_shared_error: bool = False
+    root: Path,
+    stored_object: StoredObject,
+    options: ScanOptions,
+    progress: Progress,
+    *,
+    with_shared_error: bool = False,
 ) -> StoredObject:
     """Find the pose of every scan of an object, store them, and return the object as it is stored then.
 
@@ -161,7 +168,7 @@ def solve_object(
     clouds: list[tuple[str, str, float, tuple[str, ...]]] = []
     calibrations_used: list[Calibration] = []
     facts: dict[str, CloudFacts] = {}
-    for member in clouds_of(root, stored_object, wish, part_of(progress, 0.0, 0.5)):
+    for member in clouds_of(root, stored_object, options, part_of(progress, 0.0, 0.5)):
         scans.append(
             ready(
                 member.cloud,
@@ -265,7 +272,7 @@ def _pair(result: ComparedPair, placed: ScanPoses, names: Sequence[str]) -> Comp
         text="contradicts the loops it is in: taken out" if wrong else result.pair.text,
         overlap_percent=None if fit is None else 100.0 * fit.overlap,
         sigma_mm=None if fit is None else fit.sigma_mm,
-        # The poses follow a pair that is in no loop: agreement with it means nothing.
+        # The poses follow a pair that is in no loop: agreement with it is no check.
         discrepancy_mm=None if among(placed.unchecked) else placed.discrepancy_mm.get((result.first, result.second)),
         sigma_deg=None if fit is None else fit.sigma_deg,
         matches=None if fit is None else result.matches,
@@ -294,7 +301,7 @@ def _warnings(
 
 
 def placed_scans(
-    root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress
+    root: Path, stored_object: StoredObject, options: ScanOptions, progress: Progress
 ) -> Iterator[PlacedScan]:
     """Yield the scans that have a pose, each with its standard deviation beside its neighbours.
 
@@ -308,7 +315,7 @@ def placed_scans(
         )
     with_place = replace(stored_object, scans=tuple(scan for scan in stored_object.scans if scan.name in places.places))
     shared = np.array(places.shared_error_mm)
-    for member in clouds_of(root, with_place, wish, progress):
+    for member in clouds_of(root, with_place, options, progress):
         place, cloud = places.places[member.scan.name], member.cloud
         if places.shared_error_removed:
             points = remove_depth_error(
@@ -335,14 +342,14 @@ def _beside_others(places: Places, scan: str) -> float:
 
 
 def surface_of(
-    root: Path, stored_object: StoredObject, wish: ScanOptions, progress: Progress, spacing_mm: float
+    root: Path, stored_object: StoredObject, options: ScanOptions, progress: Progress, spacing_mm: float
 ) -> FusedCloud:
     """Return one surface of all placed scans, a point about every ``spacing_mm``, with sigma in the object's frame.
 
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
     errors = errors_of(stored_object)
-    return with_sigma_in_frame(fuse(placed_scans(root, stored_object, wish, progress), spacing_mm), errors)
+    return with_sigma_in_frame(fuse(placed_scans(root, stored_object, options, progress), spacing_mm), errors)
 
 
 def tell_health(root: Path, solved: StoredObject) -> None:
@@ -393,5 +400,5 @@ def metadata_of_object(stored_object: StoredObject) -> Metadata:
             f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), {widest.bending_mm:.3f} "
             "mm of that by bending"
         )
-    notes += [f"without {name}: {why}" for name, why in places.left_out.items()]
+    notes += [f"without {name}: {reason}" for name, reason in places.left_out.items()]
     return Metadata(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))

@@ -137,15 +137,15 @@ class ScanOfDive:
         ``calibration``: one in place of the scan's own, or the path of its file; ``water``: one in place of the recorded water.
         Points are in the left camera frame. Raises ScanError, also if no points are left, and CalibrationError.
         """
-        wish = self.wish
+        options = self.wish
         if isinstance(calibration, Path | str):
-            wish = replace(wish, calibration=Path(calibration), current=False)
-        source = SourceScan.open(self.folder, wish, whole=True)
+            options = replace(options, calibration=Path(calibration), current=False)
+        source = SourceScan.open(self.folder, options, whole=True)
         if isinstance(calibration, Calibration):
             chosen = ChosenCalibration(calibration, "the one that was handed in")
-            source.refuse_misfit(calibration, chosen.whose, foreign=wish.foreign)
+            source.refuse_misfit(calibration, chosen.whose, foreign=options.foreign)
         else:
-            chosen = source.calibration_for(wish)
+            chosen = source.calibration_for(options)
         if water is not None:
             conditions = {
                 "temperature_c": water.temperature_c,

@@ -68,7 +68,7 @@ def attempt(job: Job) -> Row:
     results, folder = Results(Path(job.results)), Path(job.folder)
     settings = results.settings
     _refuse_unfit(job, settings)
-    wish = ScanOptions(
+    options = ScanOptions(
         calibration=None if job.calibration is None else Path(job.calibration), foreign=settings["foreign"]
     )
     name = name_of(folder)
@@ -78,7 +78,7 @@ def attempt(job: Job) -> Row:
     row: Row = {"scan": folder.name, "folder": job.folder, "host": socket.gethostname(), "result": name}
     try:
         row["recorded"] = StoredScan.manifest_of(folder).record.wall_time
-        figures, cloud = _reprocess(job, settings, wish)
+        figures, cloud = _reprocess(job, settings, options)
     except (ScanError, CalibrationError) as error:
         failure = {"reason": str(error)}
     except (StorageError, OSError, MemoryError, MissingLibraryError, ImportError):
@@ -116,9 +116,9 @@ def _refuse_unfit(job: Job, settings: Mapping[str, Any]) -> None:
         raise RetryError(f"sees another calibration in {job.calibration}; let it see the same file, and call again")
 
 
-def _reprocess(job: Job, settings: Mapping[str, Any], wish: ScanOptions) -> tuple[Row, Any]:
-    source = SourceScan.open(Path(job.folder), wish, whole=True)
-    chosen = source.calibration_for(wish)
+def _reprocess(job: Job, settings: Mapping[str, Any], options: ScanOptions) -> tuple[Row, Any]:
+    source = SourceScan.open(Path(job.folder), options, whole=True)
+    chosen = source.calibration_for(options)
     if settings["water"] is not None:
         source = _in_water(source, settings["water"], chosen.calibration)
     reprocessed = work_through(source.scan, source.rig, chosen.calibration, silent)
@@ -312,7 +312,7 @@ def work_through_all(
         for future in finished:
             try:
                 row, troubles = future.result(timeout=limit_s), 0
-            except Exception as error:  # also what Dask raises where every worker of a scan died, or its scheduler did
+            except Exception as error:  # also Dask's errors if all workers of a scan, or its scheduler, died
                 row = {"scan": Path(future.key[1]).name, "folder": future.key[1], "state": AGAIN, "reason": str(error)}
                 troubles += 1
             yield row
@@ -354,7 +354,7 @@ def _find_kernels() -> None:
 
 def _client(dask: Any, scheduler: str | None, processes: int | None) -> Any:
     for name in ("distributed", "distributed.client"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what it says of lost workers is told by rows
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # rows report lost workers
     if scheduler is None:
         return dask.Client(
             n_workers=processes or len(os.sched_getaffinity(0)),

@@ -48,7 +48,7 @@ def write_points(path: Path, points: ExportedPoints, metadata: Metadata) -> None
 def write_scans(path: Path, scans: Iterable[PlacedScan], metadata: Metadata) -> None:
     """Write an object's scans, each about its own origin, with its pose; one scan is held at a time.
 
-    Raises what ``write_points`` and ``scans`` raise.
+    Raises the errors of ``write_points`` and ``scans``.
     """
     placed = (
         (scan.name, replace(points_of_scan(scan.cloud), origin_mm=scan.translation_mm, rotation=scan.rotation))

@@ -168,7 +168,7 @@ def _check_code(
     for flags in product((False, True), repeat=len(CODE)):
         convention: dict[str, Any] = dict(zip(CODE, flags, strict=True))
         step = np.abs(np.diff(stripe_numbers(bits, replace(axis, **convention)), axis=1)[both_usable])
-        # Whatever the convention, a number changes where a bit does.
+        # In any convention, a number changes where a bit does.
         changes = int(np.count_nonzero(step))
         shares[flags] = float(np.count_nonzero(step == 1) / max(1, changes))
     if changes < LEAST_CHANGES or axis.bits < LEAST_BITS:

@@ -177,7 +177,7 @@ def refuse_other_lenses(source: str, content: Mapping[str, Any]) -> None:
 class Fact:
     """Numbers of one kind, with their side and source.
 
-    ``side`` is ``left``, ``right``, ``projector``, or ``both`` for what is between two; empty if the file does not say it.
+    ``side`` is ``left``, ``right``, ``projector``, or ``both`` for a pose between two; empty if the file does not say it.
     """
 
     side: str
@@ -227,7 +227,7 @@ def interpret_numbers(files: Mapping[str, NumbersOf], names: Table, of_projector
     cameras = {fact.side: fact for fact in unnamed if fact.kind in CAMERA_KINDS}
     projector = cameras.get("projector")
     if of_projector:
-        # It takes the right camera's place; beside a second camera, what is between two is the cameras'.
+        # The projector takes the right camera's place; beside a second camera, a pose between two is that of the cameras.
         ignored = () if projector is None else ("right", "both") if "right" in cameras else ("right",)
         unnamed = [
             replace(fact, side=fact.side.replace("projector", "right")) for fact in unnamed if fact.side not in ignored

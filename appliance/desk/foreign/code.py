@@ -140,7 +140,7 @@ def _unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
     """Return how many images at the beginning and at the end have stripes that the camera does not resolve.
 
     ``shares`` are from ``_windows``. A window counts if stripes four times as wide modulate it: coarse ones light the room
-    as well, which says nothing about finer ones.
+    as well, which is no evidence for finer ones.
     """
     ordered = shares[::-1] if fine_first else shares
     count, windows = ordered.shape

@@ -12,7 +12,7 @@ another fringe period, and so on. Three quantities can contradict a cloud:
 Each statement of the description is then
     FITS         if the description is not contradicted, but all alternatives are,
     WRONG        if an alternative is clearly better, or the description is contradicted,
-    UNCHECKED    if an alternative is as good, or nothing tells.
+    UNCHECKED    if an alternative is as good, or no quantity decides.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ def _compare(described: _Evidence, tested: list[tuple[_Hypothesis, _Evidence]]) 
             text += f", {evidence.depth_mm:.0f} mm away in place of {described.depth_mm:.0f} mm"
         elif subject == POSE:
             text = f"{described}, and {text}" + ("" if described.offset.tells else ", but nothing checks their values")
-        # Where nothing checks the values of the pose, a turn is not tested apart from it.
+        # Where no test checks the values of the pose, a turn is not tested apart from it.
         if subject != TURN or described.offset.tells:
             results.append(
                 fits_or_unchecked(subject, not as_good and (subject != POSE or described.offset.tells), text)
@@ -264,7 +264,7 @@ def _pose_hypotheses(geometry: _Geometry, rig: ForeignRig) -> list[_Hypothesis]:
     left, right = geometry.left, geometry.right
     R = np.asarray(right.rotation).T
     T = -R @ np.asarray(right.translation_mm)
-    # About the axis across the disparity, which of two cameras hardly anything sees.
+    # Rotation about the axis across the disparity, which two cameras hardly detect.
     tilt = np.asarray(cv2.Rodrigues(np.deg2rad(TURN_DEG) * np.eye(3)[1 if abs(T[0]) >= abs(T[1]) else 0])[0])
     hypotheses = []
     for subject, text, other_R, other_T in (

@@ -74,7 +74,7 @@ class Reason(IntEnum):
     """Mask reason: the first that applies to a left pixel without a point, with its colour in red, green, blue."""
 
     text: str
-    """Meaning, with what to do about it."""
+    """Meaning, with the remedy."""
     colour: tuple[int, int, int]
 
     def __new__(cls, value: int, text: str, *colour: int) -> Reason:

@@ -89,7 +89,7 @@ def explained_shares(
             if len(signal) < LEAST_PIXELS:
                 continue
             expected = expected_values(axis, shown, coordinate_px[usable] + 0.5)
-            # Blur takes contrast from stripes and sines, and explains nothing away.
+            # Blur lowers the contrast of stripes and sines: fit the contrast.
             contrast = max(0.0, float(expected @ signal) / max(float(expected @ expected), 1e-9))
             expected = contrast * expected
             weights[k] = float(np.mean(np.square(signal)))
@@ -359,7 +359,7 @@ def _candidates(folder: Path, cameras: Mapping[str, ImageFiles], pictures: _Redu
         if agreement_ < ranked[0][0] - NEARLY and max((rival.rank for rival in best.values()), default=0.0) > SURE:
             break
         pictures.progress(f"trying {sequence.program}")
-        with suppress(ForeignError):  # steps that tell no phase, stripes that number nothing: no candidate
+        with suppress(ForeignError):  # steps without a phase, stripes without numbers: no candidate
             axes = _conventions(sequence, images[places])
             order = [ShownImage(Shows.OTHER)] * len(images)
             for place, shown in zip(places, sequence.shown, strict=True):

@@ -65,7 +65,7 @@ class ShownImage:
 
     shows: Shows
     axis: str = ""
-    """``x`` (vertical stripes) or ``y``; empty where nothing varies."""
+    """``x`` (vertical stripes) or ``y``; empty for an even image."""
     index: int = 0
     """Number of the bit or of the step, in the order of the images."""
     period: int = 0

@@ -102,8 +102,8 @@ class ForeignCloud:
         pixels = self.points + sum(counts.values())
         lines = []
         for reason, count in counts.items():
-            more = f", mostly {self.over_sigma_mm:.3g} mm" if reason is Reason.SIGMA else ""
-            lines.append(f"{reason.word}: {100.0 * count / pixels:.1f} %{more} ({reason.text})")
+            sigma_text = f", mostly {self.over_sigma_mm:.3g} mm" if reason is Reason.SIGMA else ""
+            lines.append(f"{reason.word}: {100.0 * count / pixels:.1f} %{sigma_text} ({reason.text})")
         return lines[:2]
 
 

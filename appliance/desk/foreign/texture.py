@@ -1,6 +1,6 @@
 """Test by texture: patches of the left image must lie in the right image where their points are projected.
 
-Along the disparity the fringes have placed each point, whatever the description says of the cameras; across it they
+Along the disparity the fringes have placed each point, for any cameras in the description; across it they
 have not, and cameras in another pose move the patches. Texture does not see a turn about the axis across the disparity,
 which moves patches along it alone. A patch counts where one place is clearly the best by normalised correlation of
 images without noise and shading.

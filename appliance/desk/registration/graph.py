@@ -61,7 +61,7 @@ class ScanPoses:
     bow_covariance: Array
     """(k, k)."""
     bending_mm: Mapping[int, float]
-    """Standard deviation of each scan's middle by the shared error alone: what may bend the object."""
+    """Standard deviation of each scan's middle by the shared error alone, which may bend the object."""
     bending_unaided_mm: Mapping[int, float]
     """The same with the prior of the shared error."""
     joint_covariance: Array

@@ -17,7 +17,7 @@ in the object's frame: it then includes the error of the scan's pose, and the be
 are kept, since neighbours have these two in common: a hole's diameter does not depend on them, the distance of two
 flanges does.
 
-Pixels of one scan are averaged, since that makes the surface smoother, and sigma does not claim anything for it: they
+Pixels of one scan are averaged, which makes the surface smoother; sigma does not take credit for it, since they
 share the pose, ripple and part of their noise. So sigma is right where a disc holds about one pixel of a scan, and too
 large beyond.
 
@@ -458,10 +458,10 @@ class _Surface:
                 self._cells = larger
         absorb(points, owner, self._discs, np.zeros((n, 7)), np.empty(n, np.int32))
 
-    def _make_room(self, more: int) -> None:
-        if self._count + more <= len(self._discs.grey):
+    def _make_room(self, new_points: int) -> None:
+        if self._count + new_points <= len(self._discs.grey):
             return
-        room = int(_ROOM_STEP * self._count) + more
+        room = int(_ROOM_STEP * self._count) + new_points
         arrays: list[NDArray[Any]] = list(self._discs)
         self._discs = _empty_discs()
         # Grow one array after the other and free the old ones: both copies of all at once would be the peak of memory.

@@ -97,7 +97,7 @@ def _planes(
                 for dx in range(-radius, radius + 1):
                     if not reached[radius + dy, radius + dx]:
                         continue
-                    # Differences before anything is squared: 500 mm and some hundredths would lose the hundredths.
+                    # Subtract before squaring: 500 mm and some hundredths would lose the hundredths.
                     qx, qy, qz = (
                         points[y + dy, x + dx, 0] - px,
                         points[y + dy, x + dx, 1] - py,

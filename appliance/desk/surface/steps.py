@@ -64,7 +64,7 @@ def _along_rows(points_mm: NDArray[np.float32], sigma_mm: NDArray[np.float32]) -
     # Rounding of equal points could make it negative.
     across = np.sqrt(np.maximum(np.einsum("yxk,yxk->yx", offset, offset) - step**2, np.float32(0.0)))
     variance = sigma_mm[:, 1:] ** 2 + sigma_mm[:, :-1] ** 2
-    # Comparisons with NaN are false: where a point is missing nothing is connected.
+    # Comparisons with NaN are false: a missing point is connected to no other.
     same: NDArray[np.bool_] = np.abs(step) <= STEEPEST * across + SURE * np.sqrt(variance)
     bend = np.abs(np.diff(step, axis=1))
     least_bend = np.full_like(step, np.nan)
