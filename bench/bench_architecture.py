@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.result import Measured
+from bench.runner import version
 
 ROOT = Path(__file__).parents[1]
 PAGE = Path("docs", "architecture.md")
@@ -157,12 +158,6 @@ def table(before: dict[str, Figures] | None, after: dict[str, Figures]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _version() -> str:
-    """Return the day and the commit that is counted, as every table of figures in docs/ names them."""
-    git = ["git", "log", "-1", "--format=%cs (%h)", "--abbrev=8"]
-    return subprocess.run(git, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-
-
 def measure() -> Iterable[Measured]:
     """The promise about fragments, and what is counted besides, of each package as it lies here."""
     for package, one in figures(ROOT).items():
@@ -185,7 +180,7 @@ def main(arguments: Sequence[str]) -> int:
         parser.error(
             f"--since {wanted.since}: {error.stderr.decode(errors='replace').strip()}; `git log` lists revisions"
         )
-    written = table(before, figures(ROOT)) + f"\n*Figures of {_version()}.*\n"
+    written = table(before, figures(ROOT)) + f"\n*Figures of {version()}.*\n"
     sys.stdout.write(written)
     if wanted.write_docs:
         page = ROOT / PAGE

@@ -25,11 +25,9 @@ from appliance.cli.simrig import simulator_kernels
 from appliance.measure.warm import PIECES
 from bench.document import COMPILING
 from bench.result import Measured
-from bench.runner import machine
+from bench.runner import machine, version
 
 OUT = Path("bench/out")
-TARGET_CPU_S = 48.0
-"""Half of what it was when that was asked for."""
 LISTED = 5
 """Number of the dearest kernels that the table names of each piece."""
 STAGES = {
@@ -125,7 +123,7 @@ def _asked(process: subprocess.Popen[bytes], function: str) -> dict[str, Any]:
 def figures(done: Sequence[Compiled], taken_s: float) -> Iterator[Measured]:
     """Yield the whole, the pieces and what numba compiles of its own."""
     whole_s = sum(piece.cpu_s for piece in done)
-    yield Measured("all kernels compiled, processor time", whole_s, "s CPU", at_most=TARGET_CPU_S, key="compile_cpu_s")
+    yield Measured("all kernels compiled, processor time", whole_s, "s CPU", key="compile_cpu_s")
     yield Measured("by the clock", taken_s, "s", key="compile_wall_s")
     own = [own_s for piece in done for name, own_s in piece.kernels if name.startswith("numba.")]
     yield Measured(f"of it numba's own array functions, {len(own)}", sum(own), "s CPU", key="compile_of_numba_cpu_s")
@@ -155,9 +153,8 @@ def table(done: Sequence[Compiled], of_the_product: int, taken_s: float) -> str:
     """Return the table of ``docs/performance.md``; the first ``of_the_product`` pieces are the product's, the others the simulator's."""
     on, whole_s = machine(), sum(piece.cpu_s for piece in done)
     ours_s = sum(piece.cpu_s for piece in done[:of_the_product])
-    kept = "" if whole_s <= TARGET_CPU_S else " **missed**"
     lines = [
-        f"On {on['processor']}, {on['processors']} processors: {whole_s:.0f} s of CPU (≤ {TARGET_CPU_S:.0f}{kept}), {ours_s:.0f} of them the product's, and {taken_s:.0f} s by the clock.",
+        f"On {on['processor']}, {on['processors']} processors: {whole_s:.0f} s of CPU, {ours_s:.0f} of them the product's, and {taken_s:.0f} s by the clock.",
         f"Finding types takes {_stage_s(done, 0):.0f} s of them, machine code (numba's way there and LLVM's work) {_stage_s(done, 1):.0f} s.",
         "",
         "| Piece | s CPU | functions | the dearest in it, s CPU without what they call (× forms) |",
@@ -167,7 +164,7 @@ def table(done: Sequence[Compiled], of_the_product: int, taken_s: float) -> str:
         f"| {piece.what} | {piece.cpu_s:.1f} | {len(piece.kernels)} | {_words(dearest(piece), code='`')} |"
         for piece in done
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", f"*Figures of {version()}.*"]) + "\n"
 
 
 def _stage_s(done: Sequence[Compiled], number: int) -> float:

@@ -6,19 +6,15 @@ anything that computes is loaded. The mistakes are those of ``tests/appliance/cl
 
 from __future__ import annotations
 
-import os
-import resource
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from bench.result import Measured
+from bench.timing import run_python, verb
 from tests.appliance.cli.test_first_mistake import ALL, place
 
 TARGET_CPU_S = 0.5
-TIMEOUT_S = 60.0
 NAMED = 5
 """Number of the slowest verbs that are listed by name."""
 
@@ -27,7 +23,7 @@ def measure() -> Iterator[Measured]:
     """Make each mistake in a process of its own, one after the other."""
     with tempfile.TemporaryDirectory() as folder:
         place(Path(folder))
-        spent_s = {words: cpu_s([*words.split(), *one.words.split()], Path(folder)) for words, one in ALL.items()}
+        spent_s = {words: run_python(verb(f"{words} {one.words}"), Path(folder)).cpu_s for words, one in ALL.items()}
     slowest = sorted(spent_s, key=lambda words: spent_s[words], reverse=True)
     yield Measured(
         f"the slowest of {len(spent_s)} first mistakes, {slowest[0]}",
@@ -41,17 +37,3 @@ def measure() -> Iterator[Measured]:
     yield Measured(
         "the middle one", sorted(spent_s.values())[len(spent_s) // 2], "s CPU", key="first_mistake_middle_cpu_s"
     )
-
-
-def cpu_s(words: list[str], folder: Path) -> float:
-    """Return the processor time of ``kingfisher`` with these words, standing in ``folder``."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    # Without a folder of kernels from outside, as somebody at a desk calls it.
-    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    command = [sys.executable, "-m", "appliance.cli", *words]
-    subprocess.run(
-        command, cwd=folder, capture_output=True, timeout=TIMEOUT_S, check=False,
-        env={**environment, "PYTHONPATH": str(Path(__file__).parents[1])},
-    )  # fmt: skip
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+FELT_BEGIN, FELT_END = (
+    "<!-- felt: ./dev bench felt, ./dev bench --write-docs -->",
+    "<!-- end of felt -->",
+)
 BEGIN, END = "<!-- figures: ./dev bench --write-docs -->", "<!-- end of figures -->"
 WHOLE_BEGIN, WHOLE_END = (
     "<!-- whole scan: ./dev bench whole_scan, ./dev bench --write-docs -->",
@@ -23,23 +28,23 @@ AGAINST, COMPILING = "whole_scan_against.md", "compile.md"
 """Tables that their benches write beside ``latest.json``, whole."""
 TIMELINE = "timeline.png"
 WHOLE_SCAN: dict[str, tuple[tuple[str, str, str], ...]] = {
-    "The disc, 1.4 million points: on the machine of the targets": (
-        ("coarse_path_target_machine_ms", "last frame to coarse cloud, the frames' identity judged", "ms CPU"),
-        ("verdict_target_machine_ms", "last frame to verdict", "ms CPU"),
-        ("complete_target_machine_ms", "last frame to full cloud: all verdicts, gaps, sigma", "ms CPU"),
-        ("complete_wall_target_machine_ms", "the same by the clock", "ms"),
-        ("complete_scan_target_machine_ms", "whole scan with judges", "ms CPU"),
-        ("compensation_target_machine_ms", "a compensation, where a hand moved", "ms CPU"),
+    "By the clock of the reference machine": (
+        ("coarse_reference_ms", "disc: last frame to coarse cloud", "ms"),
+        ("verdict_reference_ms", "disc: last frame to verdict", "ms"),
+        ("complete_reference_ms", "disc: last frame to full cloud, with gaps and expected errors", "ms"),
+        ("compensation_reference_ms", "moving: compensation", "ms"),
         ("complete_machine_factor", "this machine's times against that one's", "×"),
-        ("complete_peak_mb", "peak memory of the worker, shared frames and points included", "MB"),
-        ("moving_complete_own_peak_mb", "its own at a compensation, against what the product lets it take", "MB"),
+    ),
+    "Memory of the worker": (
+        ("complete_peak_mb", "disc: peak, shared frames and points included", "MB"),
+        ("moving_complete_own_peak_mb", "moving: its own peak, against what the product lets it take", "MB"),
     ),
 }
-"""Tables whose rows have a target."""
+"""Tables of a whole scan: title, then key, words and unit of each row."""
 SCENES = (("", "disc"), ("pipe_", "pipe"), ("turbid_", "shell in turbid water"), ("moving_", "moving, compensated"))
 """What keys of ``latest.json`` begin with, and the column's head."""
 BY_SCENE: dict[str, tuple[tuple[str, str], ...]] = {
-    "Here, medians of one run": (
+    "Here": (
         ("complete_points", "points"),
         ("coarse_path_cpu_ms", "last frame to coarse cloud, ms CPU"),
         ("verdict_cpu_ms", "last frame to verdict, ms CPU"),
@@ -55,15 +60,14 @@ BY_SCENE: dict[str, tuple[tuple[str, str], ...]] = {
         ("part_last_pair_cpu_ms", "last pair"),
         ("part_identity_cpu_ms", "identity"),
         ("part_coarse_cloud_cpu_ms", "coarse cloud"),
-        ("part_backscatter_cpu_ms", "of it, what lies behind backscatter"),
         ("part_light_cpu_ms", "light"),
-        ("part_fringes_cpu_ms", "fringes"),
         ("part_water_cpu_ms", "water"),
         ("part_sight_cpu_ms", "sight"),
         ("part_motion_cpu_ms", "motion"),
         ("part_sides_cpu_ms", "left and right"),
+        ("part_medium_cpu_ms", "medium"),
         ("part_windows_cpu_ms", "windows"),
-        ("part_causes_weighed_cpu_ms", "causes weighed"),
+        ("part_grey_cpu_ms", "grey of both cameras"),
         ("part_compensation_cpu_ms", "compensation"),
         ("part_full_cloud_cpu_ms", "full cloud"),
     ),
@@ -80,31 +84,17 @@ TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("coarse_cpu_ms", "last frame to coarse cloud", "ms CPU"),
         ("full_cpu_ms", "last frame to full cloud", "ms CPU"),
         ("scan_cpu_ms", "whole scan", "ms CPU"),
-        ("roofline_scan_ms", "whole scan, if memory traffic alone counted", "ms"),
-        ("ratio_roofline", "ours against that", "×"),
-        ("roofline_full_ms", "full cloud, if its maps were read once and its points written once", "ms"),
-        ("ratio_full_roofline", "ours against that", "×"),
+        ("ratio_roofline", "whole scan against memory traffic alone", "×"),
+        ("ratio_full_roofline", "full cloud against memory traffic alone", "×"),
         ("memory_read_gb_s", "memory reads, one thread", "GB/s"),
         ("memory_write_gb_s", "memory writes, one thread", "GB/s"),
     ),
-    "The same on the machine of the targets": (
-        ("machine_factor", "this machine's times against that one's", "×"),
-        ("coarse_target_machine_ms", "last frame to coarse cloud", "ms CPU"),
-        ("full_target_machine_ms", "last frame to full cloud", "ms CPU"),
-        ("scan_target_machine_ms", "whole scan", "ms CPU"),
-    ),
-    "Other ways": (
-        ("decode_cpu_ms", "one camera decoded, Kingfisher", "ms CPU"),
-        ("opencv_decode_cpu_ms", "the same in OpenCV's vector operations", "ms CPU"),
-        ("ratio_opencv_decode", "against ours", "×"),
-        ("numpy_decode_cpu_ms", "the same in NumPy, float32", "ms CPU"),
-        ("ratio_numpy_decode", "against ours", "×"),
-        ("fringes_cpu_ms", "package `fringes`: eight sine images of one camera, no Gray code", "ms CPU"),
-        ("ratio_fringes", "against ours", "×"),
-        ("cv2_structured_light_cpu_ms", "`cv2.structured_light`: both cameras, whole pixels, no points", "ms CPU"),
-        ("ratio_cv2_structured_light", "against our whole scan", "×"),
-        ("numpy_kdtree_cpu_ms", "whole scan, float64 NumPy and KD-tree", "ms CPU"),
-        ("ratio_numpy_kdtree", "against our whole scan", "×"),
+    "Other ways: their time over ours": (
+        ("ratio_opencv_decode", "one camera, OpenCV's vector operations", "×"),
+        ("ratio_numpy_decode", "one camera, NumPy in float32", "×"),
+        ("ratio_fringes", "one camera, `fringes`", "×"),
+        ("ratio_cv2_structured_light", "whole scan, `cv2.structured_light`", "×"),
+        ("ratio_numpy_kdtree", "whole scan, float64 NumPy and KD-tree", "×"),
     ),
     "The worker process, and the disk": (
         ("worker_scan_cpu_ms", "CPU time of the worker for a scan at 60 Hz", "ms CPU"),
@@ -148,6 +138,43 @@ TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
     ),
 }
 
+FELT: dict[str, tuple[tuple[str, str, str, str, str], ...]] = {
+    "A diver waits": (
+        ("felt_verdict_ms", "key to verdict", "ms", "recording", "felt_recording_ms"),
+        ("felt_coarse_ms", "key to coarse cloud", "ms", "recording", "felt_recording_ms"),
+        ("felt_full_ms", "key to full cloud, 1.4 million points", "ms", "recording", "felt_recording_ms"),
+        ("felt_compensated_ms", "the same with compensation", "ms", "recording", "felt_recording_ms"),
+        ("felt_aim_s", "power to AIM, on simulated devices", "s", "worker until warm", "felt_ready_s"),
+    ),
+    "A desk waits": (
+        ("felt_version_s", "`kingfisher --version`", "s", "bare Python", "felt_python_s"),
+        ("felt_version_cpu_s", "the same", "s CPU", "bare Python", "felt_python_cpu_s"),
+        ("felt_list_s", "`kingfisher scans list`, no scans", "s", "bare Python", "felt_python_s"),
+        ("felt_list_cpu_s", "the same", "s CPU", "bare Python", "felt_python_cpu_s"),
+        ("felt_cloud_s", "`kingfisher cloud`, a stored scan", "s", "bare Python", "felt_python_s"),
+        ("felt_cloud_cpu_s", "the same", "s CPU", "bare Python", "felt_python_cpu_s"),
+        ("felt_object_s", "`kingfisher object solve`, three small scans", "s", "bare Python", "felt_python_s"),
+        ("felt_object_cpu_s", "the same", "s CPU", "bare Python", "felt_python_cpu_s"),
+    ),
+    "The limit": (
+        ("felt_recording_ms", "recording: 24 frames at 60 Hz", "ms", "", ""),
+        ("roofline_scan_ms", "a scan's memory traffic alone", "ms", "our clouds", "scan_cpu_ms"),
+        ("roofline_full_ms", "of it the full cloud's", "ms", "ours", "full_step_cpu_ms"),
+        ("felt_shared_mb", "frames and points that worker and service share", "MB", "worker's peak", "felt_peak_mb"),
+    ),
+    "The peers": (
+        ("opencv_decode_cpu_ms", "one camera decoded, OpenCV's vector operations", "ms CPU", "ours", "decode_cpu_ms"),
+        ("numpy_decode_cpu_ms", "the same, NumPy in float32", "ms CPU", "ours", "decode_cpu_ms"),
+        ("fringes_cpu_ms", "the same without Gray code, `fringes`", "ms CPU", "ours", "decode_cpu_ms"),
+        (
+            "cv2_structured_light_cpu_ms", "both cameras, whole pixels, `cv2.structured_light`",
+            "ms CPU", "our clouds", "scan_cpu_ms",
+        ),
+        ("numpy_kdtree_cpu_ms", "a cloud, float64 NumPy and KD-tree", "ms CPU", "our clouds", "scan_cpu_ms"),
+    ),
+}  # fmt: skip
+"""The groups of the page's first table: key, words and unit of each row, then words and key of the figure beside it."""
+
 
 HEALTH_BEGIN, HEALTH_END = "<!-- table: ./dev bench health, ./dev bench --write-docs -->", "<!-- end of table -->"
 
@@ -178,6 +205,8 @@ def write_figures(latest: Path, document: Path) -> None:
     machine = said.get("machine", {})
     on = f"On {machine.get('processor')}, {machine.get('processors')} processors; medians of one run."
     text = document.read_text(encoding="utf-8")
+    if FELT_BEGIN in text and any(key.startswith("felt_") for key in said):
+        text = _replaced(document, text, (FELT_BEGIN, FELT_END), [on, *_felt(said)])
     if WHOLE_BEGIN in text and any(key in said for key in ("verdict_cpu_ms", "complete_cpu_ms")):
         lines = [on, *_with_targets(said, WHOLE_SCAN), *_by_scene(said)]
         text = _replaced(document, text, (WHOLE_BEGIN, WHOLE_END), lines)
@@ -207,7 +236,32 @@ def _with_targets(said: dict[str, Any], tables: dict[str, tuple[tuple[str, str, 
     for title, rows in tables.items():
         lines += ["", f"| {title} | median | tenth to nine tenths | | target |", "|---|---:|---|---|---|"]
         lines += [row(said, *entry) for entry in rows]
+        lines += _version_line(said, [key for key, _, _ in rows])
     return lines
+
+
+def _felt(said: dict[str, Any]) -> list[str]:
+    """Return the table of waiting, limit and peers."""
+    lines, keys = ["", "| | here | | beside it |", "|---|---:|---|---|"], []
+    for group, rows in FELT.items():
+        lines.append(f"| **{group}** | | | |")
+        for key, name, unit, beside, other in rows:
+            here, there = said.get(key), said.get(other)
+            figure = "—" if here is None else short(here)
+            lines.append(f"| {name} | {figure} | {unit} | {'' if there is None else f'{beside} {short(there)} '}|")
+            keys += [key, other]
+    return lines + _version_line(said, keys)
+
+
+def _version_line(said: dict[str, Any], keys: Sequence[str]) -> list[str]:
+    """Return the line below a table: first and last day and version of its figures; none where these are not noted."""
+    version_of = said.get("versions", {})
+    versions = sorted({version_of[key] for key in keys if key in version_of and said.get(key) is not None})
+    if not versions:
+        return []
+    ends = [one.rstrip(")").split(" (") for one in (versions[0], versions[-1])]
+    days, commits = (" to ".join(dict.fromkeys(end[k] for end in ends)) for k in (0, 1))
+    return ["", f"*Figures of {days} ({commits}).*"]
 
 
 def _by_scene(said: dict[str, Any]) -> list[str]:
@@ -218,6 +272,7 @@ def _by_scene(said: dict[str, Any]) -> list[str]:
         for key, name in rows:
             values = [said.get(scene + key) for scene, _ in SCENES]
             lines.append(f"| {name} | {' | '.join('—' if value is None else short(value) for value in values)} |")
+        lines += _version_line(said, [scene + key for key, _ in rows for scene, _ in SCENES])
     return lines
 
 

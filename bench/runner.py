@@ -8,6 +8,7 @@ import json
 import os
 import pkgutil
 import platform
+import subprocess
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Sequence
@@ -20,6 +21,7 @@ from bench.result import Measured
 
 LATEST = "latest.json"
 WRITE_DOCS = "--write-docs"
+GIT_TIMEOUT_S = 30.0
 Measure = Callable[[], Iterable[Measured]]
 Main = Callable[[Sequence[str]], int]
 
@@ -102,19 +104,23 @@ def note_latest(measured: Sequence[Measured], path: Path) -> None:
     """Enter numbers that have a key into the one file that holds the latest of each; what else is there stays.
 
     A number that could not be measured is null, with the reason under ``why``; ``spread`` has what medians hide, and
-    ``bounds`` what was promised.
+    ``bounds`` what was promised, ``versions`` day and commit.
     """
+    now = version()
     try:
         latest = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         latest = {}
-    notes: dict[str, dict[str, Any]] = {name: latest.setdefault(name, {}) for name in ("why", "spread", "bounds")}
+    notes: dict[str, dict[str, Any]] = {
+        name: latest.setdefault(name, {}) for name in ("why", "spread", "bounds", "versions")
+    }
     for number in measured:
         if number.key is not None:
             said = number.as_dict()
             latest[number.key] = said["value"]
             bounds = {name: said[name] for name in ("at_most", "at_least") if said[name] is not None}
-            for name, note in (("why", said["why"]), ("spread", said["spread"]), ("bounds", bounds or None)):
+            facts = {"why": said["why"], "spread": said["spread"], "bounds": bounds or None, "versions": now}
+            for name, note in facts.items():
                 notes[name].pop(number.key, None)
                 if note is not None:
                     notes[name][number.key] = note
@@ -136,6 +142,18 @@ def machine() -> dict[str, str | int | None]:
         "python": platform.python_version(),
         "system": platform.platform(),
     }
+
+
+def version() -> str | None:
+    """Return day and commit of this source tree, as tables of figures in the documents name them; ``None`` without git."""
+    git = ["git", "log", "-1", "--format=%cs (%h)", "--abbrev=8"]
+    try:
+        ran = subprocess.run(
+            git, cwd=Path(__file__).parent, capture_output=True, text=True, check=True, timeout=GIT_TIMEOUT_S
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return ran.stdout.strip()
 
 
 def main(

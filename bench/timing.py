@@ -1,13 +1,51 @@
-"""Owns how time is taken: CPU milliseconds of the whole process, threads included, as medians with their spread."""
+"""Owns how time is taken: CPU of this process or of another program, threads included, as medians with their spread."""
 
 from __future__ import annotations
 
+import os
+import resource
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from bench.result import Measured
+
+PROGRAM_TIMEOUT_S = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """The cost of a program from its start to its end, how it ended, and its errors."""
+
+    wall_s: float
+    cpu_s: float
+    code: int
+    errors: str
+
+
+def verb(words: str) -> list[str]:
+    """Return the arguments of Python for ``kingfisher`` with these words."""
+    return ["-m", "appliance.cli", *words.split()]
+
+
+def run_python(arguments: Sequence[str], folder: Path) -> Cost:
+    """Run Python with these arguments, standing in ``folder``; CPU is that of all its processes."""
+    # Without a folder of kernels from outside, as at a desk.
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment["PYTHONPATH"] = str(Path(__file__).parents[1])
+    before, begun_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    ran = subprocess.run(
+        [sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True,
+        timeout=PROGRAM_TIMEOUT_S, check=False,
+    )  # fmt: skip
+    wall_s, after = time.monotonic() - begun_s, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu_s = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    return Cost(wall_s, cpu_s, ran.returncode, ran.stderr)
 
 
 def cpu_ms(action: Callable[[], object]) -> float:

@@ -69,8 +69,8 @@ def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:
     renderer = drawn.renderer()
     exposure = chosen_exposure(renderer, SEQUENCE)
     stated = stated_truth(drawn.rig, drawn.scene)
-    rig_text = _rig_text(size_px)
-    rig = parse_rig(rig_text, "the packaged rig file")
+    text = rig_text(size_px)
+    rig = parse_rig(text, "the packaged rig file")
     serials = (rig.camera.left.serial, rig.camera.right.serial)
     calibration = replace(stated.calibration, rig_serial=rig.rig.serial, camera_serials=serials)
     encoded = calibration_file.encode_calibration(calibration)
@@ -80,7 +80,7 @@ def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:
         "wavelength_nm": stated.water.wavelength_nm,
         "index": stated.water.index,
     }
-    origin = ScanOrigin(encoded, rig_text.encode())
+    origin = ScanOrigin(encoded, text.encode())
     return _Taken(
         expose(renderer, SEQUENCE, exposure), exposure, origin, calibration_file.decode_calibration(encoded).hash, water
     )
@@ -105,7 +105,7 @@ def _store(folder: Path, taken: _Taken) -> None:
     draft.rename(folder)
 
 
-def _rig_text(size_px: tuple[int, int]) -> str:
+def rig_text(size_px: tuple[int, int]) -> str:
     """Return the packaged rig file with cameras of that size."""
     text = default_rig_path().read_text(encoding="utf-8")
     for name, full, wanted in zip(("width_px", "height_px"), FULL_PX, size_px, strict=True):

@@ -22,6 +22,7 @@ from typing import Any
 
 from bench.foreign import end_process, last_words
 from bench.result import Measured
+from bench.runner import version
 from bench.timing import median_of
 from bench.whole_scan import parts
 from bench.whole_scan.scenes import DISC, FOLDER, NAMES
@@ -41,7 +42,9 @@ UNTIL_VERDICT = (
     "sight",
     "motion",
     "sides",
+    "medium",
     "windows",
+    "grey",
     parts.WEIGHING,
 )
 SUMS: dict[str, Sequence[str]] = {
@@ -138,7 +141,7 @@ def table(revision: str, rounds: int, measured: Sequence[Measured]) -> str:
     for what in SAME:
         values = [said.get(key_of(scene, f"same_{what}")) for scene, _ in HEADS]
         lines.append(f"| {what} the same to the last byte | {' | '.join(_yes(value) for value in values)} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", f"*Figures of {version()}.*"]) + "\n"
 
 
 def _ratio(value: float | None) -> str:

@@ -59,6 +59,8 @@ class PacedScan:
     """Between coarse cloud and verdict."""
     compensating_cpu_ms: float
     """Between the verdict and the last one; 0: nothing had moved."""
+    compensating_ms: float
+    """The same by the clock."""
     full_step_cpu_ms: float
     points: int
     faults: tuple[str, ...]
@@ -88,6 +90,7 @@ class _Heard:
 
     coarse_s: float | None = None
     verdict_s: float | None = None
+    compensated_s: float | None = None
     full_s: float | None = None
     judging_cpu_s: float = 0.0
     compensating_cpu_s: float = 0.0
@@ -99,8 +102,12 @@ class _Heard:
 class PacedWorker:
     """A warm worker for one scene, and a disk beside it. Made by ``paced_worker``."""
 
-    def __init__(self, scene: TimedScene, process: ReconstructionWorker, library: Library, disk: DiskQueue) -> None:
+    def __init__(
+        self, scene: TimedScene, process: ReconstructionWorker, library: Library, disk: DiskQueue, ready_s: float
+    ) -> None:
         self._scene, self._process, self._library, self._disk = scene, process, library, disk
+        self.ready_s = ready_s
+        """Seconds from its start until it was warm."""
         self._clock = MonotonicClock()
         self._record = plain_record(sequence=SequenceInfo.of(scene.sequence))
         self._number = 0
@@ -147,6 +154,7 @@ class PacedWorker:
             complete_cpu_ms=ended_cpu_ms - last_cpu_ms,
             judging_cpu_ms=1e3 * heard.judging_cpu_s,
             compensating_cpu_ms=1e3 * heard.compensating_cpu_s,
+            compensating_ms=1e3 * ((heard.compensated_s or _known(heard.verdict_s)) - _known(heard.verdict_s)),
             full_step_cpu_ms=1e3 * heard.full_cpu_s,
             points=heard.points,
             faults=heard.faults,
@@ -175,6 +183,7 @@ class PacedWorker:
                     if heard.verdict_s is None:
                         heard.verdict_s, heard.judging_cpu_s = now_s, cpu_s
                     else:
+                        heard.compensated_s = now_s
                         heard.compensating_cpu_s += cpu_s
                 case other:
                     raise RuntimeError(f"the worker answered {other!r:.200}")
@@ -198,10 +207,11 @@ def paced_worker(scene: TimedScene, disk: Path) -> Iterator[PacedWorker]:
         library = Library(Path(stack.enter_context(tempfile.TemporaryDirectory(dir=disk))) / "storage")
         library.prepare()
         writer = stack.enter_context(DiskQueue())
+        begun_s = time.monotonic()
         process = stack.enter_context(ReconstructionWorker(order, store, MonotonicClock(), LIMITS))
         if process.wait(START_TIMEOUT_S) != Ready():
             raise RuntimeError("the worker did not start")
-        worker = PacedWorker(scene, process, library, writer)
+        worker = PacedWorker(scene, process, library, writer, time.monotonic() - begun_s)
         for _ in range(WARM_UPS):
             worker.scan()
         yield worker

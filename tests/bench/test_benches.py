@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from bench import bench_compile, bench_endurance, bench_reconstruction, bench_whole_scan
+from bench import bench_compile, bench_endurance, bench_felt, bench_reconstruction, bench_whole_scan
 from bench.result import Measured
 from bench.runner import find
-from bench.whole_scan.scenes import DISC
+from bench.whole_scan.scenes import DISC, timed_scene
 
 BENCHES = find("bench")
 SMALLEST = {
@@ -52,6 +52,9 @@ SMALL: Mapping[str, Callable[[Path], Iterable[Measured]]] = {
         bench_compile.compiled([("pattern identity", "appliance.measure.warm:judge_patterns")], 1), 1.0
     ),
     "endurance": lambda folder: bench_endurance.judged(bench_endurance.dive(folder, 2, "400x300")),
+    "felt": lambda folder: bench_felt.key_to_answers(
+        timed_scene(DISC, 400, folder), bench_felt.Effort(400, 1, 1, compensated=False), folder
+    ),
     "reconstruction": lambda folder: bench_reconstruction.measured_with(
         bench_reconstruction.Effort(400, 300, 3, 1, 1, 2, 2, ask_peers=False), folder
     ),

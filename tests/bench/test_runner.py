@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from bench.document import BEGIN, END, FELT_BEGIN, FELT_END, write_figures
 from bench.result import Measured
-from bench.runner import find, main
+from bench.runner import find, main, note_latest
+from tests.test_docs import FIGURES
 
 BODIES = {
     "crash": "yield Measured('first', 1.0, 'ms'); raise RuntimeError('boom')",
@@ -55,3 +57,16 @@ def test_a_benchmark_without_measure_is_an_error_and_not_a_number_keeps_no_bound
     with pytest.raises(TypeError, match="bench_empty has no function measure"):
         find("measured_here")
     assert not Measured("error", math.nan, "mm", at_most=1.0).kept
+
+
+def test_the_first_table_of_the_page_has_a_figure_its_limit_and_the_day_of_both(tmp_path: Path) -> None:
+    latest, page = tmp_path / "latest.json", tmp_path / "performance.md"
+    page.write_text(f"Before.\n\n{FELT_BEGIN}\nold\n{FELT_END}\n\n{BEGIN}\nother\n{END}\n")
+    note_latest([Measured("key to verdict", 497.7, "ms", key="felt_verdict_ms")], latest)
+    note_latest([Measured("recording", 400.0, "ms", key="felt_recording_ms")], latest)
+    write_figures(latest, page)
+    lines = page.read_text().splitlines()
+    assert "| key to verdict | 498 | ms | recording 400 |" in lines
+    assert "| key to coarse cloud | — | ms | recording 400 |" in lines, "not measured"
+    assert [line for line in lines if FIGURES.fullmatch(line)]
+    assert (lines[0], lines[-2], "old" in lines) == ("Before.", "other", False)
