@@ -1,5 +1,4 @@
-"""Owns the words for what two scans have in common: a share, none, or that nobody can tell; and for where to take the
-next one from."""
+"""Overlap of two scans and guidance to the next one: the values that screens show."""
 
 from __future__ import annotations
 
@@ -12,32 +11,32 @@ class Overlap:
     """Overlap of a scan with the one before."""
 
     share: float | None
-    """Share, 0..1, of this scan's surface that the other one has, too; ``None``: it cannot be told (a smooth pipe fits
-    everywhere)."""
+    """Share, 0..1, of this scan's surface that the other one has, too; ``None``: unknown (a smooth pipe fits anywhere).
+    """
 
     @property
     def none(self) -> bool:
-        """True if it is known that so little is in common that the scans cannot be placed to each other."""
+        """True if the overlap is certainly too small for registration."""
         return self.share is not None and self.share < LEAST_SHARE
 
     @property
     def scant(self) -> bool:
-        """True if it is known to be less than half of what is wanted: the next step should be shorter."""
+        """True if it is certainly less than half of a good overlap: the next step should be shorter."""
         return self.share is not None and self.share < SCANT_SHARE
 
 
 LEAST_SHARE = 0.08
-"""Smaller overlaps hold no pair of scans together (``appliance.measure.overlap.pair``)."""
+"""Least overlap for registration (``appliance.measure.overlap.pair``)."""
 SCANT_SHARE = 0.25
-"""Overlaps of 40 to 60 % are good: enough to hold, and new surface in every scan."""
+"""Overlap below which the next step should be shorter: 40 to 60 % are good."""
 NO_OVERLAP, UNKNOWN = Overlap(0.0), Overlap(None)
 
 LEAST_GOOD, MOST_GOOD = 0.4, 0.6
-"""Shares between which a scan holds well and shows enough that is new."""
+"""Good overlaps: enough for registration, and enough new surface."""
 
 
 class Move(Enum):
-    """The thing to do before the next scan."""
+    """The next move of the diver before a scan."""
 
     GO_BACK = "GO BACK"
     SCAN_NOW = "SCAN NOW"
@@ -46,16 +45,15 @@ class Move(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """The overlap that a scan taken from here would have with the one that was kept last, and the way to a better one."""
+    """The overlap that a scan from here would have with the kept one, and the direction to a better one."""
 
     expected: Overlap
-    """Overlap that it would have. Its share is never ``None``: what cannot be told is no guidance."""
+    """Overlap that it would have. Its share is never ``None``: an unknown overlap gives no guidance."""
     toward: tuple[float, float] | None = None
-    """Direction of a good view in the left picture, right and down, of length 1; ``None``: any will do, or it is not
-    known."""
+    """Direction of a good view in the left image, right and down, of length 1; ``None``: any, or unknown."""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for an overlap without a share."""
+        """Raise ValueError for an overlap without a share."""
         if self.expected.share is None:
             raise ValueError(
                 "guidance without a share; allowed are 0..1; give no guidance where the overlap is not known"
@@ -68,4 +66,4 @@ class Guidance:
 
 
 LOST = Guidance(NO_OVERLAP)
-"""Nothing of what is seen lies on the scan that was kept."""
+"""Guidance if the live image does not overlap the kept scan."""

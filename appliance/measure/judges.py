@@ -1,15 +1,16 @@
-"""Owns the table of judges: what is said of a whole sequence once its coarse cloud is known, and by whom.
+"""The table of judges of a whole sequence, and the samples that they need of single frames.
 
-A new verdict is one file in ``appliance/measure/verdicts``, one row in ``JUDGES``, and one row in the alerts' table
-where the diver is to be told. The judge of identity is not among them: it runs before any cloud, since points of wrong
-patterns mean nothing.
+A new verdict is one file in ``appliance/measure/verdicts``, one row in ``JUDGES``, and, if the diver is to read it, one
+row in the alerts' table. The judge of identity is not in the table: it runs before any cloud, since points of wrong
+patterns have no meaning.
 
-It also owns what is taken from each frame for the judges while the next ones are being recorded.
+JUDGES, run_judges        the table, and the run of all its judges
+Gatherer, JudgeSamples    samples of the frames, taken while the next ones are captured
 
-After the last frame somebody waits, before it nobody does. So whatever a judge needs of single frames, or of one
-direction alone, is read as soon as it is there; what is left for afterwards is what needs both directions or the
-coordinates. There is no other way: a stored sequence is pushed frame by frame as well. A gatherer serves one sequence
-and is dropped with it, so that nothing of a scan that was cut off can come into the next one's verdicts.
+The diver waits after the last frame, not before. So a judge's samples of single frames, or of one direction alone, are
+taken as soon as possible; only computations that need both directions or the coordinates are left for later. A stored
+sequence is pushed frame by frame in the same way. A gatherer serves one sequence, so that nothing of a capture that
+broke off can come into the next one's verdicts.
 """
 
 from __future__ import annotations
@@ -52,17 +53,17 @@ from appliance.measure.verdicts.window import look_at_windows, window_grid
 
 
 @dataclass(frozen=True, slots=True)
-class Gathered:
-    """Evidence that one camera's whole sequence left for its judges."""
+class JudgeSamples:
+    """Samples of one camera's sequence for the judges."""
 
     lines: Mapping[Direction, Lines]
     """Samples for the identity of the patterns, by direction."""
     sample: Sample
     """Pixels for the judge of light."""
     light: EarlyFit
-    """Fit of X to the same pixels, for the same."""
+    """Fit of X to the same pixels, for the same judge."""
     visible: VisibleFringes
-    """Fringes that are seen without decoding."""
+    """Fringes that are visible without decoding."""
     means: Means
     """Images of texture for the judge of motion."""
     water: PixelGrid
@@ -72,7 +73,7 @@ class Gathered:
 
 
 class Gatherer:
-    """Gathers one sequence of one camera, whose grey values scatter by ``noise``."""
+    """Takes the samples of one camera's sequence; ``noise`` is the camera's."""
 
     def __init__(self, sequence: PatternSequence, noise: CameraNoise) -> None:
         self._sequence, self._noise = sequence, noise
@@ -84,7 +85,7 @@ class Gatherer:
         self._pushed = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
-        """Take what is wanted of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
+        """Take the samples of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
         self._pushed = index + 1
         self._lines.push(frames, index)
         self._sampler.push(frames, index)
@@ -94,20 +95,20 @@ class Gatherer:
         if index == self._sequence.axis(Direction.X).last:
             self._of_x = fit_early(self._sampler.grey, self._sequence), see(frames, self._sequence, self._noise)
 
-    def finish(self) -> Gathered:
-        """Return what was gathered, after the last frame. Raises ValueError where frames are missing."""
+    def finish(self) -> JudgeSamples:
+        """Return the samples, after the last frame. Raises ValueError if frames are missing."""
         if self._of_x is None or self._pushed != len(self._sequence):
             raise ValueError(
                 f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
             )
         light, visible = self._of_x
-        return Gathered(
+        return JudgeSamples(
             self._lines.finish(), self._sampler.finish(), light, visible, self._averager.finish(), *self._grids
         )
 
 
-def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Gathered:
-    """Gather whole ``frames`` (n, h, w) uint8 of one camera."""
+def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> JudgeSamples:
+    """Return the samples of complete ``frames`` (n, h, w) uint8 of one camera."""
     gatherer = Gatherer(sequence, noise)
     for index in range(len(frames)):
         gatherer.push(frames, index)
@@ -115,27 +116,27 @@ def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNo
 
 
 CHANGES = frozenset({FaultCode.MOVED, FaultCode.LIGHT_FLICKERS})
-"""Faults by which one image of a sequence has another light than the next."""
+"""Faults by which the light changes from frame to frame."""
 SIGHT_POINTS = 7_500
-"""Left pixels that are asked at what depth, near or far, they see something."""
+"""Number of left pixels whose depth is computed for the judge of sight, without limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class JudgeInput:
-    """Evidence that every judge is given."""
+    """Evidence for every judge."""
 
     images: ScanImages
-    gathered: Mapping[str, Gathered]
-    """Samples that were taken from the images as they arrived."""
+    samples: Mapping[str, JudgeSamples]
+    """Samples of the frames, by side."""
     cloud: Cloud
     """The coarse cloud."""
     rig: StereoRig
     water_index: float
     """Refractive index of the water at the projector's wavelength."""
     identity: Judgement
-    """Judgement whether each frame shows the pattern it should."""
+    """Judgement whether each frame shows its pattern."""
     pipeline: Pipeline
-    """Pipeline that can be asked for points at any depth, also outside of the measuring volume."""
+    """Pipeline for points at any depth, also outside of the working volume."""
 
 
 Earlier = Mapping[str, Judgement | None]
@@ -147,135 +148,143 @@ class Judge:
     """One row of the table."""
 
     name: str
-    """The name of its verdict in the manifest."""
+    """Name of its verdict in the manifest."""
     judge: Callable[[JudgeInput, Earlier], Judgement | None]
-    """Returns ``None`` where there is nothing to be said."""
+    """The function; it returns ``None`` without a judgement."""
     needs: tuple[str, ...] = ()
-    """Judges that must have spoken before; they need none themselves."""
+    """Judges whose judgements it needs; these need none themselves."""
 
 
-def _look(given: JudgeInput, _: Earlier) -> Judgement:
-    """Judge what is there at whatever depth, and fringes too weak to be decoded."""
-    left = given.rig.left
-    # One pixel in stride² is asked, whatever the camera's size, so that the judge takes the same time.
+def _judge_sight(evidence: JudgeInput, _: Earlier) -> Judgement:
+    """Judge objects at any depth, and fringes too weak to be decoded."""
+    left = evidence.rig.left
+    # The stride makes the number of pixels, and so the time, independent of the camera's size.
     stride = math.ceil((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5)
     return Judgement(
         look(
-            given.images,
-            given.rig,
-            given.water_index,
-            given.pipeline.sample(stride, any_depth=True),
-            given.pipeline.limits,
-            given.identity.verdict.numbers.get("parallax_percent"),
-            {side: one.visible for side, one in given.gathered.items()},
+            evidence.images,
+            evidence.rig,
+            evidence.water_index,
+            evidence.pipeline.sample(stride, any_depth=True),
+            evidence.pipeline.limits,
+            evidence.identity.verdict.numbers.get("parallax_percent"),
+            {side: samples.visible for side, samples in evidence.samples.items()},
         )
     )
 
 
-def _look_at_windows(given: JudgeInput, earlier: Earlier) -> Judgement | None:
-    """Judge the windows; nothing where something moved: what moves is soft in one camera and not in the other, too."""
+def _judge_windows(evidence: JudgeInput, earlier: Earlier) -> Judgement | None:
+    """Judge the ports; not after motion, which also makes fringes soft in one camera alone."""
     if is_fault(earlier["motion"]):
         return None
-    windows = look_at_windows(given.images, {side: one.windows for side, one in given.gathered.items()})
+    windows = look_at_windows(evidence.images, {side: samples.windows for side, samples in evidence.samples.items()})
     return Judgement(windows.verdict(), remembered=windows)
 
 
-def _judge_fringes(given: JudgeInput, _: Earlier) -> Judgement:
-    """Judge the fringes by the bend that the pipeline will take out of them."""
-    return judge_fringes(given.pipeline.bend(), given.images.sequence.period_px)
+def _judge_fringes(evidence: JudgeInput, _: Earlier) -> Judgement:
+    """Judge the fringes by the phase error that the response correction will remove."""
+    return judge_fringes(evidence.pipeline.bend(), evidence.images.sequence.period_px)
 
 
-def _judge_light(given: JudgeInput, _: Earlier) -> Judgement:
-    """Judge the light, with what is known of the fringes' own bend."""
-    settings = given.images.settings
-    samples = {side: one.sample for side, one in given.gathered.items()}
-    early = {side: one.light for side, one in given.gathered.items()}
-    return judge_light(given.images, settings.exposure, settings.steps, given.pipeline.bend().rms_px, samples, early)
+def _judge_light(evidence: JudgeInput, _: Earlier) -> Judgement:
+    """Judge the light, with the phase error of the fringes."""
+    settings = evidence.images.settings
+    samples = {side: samples.sample for side, samples in evidence.samples.items()}
+    early = {side: samples.light for side, samples in evidence.samples.items()}
+    return judge_light(
+        evidence.images, settings.exposure, settings.steps, evidence.pipeline.bend().rms_px, samples, early
+    )
 
 
-def _judge_water(given: JudgeInput, _: Earlier) -> Judgement:
-    """Judge the water by what the left camera saw."""
-    grid = given.gathered["left"].water
-    return judge_water(given.images, given.cloud, given.rig, given.water_index, grid).judgement
+def _judge_water(evidence: JudgeInput, _: Earlier) -> Judgement:
+    """Judge the water by the left camera's images."""
+    grid = evidence.samples["left"].water
+    return judge_water(evidence.images, evidence.cloud, evidence.rig, evidence.water_index, grid).judgement
 
 
-def _judge_motion(given: JudgeInput, _: Earlier) -> Judgement:
-    """Judge the movement between instrument and scene."""
-    means = {side: one.means for side, one in given.gathered.items()}
-    return judge_motion(given.images, given.cloud, given.rig, given.water_index, means).judgement
+def _judge_motion(evidence: JudgeInput, _: Earlier) -> Judgement:
+    """Judge the motion."""
+    means = {side: samples.means for side, samples in evidence.samples.items()}
+    return judge_motion(evidence.images, evidence.cloud, evidence.rig, evidence.water_index, means).judgement
 
 
-def _judge_grey(given: JudgeInput, earlier: Earlier) -> Judgement | None:
-    """Judge the cameras' grey; nothing where something moved, or other light changed: either makes sines that do not
-    belong to the bright."""
-    if any(one is not None and one.fault is not None and one.fault.code in CHANGES for one in earlier.values()):
+def _judge_grey(evidence: JudgeInput, earlier: Earlier) -> Judgement | None:
+    """Judge the linearity of the cameras; not after motion or a change of light.
+
+    Either makes sines that do not fit the bright frame.
+    """
+    if any(
+        judgement is not None and judgement.fault is not None and judgement.fault.code in CHANGES
+        for judgement in earlier.values()
+    ):
         return None
-    return judge_grey({side: one.sample for side, one in given.gathered.items()}, given.images.sequence)
+    return judge_grey({side: samples.sample for side, samples in evidence.samples.items()}, evidence.images.sequence)
 
 
-def _judge_sides(given: JudgeInput, _: Earlier) -> Judgement:
-    """Judge which camera is the left one, by pixels that see the same."""
-    return judge_sides(*given.pipeline.matches(), given.rig, given.water_index)
+def _judge_sides(evidence: JudgeInput, _: Earlier) -> Judgement:
+    """Judge which camera is the left one, by matched pixels."""
+    return judge_sides(*evidence.pipeline.matches(), evidence.rig, evidence.water_index)
 
 
-def _judge_medium(given: JudgeInput, _: Earlier) -> Judgement:
-    """Judge whether the scan was taken in the water that is stated, by the same pixels."""
-    return judge_medium(*given.pipeline.matches(), given.rig, given.water_index)
+def _judge_medium(evidence: JudgeInput, _: Earlier) -> Judgement:
+    """Judge whether the scan was taken in the stated water, by the same pixels."""
+    return judge_medium(*evidence.pipeline.matches(), evidence.rig, evidence.water_index)
 
 
 JUDGES = (
     Judge("light", _judge_light),
     Judge(FRINGES, _judge_fringes),
     Judge("water", _judge_water),
-    Judge("sight", _look),
-    Judge("windows", _look_at_windows, needs=("motion",)),
+    Judge("sight", _judge_sight),
+    Judge("windows", _judge_windows, needs=("motion",)),
     Judge("motion", _judge_motion),
     Judge(GREY, _judge_grey, needs=("motion", "light")),
     Judge(SIDES_NAME, _judge_sides),
     Judge(MEDIUM, _judge_medium),
 )
-"""Judges in the order in which their verdicts are told and stored."""
+"""Judges in the order in which their verdicts are reported and stored."""
 
 
 @dataclass(frozen=True, slots=True)
-class OneSaid:
-    """The word of one judge."""
+class JudgeResult:
+    """The result of one judge."""
 
     name: str
     judgement: Judgement | None
-    """``None``: it has nothing to say."""
+    """``None``: it made no judgement."""
     cpu_s: float
-    """Processor time that it took."""
+    """Processor time of the judge."""
 
 
-def judged_by_all(given: JudgeInput, tasks: WorkList) -> Iterator[OneSaid]:
-    """Ask every judge, those that need others last; yields what each one says as soon as it and those before it have
-    said it.
+def run_judges(evidence: JudgeInput, tasks: WorkList) -> Iterator[JudgeResult]:
+    """Run every judge, those with needs last; yield each result when it and those before it are known.
 
-    Whoever else works on ``tasks`` begins at the table's end; it may do so from now on, before anything is yielded.
+    Helpers take ``tasks`` from the end of the table; they may begin before the first result is yielded.
     """
     # Stable: judges without needs keep the table's order, and one level of needs is all there is (ADR 0038).
     order = sorted(JUDGES, key=lambda judge: len(judge.needs))
-    asked: dict[str, WorkItem[Judgement | None]] = {}
+    tasks_by_judge: dict[str, WorkItem[Judgement | None]] = {}
 
-    def ask(judge: Judge) -> Judgement | None:
-        return judge.judge(given, {name: asked[name].answer() for name in judge.needs})
+    def run_judge(judge: Judge) -> Judgement | None:
+        return judge.judge(evidence, {name: tasks_by_judge[name].answer() for name in judge.needs})
 
-    # Two that go towards each other share the work evenly, whatever each judge takes. What is needed is added before
-    # what needs it.
+    # Caller and helper work from both ends, so that they share the work evenly. A judge is added after its needs.
     by_name = {judge.name: judge for judge in JUDGES}
     for judge in reversed(order):
         for name in (*judge.needs, judge.name):
-            if name not in asked:
-                asked[name] = tasks.add(partial(ask, by_name[name]))
-    return (OneSaid(judge.name, asked[judge.name].answer(), asked[judge.name].cpu_s) for judge in order)
+            if name not in tasks_by_judge:
+                tasks_by_judge[name] = tasks.add(partial(run_judge, by_name[name]))
+    return (
+        JudgeResult(judge.name, tasks_by_judge[judge.name].answer(), tasks_by_judge[judge.name].cpu_s)
+        for judge in order
+    )
 
 
-def in_order(said: Earlier) -> dict[str, Judgement]:
-    """Return what the judges ``said``, in the table's order; without those that had nothing to say."""
-    return {judge.name: one for judge in JUDGES if (one := said.get(judge.name)) is not None}
+def in_table_order(judgements: Earlier) -> dict[str, Judgement]:
+    """Return the judgements in the table's order, without those that are ``None``."""
+    return {judge.name: judgement for judge in JUDGES if (judgement := judgements.get(judge.name)) is not None}
 
 
 def is_fault(judgement: Judgement | None) -> bool:
-    """Tell whether a judgement holds something against the scan."""
+    """Return True if a judgement has a fault."""
     return judgement is not None and judgement.fault is not None

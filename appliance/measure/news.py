@@ -1,6 +1,6 @@
-"""Owns the facts that a sequence gives, each under one name from the procedure over the worker's pipe to the machine.
+"""The facts about a sequence, which go from the procedure over the worker's pipe to the machine.
 
-Points are never in a fact: ``Found`` says where they are, and whoever holds that memory is asked for a copy.
+Points are never in a fact: ``Found`` says where they are, and the owner of that memory makes a copy on request.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from appliance.measure.verdict import Judgement
 
 @dataclass(frozen=True, slots=True)
 class PatternIdentity:
-    """Judgement whether each frame shows the pattern it should.
+    """Judgement whether each frame shows its pattern.
 
-    With a fault, points would mean nothing, and none follow.
+    With a fault, points would have no meaning, and none follow.
     """
 
     judgement: Judgement
@@ -29,26 +29,25 @@ class CoarseCloud:
 
     found: Found
     cpu_s: float = 0.0
-    """Processor time of this cloud, the identity before it included."""
+    """Processor time of this cloud, including the identity before it."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkProgress:
-    """One step more of the work, of which nothing else is to be told: a judge has spoken, or a step of a second
-    exposure is done."""
+    """One step of the work without a result of its own: a judge, or a step of a second exposure."""
 
     step: str
 
 
 @dataclass(frozen=True, slots=True)
 class Verdicts:
-    """All judgements of the scan, identity first, in place of those before."""
+    """All judgements of the scan, identity first, instead of the earlier ones."""
 
     judgements: tuple[Judgement, ...]
     cpu_s: float = 0.0
-    """Processor time of all judges but that of identity; of the second time, that of the compensation."""
+    """Processor time of all judges except identity; the second time, that of the compensation."""
     compensating: bool = False
-    """True if instrument and scene moved against each other: it is tried next to take that out of the points."""
+    """True if there was motion: compensation is the next step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ class FullCloud:
 
 @dataclass(frozen=True, slots=True)
 class Bracket:
-    """Outcome of a second exposure: the cloud of both, or the fault for which there is none."""
+    """Result of a bracket: the cloud of both exposures, or a fault."""
 
     found: Found | None
     """Cloud of both; ``None``: refused."""
@@ -74,13 +73,13 @@ class Bracket:
 
     @property
     def fault(self) -> Fault:
-        """Fault for which both are not one cloud, where they are not."""
+        """Fault for which the exposures were not merged, if they were not."""
         return self.pair.fault or Fault(FaultCode.RECONSTRUCTION_FAILED, self.pair.verdict.text)
 
 
 @dataclass(frozen=True, slots=True)
 class ScanOverlap:
-    """Overlap of the scan with the one before of its object, found some time after the full cloud."""
+    """Overlap of the scan with the one before of its object, some time after the full cloud."""
 
     overlap: Overlap
     cpu_s: float = 0.0
@@ -88,7 +87,7 @@ class ScanOverlap:
 
 @dataclass(frozen=True, slots=True)
 class ReconstructionFailure:
-    """Fault for which the frames get no points now; the next scan's may."""
+    """Fault for which these frames get no points; the next scan may."""
 
     fault: Fault
 
@@ -109,18 +108,20 @@ class News:
 
 @dataclass(frozen=True, slots=True)
 class LiveGuidance:
-    """Guidance by a live picture. It belongs to no sequence: a scan that begins ends it."""
+    """Guidance by a live image. It belongs to no sequence, and ends when a scan begins."""
 
     guidance: Guidance | None
-    """``None``: it cannot be told."""
+    """``None``: unknown."""
     taken_ns: int
-    """Time at which the picture was handed over."""
+    """Time of the live image."""
     cpu_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerFailure:
-    """Failure of the worker's process, in words: its own last ones, or its parent's, which starts it again or has given
-    up."""
+    """Failure of the worker's process, in its last words or those of its parent.
+
+    The parent starts it again or has given up.
+    """
 
     text: str

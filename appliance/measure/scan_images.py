@@ -1,7 +1,7 @@
-"""Owns what judges and motion compensation read: the frames of one scan with their decoding, and a grid of pixels.
+"""The images of one scan for judges and compensation, and a grid of their pixels.
 
-``ScanImages`` holds the whole sequence of both cameras, decoded; it exists after the last frame. ``PixelGrid`` keeps
-every n-th pixel of some frames of one camera. It is filled as the frames arrive, so that the judges of water and window
+``ScanImages`` has the complete sequence of both cameras, decoded; it exists after the last frame. ``PixelGrid`` keeps
+every n-th pixel of some frames of one camera. It is filled as the frames arrive, so that the judges of water and ports
 need not read whole frames afterwards.
 """
 
@@ -20,33 +20,33 @@ from appliance.measure.light.patterns import PatternSequence
 
 
 class PixelGrid:
-    """An even grid of one camera's pixels, taken of the frames that are ``wanted``.
+    """An even grid of one camera's pixels in the frames ``indices``.
 
     ``steps`` returns the distance of rows and that of columns, for an image of so many rows and columns.
     """
 
-    def __init__(self, wanted: Sequence[int], steps: Callable[[int, int], tuple[int, int]]) -> None:
-        self._wanted, self._steps = list(wanted), steps
+    def __init__(self, indices: Sequence[int], steps: Callable[[int, int], tuple[int, int]]) -> None:
+        self._indices, self._steps = list(indices), steps
         self.down_px = self.across_px = 1
         """Distance of the rows, and of the columns."""
-        self.grey = np.empty((len(self._wanted), 0, 0), np.uint8)
+        self.grey = np.empty((len(self._indices), 0, 0), np.uint8)
         """(wanted, rows, columns): grey values, in the order of ``wanted``."""
 
     @property
     def at(self) -> tuple[slice, slice]:
-        """Pixels of the grid, as an index of an image or a map."""
+        """The grid as an index of an image or a map."""
         return slice(self.down_px // 2, None, self.down_px), slice(self.across_px // 2, None, self.across_px)
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
         """Take the pixels of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
         if index == 0:
             self.down_px, self.across_px = self._steps(*frames.shape[1:])
-            self.grey = np.empty((len(self._wanted), *frames[0][self.at].shape), np.uint8)
-        if index in self._wanted:
-            self.grey[self._wanted.index(index)] = frames[index][self.at]
+            self.grey = np.empty((len(self._indices), *frames[0][self.at].shape), np.uint8)
+        if index in self._indices:
+            self.grey[self._indices.index(index)] = frames[index][self.at]
 
     def taken(self, frames: NDArray[np.uint8]) -> PixelGrid:
-        """Take the pixels of whole ``frames`` (n, h, w) uint8; returns itself."""
+        """Take the pixels of complete ``frames`` (n, h, w) uint8; return itself."""
         for index in range(len(frames)):
             self.push(frames, index)
         return self
@@ -54,24 +54,24 @@ class PixelGrid:
 
 @dataclass(frozen=True, slots=True)
 class ScanImages:
-    """The whole sequence of both cameras after its last frame. Mappings are keyed ``left`` and ``right``."""
+    """The complete sequence of both cameras after its last frame; mappings by ``left`` and ``right``."""
 
     sequence: PatternSequence
     frames: Mapping[str, NDArray[np.uint8]]
-    """Each camera's images (n, h, w) uint8 in the order of the sequence. They are shared, and not to be written to."""
+    """Each camera's images (n, h, w) uint8 in the order of the sequence. They are shared: do not write to them."""
     decoded: Mapping[str, CameraDecoder]
-    """Coordinates, modulation and masks. They mean nothing where a frame shows another pattern than it should."""
+    """Coordinates, modulation and masks. They have no meaning if a frame shows a wrong pattern."""
     settings: AcquisitionSettings = AcquisitionSettings()  # noqa: RUF009
-    """Settings with which the sequence was taken."""
+    """Settings of the capture."""
 
     @property
     def noise(self) -> StereoNoise:
-        """The temporal noise of both cameras as they were set."""
+        """Temporal noise of both cameras with these settings."""
         return self.settings.noise
 
     @property
     def frame_s(self) -> float:
-        """The time from one frame to the next, in seconds."""
+        """Frame period in seconds."""
         return self.settings.frame_s
 
     @property

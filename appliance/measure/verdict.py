@@ -1,8 +1,7 @@
-"""Owns what a judgement of a recorded scan says: a name, a yes or no, and the numbers behind it.
+"""The verdict of a judge, and the grade of a scan.
 
-It also owns the grade of a scan: the one word that the screen, the gallery, lists, pages and scripts have for it.
-
-It is made once, on board, from the numbers of the cloud and what the judges hold against the scan, and kept in the
+A verdict has a name, passed or failed, and numbers. The grade is one word for the screen, the gallery, lists, pages and
+scripts. It is computed once, on the instrument, from the numbers of the cloud and the faults, and stored in the
 manifest as the verdict ``NAME``. See ``docs/causes.md``.
 """
 
@@ -18,7 +17,7 @@ from appliance.measure.light.exposure import Exposure
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One judgement with its numbers; ``passed`` is None where there was nothing to judge."""
+    """A verdict with its numbers; ``passed`` is None if it was not judged."""
 
     name: str
     """Name like ``ledger``, ``identity``, ``motion``, ``exposure`` …"""
@@ -28,38 +27,37 @@ class Verdict:
 
     @classmethod
     def failed(cls, name: str, fault: Fault) -> Verdict:
-        """Return the verdict that a fault stands for."""
+        """Return the verdict of a fault."""
         return cls(name, False, dict(fault.numbers), f"{fault.code.value}: {fault.detail}".rstrip(": "))
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """A verdict, and the fault to tell the diver of; ``None``: nothing to tell.
+    """A verdict, and the fault to report to the diver; ``None``: no fault.
 
-    The alerts' table says what it spoils.
+    The table of alerts says which results the fault spoils.
     """
 
     verdict: Verdict
     fault: Fault | None = None
     proposal: Exposure | None = None
-    """Exposure proposed for the next scan; ``None``: as this one."""
+    """Exposure proposed for the next scan; ``None``: the same."""
     second: Exposure | None = None
-    """Exposure that a second sequence of the same scene should have, to show what this one cannot; ``None``: one
-    serves."""
+    """Exposure of a second sequence of the same scene, for surfaces that this one does not show; ``None``: not needed.
+    """
     remembered: object | None = None
-    """Evidence for whoever compares scans with each other, given beside the verdict and never stored. ``None``:
-    nothing."""
+    """Evidence for the comparison of scans with each other; never stored. ``None``: no evidence."""
 
 
 def faults_in(judgements: Iterable[Judgement]) -> tuple[Fault, ...]:
     """Return the faults of ``judgements``, in their order."""
-    return tuple(one.fault for one in judgements if one.fault is not None)
+    return tuple(judgement.fault for judgement in judgements if judgement.fault is not None)
 
 
 GRADE_NAME = "grade"
 """Name of the verdict whose text is the grade's value."""
 LENGTHS_DOUBTFUL = "lengths_doubtful"
-"""Name of that verdict's number that is 1 where lengths were not to be trusted when the scan was taken."""
+"""Name of that verdict's number that is 1 if lengths were doubtful at the time of the scan."""
 GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM = 60.0, 0.06
 USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM = 25.0, 0.25
 SPOILS_SCAN = frozenset(
@@ -88,15 +86,14 @@ SPOILS_SCAN = frozenset(
 SPOILS_POINTS = frozenset(
     {FaultCode.MOVED, FaultCode.LIGHT_FLICKERS, FaultCode.SIDES_EXCHANGED, FaultCode.NOT_IN_WATER}
 )
-"""Faults that make points of a recorded scan wrong: the diver may keep the scan, but is never told it is good or
-usable."""
-TOLD_BESIDE_GOOD = frozenset({FaultCode.COMPENSATED})
-"""Faults that are told of a scan and ask for nothing.
+"""Faults that make points of a recorded scan wrong: the diver may keep it, but its grade is never good or usable."""
+HARMLESS_FAULTS = frozenset({FaultCode.COMPENSATED})
+"""Faults that are reported and need no action.
 
-Anything else that is held against one asks the diver to repeat it, or to change something.
+Every other fault of a scan asks the diver to repeat it, or to change something.
 """
-MADE_UP_FOR = frozenset({FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK})
-"""Faults of one sequence that a second one with another exposure makes up for."""
+EXPOSURE_FAULTS = frozenset({FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK})
+"""Faults of one sequence that a second one with another exposure corrects."""
 
 
 class Grade(Enum):
@@ -107,16 +104,15 @@ class Grade(Enum):
     BAD = "bad"
 
 
-def grade(coverage_percent: float | None, noise_mm: float | None, held_against: Collection[FaultCode]) -> Grade:
-    """Return the grade of a scan whose cloud covers so much of what is lit, with that median sigma, and has these
-    faults.
+def grade(coverage_percent: float | None, noise_mm: float | None, fault_codes: Collection[FaultCode]) -> Grade:
+    """Return the grade of a scan by its coverage, median sigma and faults.
 
-    No warning stands beside GOOD: whoever is told to repeat a scan is not told that it is good.
+    A scan with a warning is never GOOD, since the diver is told to repeat it.
     """
-    if not SPOILS_POINTS.isdisjoint(held_against) or not is_usable(coverage_percent, noise_mm):
+    if not SPOILS_POINTS.isdisjoint(fault_codes) or not is_usable(coverage_percent, noise_mm):
         return Grade.BAD
     enough = _within(coverage_percent, noise_mm, GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM)
-    return Grade.GOOD if enough and TOLD_BESIDE_GOOD.issuperset(held_against) else Grade.USABLE
+    return Grade.GOOD if enough and HARMLESS_FAULTS.issuperset(fault_codes) else Grade.USABLE
 
 
 def is_usable(coverage_percent: float | None, noise_mm: float | None) -> bool:
@@ -124,18 +120,20 @@ def is_usable(coverage_percent: float | None, noise_mm: float | None) -> bool:
     return _within(coverage_percent, noise_mm, USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM)
 
 
-def _within(coverage_percent: float | None, noise_mm: float | None, least: float, most_mm: float) -> bool:
+def _within(coverage_percent: float | None, noise_mm: float | None, least_coverage: float, most_mm: float) -> bool:
     if coverage_percent is None or noise_mm is None:
         return False
-    return coverage_percent >= least and noise_mm <= most_mm
+    return coverage_percent >= least_coverage and noise_mm <= most_mm
 
 
 def faults_of_both(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Return the faults of a scan of two exposures, given those held against either sequence and against the pair: but
-    for too much or too little light, which the other exposure makes up for."""
-    # The first one of a code stands: the order is that in which they were found.
+    """Return the faults of a bracket, given those of either sequence and of both together.
+
+    Those of too much or too little light are left out, since the other exposure corrects them.
+    """
+    # The first fault of each code is kept, in the order of detection.
     codes: dict[FaultCode, Fault] = {}
     for fault in faults:
-        if fault.code not in MADE_UP_FOR:
+        if fault.code not in EXPOSURE_FAULTS:
             codes.setdefault(fault.code, fault)
     return tuple(codes.values())

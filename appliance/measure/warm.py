@@ -1,9 +1,9 @@
-"""Owns a scan of nothing, which runs every kernel once: at installation to compile them, at start to load them.
+"""The warm-up: an empty scan that runs every kernel once, to compile or load them.
 
-``run_every_kernel`` is the whole; ``PIECES`` are the same in pieces that can be compiled side by side
-(``appliance.base.kernel_build``), the longest first. What a piece forgets is compiled when it is first needed, as
-without pieces; the tests compare both ways kernel by kernel. They serve stored scans as well: their frames are arrays
-of the same kind.
+Kernels are compiled at installation and loaded at start. ``run_every_kernel`` runs all; ``PIECES`` are the same in
+pieces that can be compiled in parallel (``appliance.base.kernel_build``), the longest first. A kernel that a piece
+omits is compiled when it is first needed; the tests compare both ways kernel by kernel. The pieces serve stored scans
+as well: their frames are arrays of the same type.
 """
 
 from __future__ import annotations
@@ -51,16 +51,19 @@ _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
 _ALONG_MM = -0.67
-"""Way per frame that makes the steps of the phase so small that the albedo is asked for: 40 mm/s at 60 Hz."""
+"""Displacement per frame at which the phase steps are so small that the albedo is needed: 40 mm/s at 60 Hz."""
 
 
-def what_an_empty_scan_does_not_run(
+def remaining_kernels(
     sequence: PatternSequence,
 ) -> tuple[Callable[[], object], ...]:
-    """Return what runs the kernels for bent fringes, changing light, backscatter, specks, motion and a second exposure;
-    else the first scan that has some would wait for a compiler. Each loads for a fraction of a second; what more scans
-    need comes first."""
-    # Types decide what is loaded, not sizes: large pictures of nothing would only have to be paged in.
+    """Return functions that run the kernels which an empty scan does not run.
+
+    They are those for phase errors of the response, changing light, backscatter, specks, motion and a second exposure;
+    otherwise the first scan that needs them would wait for a compiler. Each loads within a fraction of a second; those
+    that more scans need come first.
+    """
+    # Only the types matter, not the sizes: large empty images would only have to be paged in.
     frames = np.zeros((len(sequence), *reversed(_SIZE_PX)), np.uint8)
     return (
         straighten.warm_up, warm_light, warm_water, warm_surface, warm_texture, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil,
@@ -68,15 +71,15 @@ def what_an_empty_scan_does_not_run(
     )  # fmt: skip
 
 
-def run_what_an_empty_scan_does_not(sequence: PatternSequence) -> None:
+def run_remaining_kernels(sequence: PatternSequence) -> None:
     """Run all of them."""
-    for run in what_an_empty_scan_does_not_run(sequence):
+    for run in remaining_kernels(sequence):
         run()
 
 
 @contextmanager
-def compiler_watched() -> Iterator[Callable[[], bool]]:
-    """Watch numba inside; yields what tells whether it had to compile anything that no cache had."""
+def watch_compiler() -> Iterator[Callable[[], bool]]:
+    """Watch numba inside of the context; yields a function that returns whether it compiled a kernel."""
     with event.install_recorder("numba:compile") as recorder:
         yield lambda: bool(recorder.buffer)
 
@@ -91,13 +94,13 @@ def _run_pair() -> None:
     pixel = np.arange(row.size, dtype=np.uint32)
     wall = Cloud(points, np.ones(row.size, np.uint8), ones, ones, ones, pixel, summary)
     surface = surface_of(wall, wall, shape)
-    found = register_exposures(surface, wall)
-    if found is not None:
-        fuse(surface, wall, wall, found, (1.0, 1.0))
+    registration = register_exposures(surface, wall)
+    if registration is not None:
+        fuse(surface, wall, wall, registration, (1.0, 1.0))
 
 
 POINT_PIECES = (Piece("matching and triangulation", "appliance.measure.warm:find_points"),)
-"""All that points need where the images were decoded by something else."""
+"""The pieces for points of images that were decoded elsewhere."""
 PIECES = (
     *POINT_PIECES,
     Piece("motion compensation", "appliance.measure.warm:compensate_wall"),
@@ -107,16 +110,15 @@ PIECES = (
     Piece("backscatter and particles", "appliance.measure.warm:read_through_backscatter"),
     Piece("two exposures", "appliance.measure.warm:merge_walls"),
 )
-"""Everything that a scan may need, just recorded or stored."""
+"""The pieces for every scan, just recorded or stored."""
 
 
 def compensate_wall() -> None:
-    """Run the kernels that estimate motion and undo it: in the dark, before a flat wall that moves along with the
-    fringes."""
+    """Run the kernels of motion compensation, in the dark, on a flat wall that moves with the fringes."""
     with _nothing() as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         v, u = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
-        # Dark frames decode to nothing; with coordinates by hand the kernels have pixels to work on.
+        # Dark frames have no coordinates; set some, so that the kernels have pixels to work on.
         for maps in decoded.values():
             maps.p_px[:], maps.q_px[:] = 12.0 * u, 12.0 * v
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
@@ -141,7 +143,7 @@ def find_points() -> None:
 
 
 def judge_patterns() -> None:
-    """Run the kernels that tell whether each frame shows its pattern."""
+    """Run the kernels of the judge of identity."""
     with _nothing() as (pipeline, _, frames):
         judge_identity(dict.fromkeys(SIDES, frames), pipeline.sequence, TYPICAL_PAIR)
 
@@ -154,17 +156,17 @@ def judge_scan() -> None:
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
         cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-        gathered = dict.fromkeys(SIDES, gather(frames, pipeline.sequence, TYPICAL))
+        samples = dict.fromkeys(SIDES, gather(frames, pipeline.sequence, TYPICAL))
         identity = Judgement(Verdict("identity", None))
-        given = JudgeInput(images, gathered, cloud, calibration.rig, _WATER.index, identity, pipeline)
+        judge_input = JudgeInput(images, samples, cloud, calibration.rig, _WATER.index, identity, pipeline)
         for judge in JUDGES:
-            if judge.name != "sight":  # it asks for points, and their kernels are another piece's
-                judge.judge(given, dict.fromkeys(judge.needs))
+            if judge.name != "sight":  # it needs points, whose kernels are in another piece
+                judge.judge(judge_input, dict.fromkeys(judge.needs))
     warm_water()
 
 
 def read_through_backscatter() -> None:
-    """Run the kernels for turbid water and for what floats in it."""
+    """Run the kernels for turbid water and specks."""
     with _nothing() as (pipeline, _, frames):
         warm_backscatter(pipeline.sequence, frames, TYPICAL)
         warm_veil()
@@ -172,25 +174,25 @@ def read_through_backscatter() -> None:
 
 
 def merge_walls() -> None:
-    """Run the kernels that make one cloud of two exposures."""
+    """Run the kernels that merge two exposures."""
     _run_pair()
 
 
 def run_every_kernel() -> None:
-    """Run with an instrument of its own."""
+    """Run all kernels, with a small nominal instrument."""
     with _nothing() as (pipeline, calibration, frames):
         processor = SequenceProcessor(pipeline, calibration, _WATER)
         processor.process(dict.fromkeys(SIDES, frames), AcquisitionSettings())
-        run_what_an_empty_scan_does_not(pipeline.sequence)
+        run_remaining_kernels(pipeline.sequence)
 
 
 @contextmanager
 def _nothing() -> Iterator[tuple[Pipeline, Calibration, NDArray[np.uint8]]]:
-    """A small instrument as drawn, and the dark frames (n, h, w) of a scan."""
+    """Yield a small nominal instrument, and the dark frames (n, h, w) of a scan."""
     width_px, height_px = _SIZE_PX
     calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, _WATER)
     sequence = build_sequence(16)
     frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
-    # Types decide what numba compiles, not contents or sizes: a picture of a few thousand dark pixels will do.
+    # Only the types matter to numba, not contents or sizes: a few thousand dark pixels are enough.
     with Pipeline(calibration, _WATER, sequence) as pipeline:
         yield pipeline, calibration, frames

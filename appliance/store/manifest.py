@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from appliance.base import ContentError, SealedFile
+from appliance.measure import EXPOSURE_FAULTS, Exposure, FaultCode, Grade, Verdict
 from appliance.measure import GRADE_NAME as GRADE
-from appliance.measure import MADE_UP_FOR, Exposure, FaultCode, Grade, Verdict
 from appliance.store.atomic import Stamp
 from appliance.store.names import component, is_component
 
@@ -132,7 +132,7 @@ class ScanRecord:
         # A failed verdict's text begins with its fault's name.
         names += [verdict.text.partition(":")[0] for verdict in verdicts if verdict.passed is False]
         codes = [FaultCode(name) for name in dict.fromkeys(names) if name in FaultCode.__members__]
-        return tuple(code for code in codes if not (is_merged and code in MADE_UP_FOR))
+        return tuple(code for code in codes if not (is_merged and code in EXPOSURE_FAULTS))
 
     @property
     def compensated(self) -> bool:

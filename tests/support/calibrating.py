@@ -16,7 +16,7 @@ from appliance.calibrate.water.artefact import fit_plane, fit_sphere, triangulat
 from appliance.calibrate.water.start import start_from_air
 from appliance.measure.accept.frustum import EDGE_MM, Face, Frustum
 from appliance.measure.accept.plane import Plane, orthogonal_plane
-from appliance.measure.accept.points import Used
+from appliance.measure.accept.points import FitPoints
 from appliance.measure.calibration.design import Design, design_calibration
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.model import StereoRig
@@ -242,7 +242,7 @@ class FrustumPoints:
             normals = np.array([p.normal for p in three])
             return np.linalg.solve(normals, [np.dot(p.normal, p.centre_mm) for p in three])
 
-        nobody = Used(np.empty(0, np.intp), np.empty(0, np.uint32), np.empty(0), np.empty(0, np.intp))
+        nobody = FitPoints(np.empty(0, np.intp), np.empty(0, np.uint32), np.empty(0), np.empty(0, np.intp))
         faces = [Face(plane, nobody) for plane in planes]
         pairs = [(planes[2 + k], planes[2 + (k + 1) % 4]) for k in range(4)]
         found = Frustum(

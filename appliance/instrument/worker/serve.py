@@ -62,9 +62,9 @@ from appliance.measure import (
     StereoNoise,
     Water,
     WorkerFailure,
-    compiler_watched,
     decode_calibration,
-    what_an_empty_scan_does_not_run,
+    remaining_kernels,
+    watch_compiler,
 )
 
 NICENESS = 5
@@ -128,11 +128,11 @@ def _work(
         # Warm-up, so that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
             nothing = np.zeros(store.shape, np.uint8)
-            with compiler_watched() as compiled:
+            with watch_compiler() as compiled:
                 processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
         give_back_memory()
         remaining: tuple[Callable[[], object], ...] = (
-            *what_an_empty_scan_does_not_run(sequence),
+            *remaining_kernels(sequence),
             give_back_memory,
             partial(limit_memory, headroom_mb),
         )

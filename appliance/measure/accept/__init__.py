@@ -1,1 +1,1 @@
-"""The measure of an instrument: artefacts found and fitted in clouds, after VDI/VDE 2634. Nothing here does I/O."""
+"""Acceptance of an instrument: artefacts in clouds, found and fitted after VDI/VDE 2634. No I/O."""

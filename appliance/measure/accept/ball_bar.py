@@ -1,4 +1,4 @@
-"""Owns how a ball bar is found in a cloud, whatever else is in it, and the distance between its two centres."""
+"""The search for a ball bar in a cloud with other objects, and the distance between its centres."""
 
 from __future__ import annotations
 
@@ -6,38 +6,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.measure.accept.points import Array, Indices, NotFound, PointSource, Used, finite_rows, thinned
+from appliance.measure.accept.points import Array, FitPoints, Indices, NotFound, PointSource, finite_rows, thinned
 from appliance.measure.accept.sphere import STEEPEST_COS, Sphere, SphereSolution, algebraic_sphere, fit_sphere
 
 CELL_MM = 2.0
-"""The search works on one point in each cube of this size."""
+"""Size of the cubes of which the search uses one point each."""
 PATCH_MM = 6.0
-"""Radius of the neighbourhoods that propose spheres."""
+"""Radius of the neighbourhoods to which candidate spheres are fitted."""
 RADII_MM = (5.0, 40.0)
 AGREES_MM = 0.3
-"""Distance within which a point of the search agrees with a proposal."""
+"""Largest distance of a point from a candidate that it supports."""
 BELONGS_MM = 1.0
-"""Distance within which a point is taken for the ball's: far more than any error of one point, so that this is no way
-to remove outliers."""
+"""Largest distance of a ball's points from it: far more than any error of a point, so that no outlier is removed by it.
+"""
 ALIKE = 0.15
-"""Greatest relative difference of the two radii."""
+"""Largest relative difference of the two radii."""
 STEM_COS = 0.82
-"""The bar joins each ball within 35° of the direction to the other one; nothing there is used."""
+"""Cosine of 35°, the angle to the direction of the other ball within which no point is used: the bar is there."""
 MOST_PROPOSALS = 400
 LEAST_FILL = 0.2
-"""The part of a ball's face that must have been measured."""
+"""Least share of a ball's visible face with points."""
 ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ball:
-    """One ball: the sphere and the points it rests on."""
+    """One ball: the sphere and its points."""
 
     sphere: Sphere
-    used: Used
+    used: FitPoints
 
     def seen_from(self, eye_mm: Array, cloud: PointSource) -> Indices:
-        """Return the rows of the used points, in order, that an eye there does not see flatter than 55°, either."""
+        """Return the rows of the used points, in order, that are not seen flatter than 55° from ``eye_mm``."""
         rows = np.sort(self.used.indices)
         points = cloud.points_mm[rows].astype(np.float64)
         outward = (points - np.array(self.sphere.centre_mm)) / self.sphere.radius_mm
@@ -59,18 +59,17 @@ class BallBar:
 
     @property
     def sigma_length_mm(self) -> float:
-        """Standard deviation of the length from the points' noise; systematic errors are not in it."""
+        """Standard deviation of the length by the points' noise, without systematic errors."""
         along = self._between() / self.length_mm
-        both = self.first.sphere.covariance_mm2[:3, :3] + self.second.sphere.covariance_mm2[:3, :3]
-        return float(np.sqrt(along @ both @ along))
+        covariance_mm2 = self.first.sphere.covariance_mm2[:3, :3] + self.second.sphere.covariance_mm2[:3, :3]
+        return float(np.sqrt(along @ covariance_mm2 @ along))
 
     def _between(self) -> Array:
         return np.subtract(self.second.sphere.centre_mm, self.first.sphere.centre_mm)
 
 
 def find_ball_bar(cloud: PointSource) -> BallBar | NotFound:
-    """Return the two balls of nearly equal radius (5..40 mm) that most of the cloud's points agree on.
-    Deterministic."""
+    """Return the two balls of nearly equal radius (5..40 mm) that most points support. Deterministic."""
     rows = finite_rows(cloud.points_mm)
     if rows.size < 100:
         return NotFound(
@@ -78,13 +77,13 @@ def find_ball_bar(cloud: PointSource) -> BallBar | NotFound:
             "working distance, or see whether the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
-    # One point per cube: a near, bright ball must not have more votes than the one that is turned away.
+    # One point per cube, so that a near, bright ball does not have more votes than the other.
     few = points[thinned(points, CELL_MM)]
     first = _best(few, None)
     if first is None:
         return NotFound("no ball was found; hold the bar so that both balls are lit and seen by both cameras")
-    rest = few[np.linalg.norm(few - first[0], axis=1) > 1.3 * first[1]]
-    second = _best(rest, first[1])
+    remaining = few[np.linalg.norm(few - first[0], axis=1) > 1.3 * first[1]]
+    second = _best(remaining, first[1])
     if second is None:
         return NotFound("only one ball was found; turn the bar so that both are lit")
     guesses = sorted((first, second), key=lambda ball: float(ball[0][0]))
@@ -98,47 +97,46 @@ _Guess = tuple[Array, float]
 
 
 def _best(points: Array, radius_mm: float | None) -> _Guess | None:
-    """Return the sphere that most points (thinned) agree on, enough of them to be the face of a ball."""
+    """Return the sphere with the most supporting points (thinned), if it has enough for a ball."""
     if len(points) < 20:
         return None
     from scipy.spatial import cKDTree  # half a second that a start of the service does not need
 
     tree = cKDTree(points)
     best: _Guess | None = None
-    most = 0
-    # Patches are spread evenly over the cloud; flat ones drop out by their radius, so that few cost more than a fit.
+    most_votes = 0
+    # Patches are spread evenly over the cloud; flat ones are rejected by their radius, at the cost of one fit.
     proposals = 0
     for k in _spread(len(points)):
         patch = tree.query_ball_point(points[k], PATCH_MM)
         if len(patch) < 8:
             continue
         guess = algebraic_sphere(points[patch])
-        # The second ball is known by the first: both of a bar are alike, so that a bottle or a fist does not pass for
-        # one.
+        # The second ball must have the first one's radius, which excludes a bottle or a fist.
         if guess is None or not _possible(guess, radius_mm):
             continue
-        # Consensus over the whole cloud, as in RANSAC, but with patches instead of random points: points far apart
-        # hardly ever lie on one ball.
+        # Consensus over the whole cloud, as in RANSAC, but with candidates from patches, since random points hardly
+        # ever lie on one ball.
         off = np.abs(np.linalg.norm(points - guess[0], axis=1) - guess[1])
-        if (count := int((off < AGREES_MM).sum())) > most:
-            best, most = guess, count
+        if (count := int((off < AGREES_MM).sum())) > most_votes:
+            best, most_votes = guess, count
         proposals += 1
         if proposals == MOST_PROPOSALS:
             break
     if best is None:
         return None
-    for _ in range(4):  # a patch is small: let all that agrees improve it
+    for _ in range(4):  # refine the sphere of a small patch with all supporting points
         off = np.abs(np.linalg.norm(points - best[0], axis=1) - best[1])
         better = algebraic_sphere(points[off < 2.0 * AGREES_MM])
         if better is None or not _possible(better, radius_mm):
             break
         best = better
-    # Any rounded edge agrees with some sphere; only a ball is covered over a good part of its face.
+    # Any rounded edge fits some sphere; only a ball has points on much of its face.
     return best if _fill(points, best) > LEAST_FILL else None
 
 
 def _spread(count: int) -> Indices:
-    """Return all of 0..count−1, in an order that is spread evenly however early it is left (golden section)."""
+    """Return all of 0..count−1 in an order of which every beginning is evenly spread (golden section)."""
     return np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")
 
 
@@ -148,8 +146,7 @@ def _possible(guess: _Guess, radius_mm: float | None) -> bool:
 
 
 def _fill(points: Array, guess: _Guess) -> float:
-    """Compute how much of the ball's face that can be used is covered by points (thinned): those that agree, over its
-    area."""
+    """Return the share of the ball's usable face that supporting points (thinned) cover."""
     centre, radius = guess
     away = points - centre
     length = np.linalg.norm(away, axis=1)
@@ -164,11 +161,11 @@ def _refine(cloud: PointSource, rows: Indices, points: Array, guesses: list[_Gue
     for _ in range(ROUNDS):
         solutions = []
         for k in (0, 1):
-            (centre, radius), other = guesses[k], guesses[1 - k][0]
+            (centre, radius), other_centre = guesses[k], guesses[1 - k][0]
             away = points - centre
             length = np.linalg.norm(away, axis=1)
-            towards = (other - centre) / np.linalg.norm(other - centre)
-            # Points towards the other ball are the stem's, not the ball's.
+            towards = (other_centre - centre) / np.linalg.norm(other_centre - centre)
+            # Points towards the other ball are on the bar, not on the ball.
             mine = np.flatnonzero((np.abs(length - radius) < BELONGS_MM) & (away @ towards < STEM_COS * length))
             solution = fit_sphere(points[mine], cloud.sigma_mm[rows[mine]].astype(np.float64), (centre, radius))
             if solution is None:
@@ -180,6 +177,6 @@ def _refine(cloud: PointSource, rows: Indices, points: Array, guesses: list[_Gue
 
 
 def _ball(cloud: PointSource, rows: Indices, solution: SphereSolution) -> Ball:
-    kept = rows[solution.used]
-    used = Used(kept, cloud.pixel[kept], solution.residual_mm[solution.used], rows[solution.outlier])
+    inliers = rows[solution.used]
+    used = FitPoints(inliers, cloud.pixel[inliers], solution.residual_mm[solution.used], rows[solution.outlier])
     return Ball(solution.sphere, used)

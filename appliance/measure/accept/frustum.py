@@ -1,6 +1,6 @@
-"""Owns how the frustum of a square pyramid is found in a cloud: its faces as planes, corners where three planes meet.
+"""The search for the frustum of a square pyramid in a cloud: its faces as planes, and its corners.
 
-No point near an edge is used: there pixels see two faces. A corner is as exact as the three planes that make it.
+Points near an edge are not used, since pixels there see two faces. A corner is the intersection of three planes.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from appliance.measure.accept.plane import Plane, orthogonal_plane
 from appliance.measure.accept.points import (
     Array,
+    FitPoints,
     Indices,
     NotFound,
     PointSource,
-    Used,
     finite_rows,
     thinned,
     without_outliers,
@@ -25,12 +25,12 @@ from appliance.measure.accept.points import (
 CELL_MM = 2.0
 PATCH_MM = 5.0
 ALIGNED_COS = 0.97
-"""Normals of patches within 14° of a face's are its own; faces differ by more than 30°."""
+"""Least cosine (14°) between the normals of a patch and of its face; faces differ by more than 30°."""
 AGREES_MM = 0.6
 BELONGS_MM = 1.5
-"""Distance within which a point is taken for the face's; no way to remove outliers, see ``ball_bar``."""
+"""Largest distance of a face's points from it; it removes no outliers, see ``ball_bar``."""
 EDGE_MM = 3.0
-"""Points nearer than this to another face are left to nobody."""
+"""Distance from another face below which points are not used."""
 LEAST_PATCHES = 40
 MOST_PLANES = 8
 PARALLEL_COS = 0.998
@@ -41,15 +41,15 @@ ROUNDS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Face:
-    """One face: its plane and the points it rests on."""
+    """One face: its plane and its points."""
 
     plane: Plane
-    used: Used
+    used: FitPoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frustum:
-    """A frustum: top, plate and the four sides, in turn around the top."""
+    """A frustum: top, plate and the four sides, in order around the top."""
 
     top: Face
     plate: Face
@@ -57,12 +57,11 @@ class Frustum:
     top_corners_mm: Array
     """(4, 3); corner k lies between sides k and k+1."""
     base_corners_mm: Array
-    """(4, 3), in the same turn, where the sides meet the plate."""
+    """(4, 3), in the same order, where the sides meet the plate."""
 
     @property
     def lengths_mm(self) -> Mapping[str, tuple[float, ...]]:
-        """Lengths by name, ``top`` and ``base``: the four edges each; ``slanted``: the four edges between them;
-        ``height``."""
+        """Lengths by name: four edges ``top``, four ``base``, four ``slanted`` between them, and ``height``."""
 
         def around(corners: Array) -> tuple[float, ...]:
             return tuple(float(v) for v in np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
@@ -78,7 +77,7 @@ class Frustum:
 
 
 def find_frustum(cloud: PointSource) -> Frustum | NotFound:
-    """Return the frustum in a cloud that shows its top, the plate it stands on and all four sides. Deterministic."""
+    """Return the frustum in a cloud that shows its top, its plate and all four sides. Deterministic."""
     rows = finite_rows(cloud.points_mm)
     if rows.size < 1000:
         return NotFound(
@@ -100,34 +99,33 @@ def find_frustum(cloud: PointSource) -> Frustum | NotFound:
         top,
         plate,
         (a, b, c, d),
-        np.array([_meeting(top.plane, *pair) for pair in turns]),
-        np.array([_meeting(plate.plane, *pair) for pair in turns]),
+        np.array([_intersection(top.plane, *pair) for pair in turns]),
+        np.array([_intersection(plate.plane, *pair) for pair in turns]),
     )
 
 
 def _planes(points: Array) -> list[tuple[Plane, int]]:
-    """Return the largest flat pieces of the thinned points, with how many patches each has; largest first."""
+    """Return the largest planes of the thinned points with their numbers of patches; largest first."""
     normals, flat = _patches(points)
-    left = np.flatnonzero(flat)
-    found: list[tuple[Plane, int]] = []
-    while left.size >= LEAST_PATCHES and len(found) < MOST_PLANES:
-        best = left[:0]
-        # Some sixty seeds are enough: a face that counts has hundreds of patches, and any of them proposes it.
-        for k in left[:: max(1, left.size // 60)]:
-            best = max(best, _agreeing(points, normals, left, points[k], normals[k]), key=len)
+    remaining = np.flatnonzero(flat)
+    planes: list[tuple[Plane, int]] = []
+    while remaining.size >= LEAST_PATCHES and len(planes) < MOST_PLANES:
+        best = remaining[:0]
+        # Some sixty seeds are enough: a face has hundreds of patches, each of which gives the same plane.
+        for k in remaining[:: max(1, remaining.size // 60)]:
+            best = max(best, _agreeing(points, normals, remaining, points[k], normals[k]), key=len)
         for _ in range(ROUNDS):
             if best.size < LEAST_PATCHES:
-                return found
+                return planes
             plane = orthogonal_plane(points[best])
-            best = _agreeing(points, normals, left, np.array(plane.centre_mm), np.array(plane.normal))
-        found.append((orthogonal_plane(points[best]), int(best.size)))
-        left = np.setdiff1d(left, best)
-    return found
+            best = _agreeing(points, normals, remaining, np.array(plane.centre_mm), np.array(plane.normal))
+        planes.append((orthogonal_plane(points[best]), int(best.size)))
+        remaining = np.setdiff1d(remaining, best)
+    return planes
 
 
 def _patches(points: Array) -> tuple[Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Return unit normals (n, 3), away from the instrument, of the patches around points (n, 3), and which patches
-    are flat."""
+    """Return unit normals (n, 3), away from the instrument, of patches around points, and which are flat."""
     from scipy.spatial import cKDTree  # half a second that a start of the service does not need
 
     n = len(points)
@@ -145,13 +143,13 @@ def _patches(points: Array) -> tuple[Array, np.ndarray[tuple[int], np.dtype[np.b
     return normals, (count >= 8) & (values[:, 0] < count * 0.3**2)  # over an edge it is a millimetre
 
 
-def _agreeing(points: Array, normals: Array, among: Indices, at: Array, normal: Array) -> Indices:
-    near = np.abs((points[among] - at) @ normal) < AGREES_MM
+def _agreeing(points: Array, normals: Array, among: Indices, point: Array, normal: Array) -> Indices:
+    near = np.abs((points[among] - point) @ normal) < AGREES_MM
     return among[near & (normals[among] @ normal > ALIGNED_COS)]
 
 
 def _arranged(planes: list[tuple[Plane, int]]) -> list[Plane] | NotFound:
-    """Return top, plate, and the sides in turn around the top."""
+    """Return top, plate, and the sides in order around the top."""
     normals = np.array([plane.normal for plane, _ in planes]).reshape(-1, 3)
     cos = normals @ normals.T
     pairs = [
@@ -170,7 +168,7 @@ def _arranged(planes: list[tuple[Plane, int]]) -> list[Plane] | NotFound:
             f"only {len(sides)} of the frustum's four sides were found; turn it so that all are lit and seen"
         )
     base = planes[top][0]
-    # In turn around the top: neighbours in this list share an edge, and corner k lies between k and k+1.
+    # In order around the top: neighbours in this list share an edge, and corner k lies between k and k+1.
     sides.sort(key=lambda k: float(np.arctan2(normals[k] @ base.axis_y, normals[k] @ base.axis_x)))
     return [planes[k][0] for k in (top, plate, *sides)]
 
@@ -182,9 +180,11 @@ def _faces(cloud: PointSource, rows: Indices, points: Array, planes: list[Plane]
         distance = np.abs(np.column_stack([plane.distance_mm(points) for plane in planes]))
         keep, gone = [], []
         for k in range(len(planes)):
-            # Distances and faces settle each other: near an edge a pixel sees two faces, and its point belongs to none.
-            others = np.delete(distance, k, axis=1).min(axis=1)
-            mine = np.flatnonzero((distance[:, k] < BELONGS_MM) & (others > EDGE_MM) & _inside(points, planes, k))
+            # Points and faces depend on each other. Near an edge a pixel sees two faces, and its point is not used.
+            other_distance = np.delete(distance, k, axis=1).min(axis=1)
+            mine = np.flatnonzero(
+                (distance[:, k] < BELONGS_MM) & (other_distance > EDGE_MM) & _inside(points, planes, k)
+            )
             if mine.size < LEAST_PATCHES:
                 return None
             good = without_outliers(distance[mine, k])
@@ -194,25 +194,25 @@ def _faces(cloud: PointSource, rows: Indices, points: Array, planes: list[Plane]
     return [
         Face(
             plane,
-            Used(rows[mine], cloud.pixel[rows[mine]], plane.distance_mm(points[mine]), rows[out]),
+            FitPoints(rows[mine], cloud.pixel[rows[mine]], plane.distance_mm(points[mine]), rows[out]),
         )
         for plane, mine, out in zip(planes, keep, gone, strict=True)
     ]
 
 
 def _inside(points: Array, planes: list[Plane], k: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Tell which points lie on the face's own part of its plane: before or behind the planes beside it."""
+    """Return which points lie on the face's part of its plane, inside of its neighbours."""
     top, plate, sides = planes[0], planes[1], planes[2:]
     if k == 0:  # within all sides: behind each of their planes, seen from outside
         return np.asarray(np.all([side.distance_mm(points) > 0.0 for side in sides], axis=0))
-    if k == 1:  # outside of at least one
+    if k == 1:  # the plate: outside of at least one side
         return np.asarray(np.any([side.distance_mm(points) < 0.0 for side in sides], axis=0))
-    others = [side for n, side in enumerate(sides) if n != k - 2]
+    other_sides = [side for n, side in enumerate(sides) if n != k - 2]
     between = (top.distance_mm(points) > 0.0) & (plate.distance_mm(points) < 0.0)
-    return np.asarray(between & np.all([side.distance_mm(points) > 0.0 for side in others], axis=0))
+    return np.asarray(between & np.all([side.distance_mm(points) > 0.0 for side in other_sides], axis=0))
 
 
-def _meeting(a: Plane, b: Plane, c: Plane) -> Array:
+def _intersection(a: Plane, b: Plane, c: Plane) -> Array:
     normals = np.array([a.normal, b.normal, c.normal])
     offsets = np.einsum("ij,ij->i", normals, np.array([a.centre_mm, b.centre_mm, c.centre_mm]))
     return np.asarray(np.linalg.solve(normals, offsets))

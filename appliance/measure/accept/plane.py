@@ -1,4 +1,4 @@
-"""Owns the plane that fits points best and how it is found in a cloud: least squares of orthogonal distances."""
+"""The best-fit plane of points, and the search for it in a cloud."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 
 from appliance.measure.accept.points import (
     Array,
+    FitPoints,
     NotFound,
     PointSource,
-    Used,
     finite_rows,
     thinned,
     without_outliers,
 )
 
 BELONGS_MM = 5.0
-"""Distance from the plane beyond which a point is another object's; more than the bow of the worst calibration, so that
-this is no way to remove outliers."""
+"""Largest distance of a plane's points from it; more than the depth error of the worst calibration, so that no outlier
+is removed by it."""
 AGREES_MM = 1.5
 CELL_MM = 3.0
 TRIALS = 200
@@ -30,10 +30,10 @@ SEED = 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A plane with axes of its own: points are centre + x·axis_x + y·axis_y."""
+    """A plane with axes: points are centre + x·axis_x + y·axis_y."""
 
     centre_mm: tuple[float, float, float]
-    """Middle of the points it was fitted to."""
+    """Mean of the points to which it was fitted."""
     normal: tuple[float, float, float]
     """Unit normal, pointing away from the instrument."""
     axis_x: tuple[float, float, float]
@@ -43,30 +43,30 @@ class Plane:
     """
 
     def distance_mm(self, points: Array) -> Array:
-        """Return (n,) signed distance of points (n, 3), positive behind the plane."""
+        """Return the signed distances (n,) of points (n, 3), positive behind the plane."""
         normal = np.array(self.normal)
         return np.asarray(points @ normal - np.array(self.centre_mm) @ normal)
 
     def coordinates_mm(self, points: Array) -> Array:
-        """Return (n, 2) coordinates in the plane."""
+        """Return the coordinates (n, 2) in the plane."""
         axes = np.array([self.axis_x, self.axis_y]).T
         return np.asarray(points @ axes - np.array(self.centre_mm) @ axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFit:
-    """A plane found in a cloud and the points it rests on."""
+    """A plane in a cloud and its points."""
 
     plane: Plane
-    used: Used
+    used: FitPoints
     coordinates_mm: Array
     """(n, 2) of the used points in the plane."""
     elsewhere: int
-    """Points of the cloud that belong to something else."""
+    """Number of points of the cloud that are not on the plane."""
 
 
 def orthogonal_plane(points: Array) -> Plane:
-    """Return the plane with the least sum of squared orthogonal distances to points (n >= 3, 3): closed form."""
+    """Return the plane with the least sum of squared orthogonal distances to points (n >= 3, 3)."""
     centre = points.mean(axis=0)
     p = points - centre
     # Total least squares: the normal is the eigenvector of the least eigenvalue of the scatter matrix, and that
@@ -80,7 +80,7 @@ def orthogonal_plane(points: Array) -> Plane:
     axis_x /= np.linalg.norm(axis_x)
     axis_y = np.cross(normal, axis_x)
     axes = np.stack([axis_x, axis_y])
-    information = np.zeros((3, 3))  # about their middle, offset and slopes have nothing to do with each other
+    information = np.zeros((3, 3))  # about the middle of the points, offset and slopes are independent
     information[0, 0], information[1:, 1:] = len(p), axes @ scatter @ axes.T
     # Three parameters: n − 3 degrees of freedom.
     variance = max(float(values[0]), 0.0) / max(1, len(points) - 3)
@@ -89,8 +89,7 @@ def orthogonal_plane(points: Array) -> Plane:
 
 
 def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
-    """Return the plane that most of the cloud lies on, at most 0.3 % of its points left out as outliers.
-    Deterministic."""
+    """Return the plane on which most of the cloud lies, with at most 0.3 % outliers. Deterministic."""
     rows = finite_rows(cloud.points_mm)
     if rows.size < LEAST_POINTS:
         return NotFound(
@@ -100,7 +99,7 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
     points = cloud.points_mm[rows].astype(np.float64)
     plane = _most_agreed(points[thinned(points, CELL_MM)])
     mine = np.zeros(len(points), bool)
-    # Which points belong depends on the plane and the plane on them; the first plane comes from three points.
+    # Points and plane depend on each other; the first plane goes through three points.
     for _ in range(ROUNDS):
         mine = np.abs(plane.distance_mm(points)) < BELONGS_MM
         plane = orthogonal_plane(points[mine])
@@ -114,16 +113,16 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
     for _ in range(ROUNDS):
         keep = without_outliers(np.abs(plane.distance_mm(points[near])))
         plane = orthogonal_plane(points[near[keep]])
-    kept = near[keep]
-    used = Used(rows[kept], cloud.pixel[rows[kept]], plane.distance_mm(points[kept]), rows[near[~keep]])
-    return PlaneFit(plane, used, plane.coordinates_mm(points[kept]), int(len(points) - near.size))
+    inliers = near[keep]
+    used = FitPoints(rows[inliers], cloud.pixel[rows[inliers]], plane.distance_mm(points[inliers]), rows[near[~keep]])
+    return PlaneFit(plane, used, plane.coordinates_mm(points[inliers]), int(len(points) - near.size))
 
 
 def _most_agreed(points: Array) -> Plane:
-    """Return the plane that most points agree on, of those through three points drawn with a fixed seed."""
+    """Return the plane with the most inliers, of those through three points drawn with a fixed seed."""
     # RANSAC with a fixed seed: the same cloud gives the same result.
     rng = np.random.default_rng(SEED)
-    best, most = points, -1
+    best, most_inliers = points, -1
     for _ in range(TRIALS):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(b - a, c - a)
@@ -131,8 +130,8 @@ def _most_agreed(points: Array) -> Plane:
         if length < 100.0:  # mm²: too small or too thin a triangle
             continue
         agrees = np.abs((points - a) @ (normal / length)) < AGREES_MM
-        if (count := int(agrees.sum())) > most:
-            best, most = points[agrees], count
+        if (count := int(agrees.sum())) > most_inliers:
+            best, most_inliers = points[agrees], count
     return orthogonal_plane(best)
 
 

@@ -1,4 +1,4 @@
-"""Owns what the fits ask of a cloud, and how much of it may be left out: at most 0.3 % of the points."""
+"""The points of a fit: their source, the share of outliers (at most 0.3 %), and thinning."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 OUTLIER_SHARE = 0.003
-"""The largest part of the measured points that may be removed as outliers: VDI/VDE 2634, and the paper's section 3.5.
-"""
+"""Largest share of the measured points that may be removed as outliers (VDI/VDE 2634; the paper's section 3.5)."""
 
 
 class PointSource(Protocol):
@@ -29,14 +28,14 @@ class PointSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class NotFound:
-    """Reason why there is no result, in one sentence for the person who holds the artefact."""
+    """Reason why there is no result, in one sentence for the person with the artefact."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Used:
-    """Points of a cloud that a fit rests on, and how far they lie from it."""
+class FitPoints:
+    """Points of a cloud to which a surface was fitted, with their residuals."""
 
     indices: Indices
     """(n,) rows of the cloud."""
@@ -49,12 +48,12 @@ class Used:
 
     @property
     def count(self) -> int:
-        """Points used."""
+        """Number of used points."""
         return int(self.indices.size)
 
     @property
     def rejected_count(self) -> int:
-        """Points removed as outliers."""
+        """Number of points removed as outliers."""
         return int(self.rejected.size)
 
     @property
@@ -69,18 +68,17 @@ class Used:
 
 
 def without_outliers(badness: Array) -> NDArray[np.bool_]:
-    """Return (n,) True for the points that stay when the worst 0.3 % (rounded down) by ``badness`` go."""
+    """Return (n,) True for the points that remain without the worst 0.3 % (rounded down) by ``badness``."""
     keep = np.ones(badness.size, bool)
     allowed = int(OUTLIER_SHARE * badness.size)
     if allowed:
-        # The worst by number, not by a limit: the guideline allows a share of the points, however far off they are.
+        # By number, not by a limit: the guideline allows a share of the points, at any distance.
         keep[np.argpartition(badness, badness.size - allowed)[badness.size - allowed :]] = False
     return keep
 
 
 def thinned(points: Array, cell_mm: float) -> Indices:
-    """Return rows of at most one point in each cube of ``cell_mm``: the first in order, so that the result never
-    varies."""
+    """Return the rows of at most one point in each cube of ``cell_mm``: the first in order, deterministic."""
     cells = np.floor((points - points.min(axis=0)) / cell_mm).astype(np.int64)
     extent = cells.max(axis=0) + 1
     key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
@@ -88,5 +86,5 @@ def thinned(points: Array, cell_mm: float) -> Indices:
 
 
 def finite_rows(points: NDArray[np.float32]) -> Indices:
-    """Return rows whose coordinates are numbers."""
+    """Return the rows with finite coordinates."""
     return np.flatnonzero(np.isfinite(points).all(axis=1))

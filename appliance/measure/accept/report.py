@@ -1,5 +1,4 @@
-"""Owns what an evaluation says to people and programs: one JSON-ready table, and one HTML page that needs no other
-file."""
+"""The report of an evaluation: JSON, and one HTML page that needs no other file."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from appliance.base import ColourScale, Page, histogram, png
 from appliance.measure.accept.acceptance import Symbol, overall
-from appliance.measure.accept.points import OUTLIER_SHARE, NotFound, Used
+from appliance.measure.accept.points import OUTLIER_SHARE, FitPoints, NotFound
 from appliance.measure.accept.result import Artefact, Result
 
 SCHEMA = 1
@@ -22,7 +21,7 @@ _EMPTY = 32
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One scan of the evaluation, with where it came from."""
+    """One scan of the evaluation, with its source."""
 
     scan: str
     result: Result
@@ -32,10 +31,10 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """All scans and what they have in common."""
+    """All scans and their common data."""
 
-    about: Mapping[str, Any]
-    """Who, serials, calibration, version: JSON-ready."""
+    header: Mapping[str, Any]
+    """Person, serials, calibration, version: JSON-ready."""
     reference_mm: float
     left_width_px: int
     items: Sequence[Item]
@@ -50,7 +49,7 @@ class Evaluation:
         return {
             "schema": SCHEMA,
             "title": TITLE,
-            "about": dict(self.about),
+            "about": dict(self.header),
             "reference_mm": self.reference_mm,
             "outliers_allowed_percent": 100.0 * OUTLIER_SHARE,
             "complete": self.complete,
@@ -60,7 +59,7 @@ class Evaluation:
         }
 
     def as_html(self) -> str:
-        """Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
+        """Return the page; images are embedded as PNG, and it loads no other file."""
         content = self.as_json()
         page = Page(TITLE, facts=content["about"])
         page.heading("Largest errors, mean noise")
@@ -78,7 +77,7 @@ class Evaluation:
         )
         for item, written in zip(self.items, content["scans"], strict=True):
             page.heading(f"Scan {item.scan}: {item.result.artefact.value}")
-            # On the page as in the JSON: an artefact that was not found must not look like one without errors.
+            # As in the JSON, an artefact that was not found must not look like one without errors.
             if written["reason"] is not None:
                 page.problem(f"Not evaluated: {written['reason']}.")
             page.facts({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")})
@@ -92,8 +91,7 @@ class Evaluation:
 
 
 def summary(evaluation: Evaluation) -> dict[str, float | None]:
-    """Return the paper's Table 2 for this evaluation: the largest error of each kind in percent, the mean noise in
-    mm; and the largest PF, PS, SD and F."""
+    """Return the paper's Table 2: largest errors in percent, mean noise in mm, and PF, PS, SD and F."""
     results = [item.result for item in evaluation.items]
 
     def worst(values: list[float | None]) -> float | None:
@@ -111,7 +109,7 @@ def summary(evaluation: Evaluation) -> dict[str, float | None]:
 
 
 def _largest(results: Sequence[Result], symbol: Symbol) -> float | None:
-    """Return the value of a quantity with the largest size, with its sign."""
+    """Return the value of a quantity with the largest absolute value, with its sign."""
     values = [q.value_mm for result in results for q in result.quantities if q.symbol is symbol]
     # PS and SD have signs, which say whether a ball or the bar came out too large or too small.
     return max(values, key=abs, default=None)
@@ -142,11 +140,11 @@ def _item(item: Item) -> dict[str, Any]:
         "quantities": [
             {
                 "quantity": quantity.symbol.value,
-                "of": quantity.of,
+                "of": quantity.part,
                 "value_mm": quantity.value_mm,
                 "expanded_uncertainty_mm": quantity.uncertainty_mm,
                 "limit_mm": quantity.limit_mm,
-                "kept": quantity.kept.value,
+                "kept": quantity.compliance.value,
                 "points": quantity.points,
                 "rejected": quantity.rejected,
             }
@@ -166,19 +164,21 @@ def _item(item: Item) -> dict[str, Any]:
     }
 
 
-def _add_pictures(page: Page, name: str, used: Used, width_px: int) -> None:
+def _add_pictures(page: Page, name: str, used: FitPoints, width_px: int) -> None:
     limit_mm = 3.0 * max(used.rms_mm, 1e-6)
     page.figure(f"{name}: deviation, ±{1000.0 * limit_mm:.0f} µm", deviation_map(used, width_px, limit_mm))
     micrometres = 1000.0 * used.residual_mm, -1000.0 * limit_mm, 1000.0 * limit_mm
     page.figure(f"{name}: histogram", histogram(*micrometres, "deviation in µm"))
 
 
-def deviation_map(used: Used, width_px: int, limit_mm: float) -> bytes:
-    """Return the residuals as the left camera sees them, cut to the surface, as PNG: red positive, blue negative, dark
-    no point; ``limit_mm`` gets full colour."""
+def deviation_map(used: FitPoints, width_px: int, limit_mm: float) -> bytes:
+    """Return the residuals in the left image, cut to the surface, as PNG; ``limit_mm`` has full colour.
+
+    Red is positive, blue negative, dark without a point.
+    """
     v, u = np.divmod(used.pixel.astype(np.int64), width_px)
     v, u = v - v.min(), u - u.min()
-    # Whole pixels are averaged, so that neighbouring cells stand for equally many points.
+    # A cell is a whole number of pixels, so that all cells average equally many points.
     step = int(max(1, np.ceil((u.max() + 1) / WIDEST_PX), np.ceil((v.max() + 1) / WIDEST_PX)))
     height, width = int(v.max() // step) + 1, int(u.max() // step) + 1
     cell = (v // step) * width + u // step

@@ -1,4 +1,4 @@
-"""Owns what one scan of one artefact says about an instrument: relative errors after VDI/VDE 2634, and the noise."""
+"""The result of one artefact in one scan: relative errors after VDI/VDE 2634, and the noise."""
 
 from __future__ import annotations
 
@@ -10,12 +10,19 @@ from typing import assert_never
 
 import numpy as np
 
-from appliance.measure.accept.acceptance import Certificate, Quantity, Symbol, expanded_mm, of_bar, of_plane
+from appliance.measure.accept.acceptance import (
+    Certificate,
+    Quantity,
+    Symbol,
+    bar_quantities,
+    expanded_mm,
+    plane_quantities,
+)
 from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
 from appliance.measure.accept.flatness import REFERENCE_MM, flatness, local_noise_mm
 from appliance.measure.accept.frustum import Frustum, find_frustum
 from appliance.measure.accept.plane import PlaneFit, fit_plane
-from appliance.measure.accept.points import NotFound, PointSource, Used
+from appliance.measure.accept.points import FitPoints, NotFound, PointSource
 
 Fit = BallBar | PlaneFit | Frustum
 
@@ -33,21 +40,20 @@ LENGTHS: Mapping[Artefact, tuple[str, ...]] = {
     Artefact.PLANE: (),
     Artefact.FRUSTUM: ("top", "base", "slanted", "height"),
 }
-"""The calibrated lengths that an artefact may have."""
+"""Names of the calibrated lengths of each artefact."""
 
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """One measured length beside the calibrated one."""
+    """One measured length and the calibrated one."""
 
     name: str
     measured_mm: float
     calibrated_mm: float
     sigma_mm: float | None = None
-    """Standard deviation from the noise of the points; ``None`` where that was not derived."""
+    """Standard deviation by the noise of the points; ``None``: not derived."""
     certificate_sd_mm: float | None = None
-    """Standard uncertainty of the calibrated length; ``None``: the certificate does not say, or nobody wrote it down.
-    """
+    """Standard uncertainty of the calibrated length; ``None``: not stated."""
 
     @property
     def e_l(self) -> float:
@@ -56,7 +62,7 @@ class Length:
 
     @property
     def uncertainty_mm(self) -> float | None:
-        """Expanded (k = 2) uncertainty of the length error: noise and certificate; ``None`` where neither is known."""
+        """Expanded (k = 2) uncertainty of the length error by noise and certificate; ``None``: both unknown."""
         if self.sigma_mm is None and self.certificate_sd_mm is None:
             return None
         return expanded_mm(self.sigma_mm, self.certificate_sd_mm)
@@ -64,7 +70,7 @@ class Length:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """Result for one cloud; ``fit`` is ``NotFound`` where there was nothing to evaluate."""
+    """Result for one cloud; ``fit`` is ``NotFound`` if the artefact was not found."""
 
     artefact: Artefact
     fit: Fit | NotFound
@@ -76,7 +82,7 @@ class Result:
     """Quantities of VDI/VDE 2634 part 2: PF, PS and SD of a ball bar, F of a plane."""
 
     @property
-    def surfaces(self) -> Mapping[str, Used]:
+    def surfaces(self) -> Mapping[str, FitPoints]:
         """The fitted surfaces by name."""
         match self.fit:
             case BallBar(first, second):
@@ -105,8 +111,10 @@ def evaluate(
     certificate: Certificate | None = None,
     limits_mm: Mapping[Symbol, float] = MappingProxyType({}),
 ) -> Result:
-    """Find ``artefact`` in ``cloud`` and compare it with its calibrated lengths (names in ``LENGTHS``) and
-    ``limits_mm``."""
+    """Find ``artefact`` in ``cloud`` and compare it with its calibrated lengths and ``limits_mm``.
+
+    ``calibrated_mm``: by the names in ``LENGTHS``.
+    """
     stated = certificate or Certificate()
     match artefact:
         case Artefact.BALL_BAR:
@@ -120,25 +128,27 @@ def evaluate(
             quantities = tuple(
                 quantity
                 for value in calibrated_mm.values()
-                for quantity in of_bar(cloud, bar, value, stated, limits_mm)
+                for quantity in bar_quantities(cloud, bar, value, stated, limits_mm)
             )
             noises = [_noise_of_ball(cloud, ball.used) for ball in (bar.first, bar.second)]
-            # A ball with too few points has no noise, the other one's still counts.
-            known = [noise for noise in noises if noise is not None]
-            noise_mm = float(np.mean(known)) if known else None
+            # A ball with too few points has no noise; that of the other one is used.
+            finite_noises = [noise for noise in noises if noise is not None]
+            noise_mm = float(np.mean(finite_noises)) if finite_noises else None
             return Result(artefact, bar, lengths, noise_mm=noise_mm, quantities=quantities)
         case Artefact.PLANE:
             plane = fit_plane(cloud)
             if isinstance(plane, NotFound):
                 return Result(artefact, plane)
             flat = flatness(plane, reference_mm)
-            return Result(artefact, plane, (), flat.e_f, flat.e_f_sys, flat.noise_mm, of_plane(plane, limits_mm))
+            return Result(
+                artefact, plane, (), flat.e_f, flat.e_f_sys, flat.noise_mm, plane_quantities(plane, limits_mm)
+            )
         case Artefact.FRUSTUM:
             frustum = find_frustum(cloud)
             if isinstance(frustum, NotFound):
                 return Result(artefact, frustum)
             lengths = tuple(
-                # A frustum has four edges of a kind: each is measured, all against the same certificate.
+                # A frustum has four edges of a kind: each is compared with the same calibrated length.
                 Length(name if len(measured) == 1 else f"{name} {k + 1}", value, calibrated_mm[name])
                 for name, measured in frustum.lengths_mm.items()
                 if name in calibrated_mm
@@ -149,6 +159,6 @@ def evaluate(
             assert_never(unknown)
 
 
-def _noise_of_ball(cloud: PointSource, used: Used) -> float | None:
-    """Return the sigma to the sphere, place by place: what bends slowly over the ball is no noise."""
+def _noise_of_ball(cloud: PointSource, used: FitPoints) -> float | None:
+    """Return the sigma to the local surface of a ball; slow bends over the ball are no noise."""
     return local_noise_mm(cloud.points_mm[used.indices, :2].astype(np.float64), used.residual_mm)

@@ -1,8 +1,8 @@
-"""Owns the sphere that fits points best: a closed form to start from, then Gauss–Newton on the error along the view.
+"""The best-fit sphere of points: a closed form, then Gauss–Newton on the error along the view.
 
 A point's error lies along the ray of its pixel, and the pixel itself is exact. The fit therefore minimises the distance
-between point and sphere *along that ray*, in units of its sigma. Distances along the normal, as is usual, would
-correlate with the direction they are taken in, and make the radius of a small cap wrong by several times sigma²/radius.
+between point and sphere *along that ray*, in units of its sigma. Distances along the normal would correlate with their
+direction, and make the radius of a small cap wrong by several times sigma²/radius.
 """
 
 from __future__ import annotations
@@ -15,38 +15,37 @@ from appliance.measure.accept.points import Array, without_outliers
 
 STEPS = 30
 STEEPEST_COS = 0.57
-"""Least cosine between the view and the sphere's normal: where the view is flatter than 55°, a pixel sees a strongly
-curved surface and returns its mean. Measured with pixels of 0.64 mm, the radius gains 4 µm more if this is 65°."""
+"""Least cosine (55°) between the view and the sphere's normal: a pixel averages over its footprint, which is strongly
+curved in oblique views. With 65° and pixels of 0.64 mm, the measured radius is 4 µm larger."""
 MIN_POINTS = 30
 START_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sphere:
-    """A sphere with what is known of its error."""
+    """A sphere with its covariance."""
 
     centre_mm: tuple[float, float, float]
     radius_mm: float
     covariance_mm2: Array
-    """(4, 4) of centre and radius, from the scatter of the residuals; systematic errors are not in it."""
+    """(4, 4) of centre and radius, from the scatter of the residuals, without systematic errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SphereSolution:
-    """A sphere and which of the points given it rests on."""
+    """A best-fit sphere and which of the points were used."""
 
     sphere: Sphere
     used: np.ndarray[tuple[int], np.dtype[np.bool_]]
     outlier: np.ndarray[tuple[int], np.dtype[np.bool_]]
     residual_mm: Array
-    """(n,) distance to the sphere along its normal, outwards positive, of all points given."""
+    """(n,) distance of all points to the sphere along its normal, outwards positive."""
 
 
 def algebraic_sphere(points: Array) -> tuple[Array, float] | None:
-    """Return the centre (3,) and radius by the closed form that is linear in |p|²; biased for caps: a start, not a
-    result."""
+    """Return the centre (3,) and radius by the form that is linear in |p|²; biased for caps: only a start."""
     middle = points.mean(axis=0)
-    # About their mean: |p|² of points half a metre away would cost half of the digits.
+    # Relative to the mean, since |p|² of points half a metre away would lose half of the digits.
     p = points - middle
     columns = np.column_stack([2.0 * p, np.ones(len(p))])
     solved, _, rank, _ = np.linalg.lstsq(columns, np.einsum("ij,ij->i", p, p), rcond=None)
@@ -57,27 +56,26 @@ def algebraic_sphere(points: Array) -> tuple[Array, float] | None:
 
 
 def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = None) -> SphereSolution | None:
-    """Return the sphere through ``points`` (n, 3) with standard deviations ``sigma`` (n,) along the view from the
-    origin.
+    """Return the sphere through ``points`` (n, 3) with standard deviations ``sigma`` (n,) along the view.
 
-    At most 0.3 % of them are left out as outliers, and none for any other reason but that the view meets them flatter
-    than 55°. ``None`` when there are too few points or no such sphere.
+    The view is from the origin. At most 0.3 % of them are left out as outliers, and besides only those that are seen
+    flatter than 55°. ``None`` if there are too few points or no such sphere.
     """
     start = start or algebraic_sphere(points)
     if start is None:
         return None
-    # The error of a point lies along its view, nearly all of it: residuals are measured there, not across the surface,
-    # which would bias the radius where the view is oblique.
+    # The error of a point lies almost only along its view: residuals are measured there, not across the surface, which
+    # would bias the radius in oblique views.
     depth = np.linalg.norm(points, axis=1)
     view = points / depth[:, None]
     x = np.array([*start[0], start[1]])
-    # Which rays are steep enough follows from ray and sphere alone, never from the noisy depth: no choice by error.
+    # The choice of steep rays depends on ray and sphere alone, not on the noisy depth, which would be a bias.
     steep = np.zeros(len(points), bool)
     keep = steep
     covariance = np.zeros((4, 4))
     for round_ in range(START_ROUNDS):
-        # Rounds: the set of steep rays depends on the sphere and the sphere on the set; a few rounds settle it.
-        along, root = _meeting(view, x)
+        # The set of steep rays depends on the sphere and the sphere on the set; it converges in a few rounds.
+        along, root = _intersection(view, x)
         now = root > STEEPEST_COS * x[3]
         if now.sum() < MIN_POINTS:
             return None
@@ -85,24 +83,26 @@ def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = 
             break
         steep = now
         rows = np.flatnonzero(steep)
-        found = _gauss_newton(view[rows], depth[rows], sigma[rows], x)
-        if found is None:
+        solution = _gauss_newton(view[rows], depth[rows], sigma[rows], x)
+        if solution is None:
             return None
-        along, _ = _meeting(view[rows], found[0])
+        along, _ = _intersection(view[rows], solution[0])
         keep = np.zeros(len(points), bool)
         keep[rows[without_outliers(np.abs(depth[rows] - along) / sigma[rows])]] = True
-        found = _gauss_newton(view[keep], depth[keep], sigma[keep], found[0])
-        if found is None:
+        solution = _gauss_newton(view[keep], depth[keep], sigma[keep], solution[0])
+        if solution is None:
             return None
-        x, covariance = found
+        x, covariance = solution
     residual = np.linalg.norm(points - x[:3], axis=1) - x[3]
     sphere = Sphere((float(x[0]), float(x[1]), float(x[2])), float(x[3]), covariance)
     return SphereSolution(sphere, keep, steep & ~keep, residual)
 
 
-def _meeting(view: Array, x: Array) -> tuple[Array, Array]:
-    """Return the distance (n,) from the origin to the near side of the sphere, and half the chord (n,); missed: chord
-    0."""
+def _intersection(view: Array, x: Array) -> tuple[Array, Array]:
+    """Return the distance (n,) from the origin to the near side of the sphere, and half the chord (n,).
+
+    A ray that misses the sphere has chord 0.
+    """
     towards = view @ x[:3]
     # |s v − c|² = r² along the unit view v: s = v·c − √((v·c)² − |c|² + r²), the nearer of both.
     square = towards**2 - (x[:3] @ x[:3] - x[3] ** 2)
@@ -111,13 +111,13 @@ def _meeting(view: Array, x: Array) -> tuple[Array, Array]:
 
 
 def _gauss_newton(view: Array, depth: Array, sigma: Array, x: Array) -> tuple[Array, Array] | None:
-    """Return parameters (4,) and covariance (4, 4); ``None`` where it does not settle."""
+    """Return parameters (4,) and covariance (4, 4); ``None`` if it does not converge."""
     if len(view) < MIN_POINTS:
         return None
     x = x.copy()
     for _ in range(STEPS):
-        along, root = _meeting(view, x)
-        # At the limb the derivative has a pole; no ray that is used comes near it, but one may on the way.
+        along, root = _intersection(view, x)
+        # At the occluding contour the derivative has a pole; used rays are far from it, but not in every step.
         root = np.maximum(root, 0.1 * x[3])
         # Along the view: d(along)/d(centre) = normal / (normal·view), and −1/cos for the radius.
         normal = (view * along[:, None] - x[:3]) / x[3]
@@ -138,8 +138,7 @@ def _gauss_newton(view: Array, depth: Array, sigma: Array, x: Array) -> tuple[Ar
             break
     else:
         return None
-    along, _ = _meeting(view, x)
+    along, _ = _intersection(view, x)
     e = (depth - along) / sigma
-    # Covariance scaled by the residuals' variance over n − 4 degrees of freedom: sigma need only be right up to a
-    # factor.
+    # Covariance scaled by the residuals' variance over n − 4 degrees of freedom: sigma may be wrong by a factor.
     return x, np.asarray(float(e @ e) / (len(e) - 4) * np.linalg.inv(normal_matrix), np.float64)

@@ -1,1 +1,1 @@
-"""Content of a calibration: cameras, ports, corrections, covariances, and what ray gaps tell about it."""
+"""Content of a calibration: cameras, ports, corrections, covariances, and its patterns of ray gaps."""

@@ -1,4 +1,4 @@
-"""Owns the calibration that follows from the drawing alone, for an instrument nobody has measured yet."""
+"""The nominal calibration by the design, for an instrument that has not been measured yet."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ METHOD = "design"
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """The optical design: two equal cameras, toed in symmetrically, each behind its own perpendicular port."""
+    """The optical design: two equal cameras with symmetric toe-in, each behind a perpendicular port."""
 
     principal_distance_mm: float
     pixel_um: float
@@ -38,8 +38,7 @@ def design_calibration(
     water: Water,
     volume: WorkingVolume = STANDARD,
 ) -> Calibration:
-    """Return the calibration of an instrument built exactly to the drawing; its method, ``design``, says it was not
-    measured."""
+    """Return the calibration of an instrument as designed; its method is ``design``."""
     f_px = design.principal_distance_mm * 1000.0 / design.pixel_um
     lens = Lens((f_px, f_px), ((width_px - 1) / 2.0, (height_px - 1) / 2.0))
     port = Port((0.0, 0.0, 1.0), design.port_distance_mm, design.port_thickness_mm, design.port_index)

@@ -1,4 +1,4 @@
-"""Owns the fields of both lenses as boards in air tell of them: what a pixel is off beyond every formula."""
+"""The image corrections of both lenses as calibrated in air: mean and covariance."""
 
 from __future__ import annotations
 
@@ -17,17 +17,15 @@ Array = NDArray[np.float64]
 
 AIR_VALUES = 22
 ROUNDED = 1e-6
-"""Share of each variance that is added where rounding has left a covariance without a factor: a thousandth of a
-standard deviation."""
+"""Share of each variance that is added to a covariance with rounding errors: a thousandth of a standard deviation."""
 
 
 def _rounded_root(covariance: Array) -> Array:
-    """Return the Cholesky factor (m, m) of a covariance that rounding has left with variances of nothing or less than
-    nothing.
+    """Return the Cholesky factor (m, m) of a covariance that is not positive definite by rounding errors.
 
-    Raises LinAlgError for what is none by more than rounding.
+    Raises LinAlgError if rounding does not explain it.
     """
-    # In standard deviations, so that pixels and radians are rounded alike.
+    # In standard deviations, so that pixels and radians have the same rounding error.
     scale = np.sqrt(np.diag(covariance))
     return np.asarray(
         scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale) + ROUNDED * np.eye(len(scale)))
@@ -36,9 +34,11 @@ def _rounded_root(covariance: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class AirField:
-    """The lenses' fields as boards in air tell of them, together with all else: mean and covariance of (22 + 4·nodes)
-    values. The first 22 are changes of ``RIG_PARAMETERS.air``, then the nodes of the left
-    image across, down, and of the right one."""
+    """The image corrections of both lenses from air, with the rig parameters.
+
+    Mean and covariance of (22 + 4·nodes) values: the first 22 are changes of ``RIG_PARAMETERS.air``, then the nodes of
+    the left image across, down, and of the right one.
+    """
 
     EYES: ClassVar = 4
     """Blocks of nodes of a rig: left across, left down, right across, right down."""
@@ -68,24 +68,24 @@ class AirField:
 
     @property
     def covariance(self) -> Array:
-        """(m, m)."""
+        """The covariance (m, m)."""
         root = np.zeros((len(self.mean),) * 2)
         root[np.tril_indices(len(root))] = np.frombuffer(self.root, "<f4")
         return root @ root.T
 
     @property
     def text(self) -> str:
-        """``root`` as a file keeps it."""
+        """``root`` as it is written to a file."""
         return base64.b64encode(self.root).decode("ascii")
 
     @classmethod
     def from_text(cls, intervals: tuple[int, int], mean: Sequence[float], text: str) -> AirField:
-        """Return the field as a file keeps it. Raises ValueError for a text of another length, or that is none."""
+        """Return the field from its form in a file. Raises ValueError for a wrong length or invalid text."""
         try:
             root = base64.b64decode(text, validate=True)
         except binascii.Error as error:
             raise ValueError(f"not base64 ({error})") from error
-        found = cls(intervals, tuple(mean), root)
+        field = cls(intervals, tuple(mean), root)
         if not np.isfinite(np.frombuffer(root, "<f4")).all():
             raise ValueError("a value is not finite")
-        return found
+        return field

@@ -1,10 +1,10 @@
-"""Owns the calibration file: versioned, checksummed, readable JSON, one per instrument, with what it was made from.
+"""The calibration file: versioned, checksummed, readable JSON, one per instrument, with its sources.
 
 The text is JSON with sorted keys; ``sha256`` is that of the compact form of everything else. Lengths are mm, image
 coordinates px, angles never appear (rotations are matrices).
 
-``air_covariance``, ``air_field``, ``depth_error_mm2`` and ``camera_serials`` are there where they are known; a camera's
-``correction``, ``ray_shift`` and ``lens_in_water`` where its model has them.
+``air_covariance``, ``air_field``, ``depth_error_mm2`` and ``camera_serials`` are present if they are known; a camera's
+``correction``, ``ray_shift`` and ``lens_in_water`` if its model has them.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ Matrix22 = tuple[tuple[float, ...], ...]
 """(22, 22), symmetric, positive definite."""
 
 IN_AIR = "air"
-"""Method of a calibration in air, which only calibrating in water begins with."""
+"""Method of a calibration in air, which is the start of a water calibration and nothing else."""
 MAX_INTERVALS = 64
 
 
 class CalibrationError(Exception):
-    """A calibration file cannot be used; the text says which, why and what to do."""
+    """A calibration file cannot be used; the text says which, why and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,39 +49,37 @@ class Calibration:
     made_at: str
     """ISO 8601 date and time, or ``unknown``."""
     made_from: tuple[str, ...]
-    """Ids or descriptions of the recordings and values it was made from."""
+    """Ids or descriptions of the scans and values from which it was made."""
     water: Water
     """The water during the calibration; other water only changes the index when rays are derived."""
     rig: StereoRig
     residual_px: float | None = None
-    """RMS residual of the adjustment, ``None`` where there was none."""
+    """RMS residual of the adjustment; ``None``: there was no adjustment."""
     air_covariance: Matrix22 | None = None
-    """Covariance of the values from air (``RIG_PARAMETERS.air``): the prior of an adjustment in water that starts
-    here."""
+    """Covariance of the values from air (``RIG_PARAMETERS.air``): the prior of a water calibration."""
     air_field: AirField | None = None
-    """The lenses' fields as boards in air tell of them: with it, the prior of an adjustment with an image correction.
-    ``None``: not known."""
+    """Image corrections from air: the prior of a water calibration with an image correction. ``None``: unknown."""
     depth_error_mm2: Rows | None = None
-    """Covariance (n, n) of the smooth depth error that all its scans share (``calibration.depth_error``), as the
-    adjustment in water left it; ``None``: not known."""
+    """Covariance (n, n) of the shared depth error (``calibration.depth_error``) after the water calibration; ``None``:
+    unknown."""
     camera_serials: tuple[str, str] | None = None
-    """Serial numbers of the left and the right camera; ``None``: not known, as in a drawing."""
+    """Serial numbers of the left and the right camera; ``None``: unknown, as in a design."""
 
     __repr__ = one_line
 
     @property
     def hash(self) -> str:
         """SHA-256 of the content, hexadecimal."""
-        return digest(CALIBRATION.content(_Written.of(self)))
+        return digest(CALIBRATION.content(_Content.of(self)))
 
 
 def encode_calibration(calibration: Calibration) -> bytes:
     """Return the file's bytes."""
-    return CALIBRATION.encode(_Written.of(calibration))
+    return CALIBRATION.encode(_Content.of(calibration))
 
 
 def decode_calibration(data: bytes, name: str = "calibration") -> Calibration:
-    """Parse and check a file's bytes. Raises CalibrationError naming ``name``, the key, the value and the remedy."""
+    """Parse and check a file's bytes. Raises CalibrationError with ``name``, the key, value and remedy."""
     try:
         return CALIBRATION.decode(data, name).calibration()
     except ContentError as error:
@@ -106,21 +104,21 @@ _Covariance = tuple[tuple[Annotated[float, Within(-1e12, 1e12)], ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenWater:
+class _WaterEntry:
     temperature_c: Annotated[float, Within(-2.0, 40.0)]
     salinity_psu: Annotated[float, Within(0.0, 45.0)]
     wavelength_nm: Annotated[float, Within(380.0, 750.0)]
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenVolume:
+class _VolumeEntry:
     nearest_mm: _Distance
     working_mm: _Distance
     farthest_mm: _Distance
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenPort:
+class _PortEntry:
     normal: tuple[_Unit, _Unit, _Unit]
     distance_mm: Annotated[float, Within(0.0, 1000.0)]
     thickness_mm: Annotated[float, Within(0.0, 100.0)]
@@ -128,19 +126,19 @@ class _WrittenPort:
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenCorrection:
+class _CorrectionEntry:
     intervals: _Intervals
     coefficients_px: tuple[_Hundred, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenShift:
+class _ShiftEntry:
     intervals: _Intervals
     coefficients_mm: tuple[_Hundred, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenCamera:
+class _CameraEntry:
     width_px: _Pixels
     height_px: _Pixels
     f_px: tuple[_Focal, _Focal]
@@ -148,14 +146,14 @@ class _WrittenCamera:
     distortion: tuple[_Hundred, ...]
     rotation: tuple[_Row, _Row, _Row]
     translation_mm: tuple[_Place, _Place, _Place]
-    port: _WrittenPort
-    correction: _WrittenCorrection | None = field(default=None, metadata=LEFT_OUT)
-    ray_shift: _WrittenShift | None = field(default=None, metadata=LEFT_OUT)
+    port: _PortEntry
+    correction: _CorrectionEntry | None = field(default=None, metadata=LEFT_OUT)
+    ray_shift: _ShiftEntry | None = field(default=None, metadata=LEFT_OUT)
     lens_in_water: Annotated[bool, Among((True, False))] = field(default=False, metadata=LEFT_OUT)
 
     @classmethod
-    def of(cls, camera: HousedCamera) -> _WrittenCamera:
-        """Return what is written of a camera."""
+    def of(cls, camera: HousedCamera) -> _CameraEntry:
+        """Return the entry of a camera."""
         lens, port, correction, shift = camera.lens, camera.port, camera.correction, camera.ray_shift
         return cls(
             camera.width_px,
@@ -165,14 +163,14 @@ class _WrittenCamera:
             lens.distortion,
             camera.rotation,
             camera.translation_mm,
-            _WrittenPort(port.normal, port.distance_mm, port.thickness_mm, port.glass_index),
-            None if correction is None else _WrittenCorrection(correction.intervals, correction.coefficients_px),
-            None if shift is None else _WrittenShift(shift.intervals, shift.coefficients_mm),
+            _PortEntry(port.normal, port.distance_mm, port.thickness_mm, port.glass_index),
+            None if correction is None else _CorrectionEntry(correction.intervals, correction.coefficients_px),
+            None if shift is None else _ShiftEntry(shift.intervals, shift.coefficients_mm),
             camera.lens_in_water,
         )
 
     def camera(self) -> HousedCamera:
-        """Return the camera. Raises ValueError for one that cannot be."""
+        """Return the camera. Raises ValueError for impossible values."""
         R, normal = np.array(self.rotation), self.port.normal
         if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
             raise ValueError(f"rotation is {self.rotation!r:.80}; allowed: a rotation matrix")
@@ -197,35 +195,35 @@ class _WrittenCamera:
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenCameras:
-    left: _WrittenCamera
-    right: _WrittenCamera
+class _CamerasEntry:
+    left: _CameraEntry
+    right: _CameraEntry
 
     def cameras(self) -> tuple[HousedCamera, HousedCamera]:
-        """Return both cameras. Raises ValueError naming the one that cannot be."""
-        found = []
+        """Return both cameras. Raises ValueError with the name of an impossible one."""
+        cameras = []
         for side, written in (("left", self.left), ("right", self.right)):
             try:
-                found.append(written.camera())
+                cameras.append(written.camera())
             except ValueError as error:
                 raise ValueError(f"cameras.{side}: {error}") from error
-        return found[0], found[1]
+        return cameras[0], cameras[1]
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenSerials:
+class _SerialsEntry:
     left: str
     right: str
 
 
 @dataclass(frozen=True, slots=True)
-class _WrittenField:
+class _FieldEntry:
     intervals: _Intervals
     mean: tuple[Annotated[float, Within(-1e3, 1e3)], ...]
     root: str
 
     def field(self) -> AirField:
-        """Return the lenses' fields from air. Raises ValueError for numbers or a text of another length."""
+        """Return the image corrections from air. Raises ValueError for a wrong length."""
         intervals = _whole(self.intervals)
         size = AIR_VALUES + AirField.EYES * node_count(intervals)
         if len(self.mean) != size:
@@ -239,43 +237,43 @@ class _WrittenField:
 
 
 @dataclass(frozen=True, slots=True)
-class _Written:
+class _Content:
     """Content of the file."""
 
     rig_serial: str
     method: str
     made_at: str
     made_from: tuple[str, ...]
-    water: _WrittenWater
-    cameras: _WrittenCameras
-    volume: _WrittenVolume
+    water: _WaterEntry
+    cameras: _CamerasEntry
+    volume: _VolumeEntry
     residual_px: Annotated[float, Within(0.0, 1e6)] | None = None
     air_covariance: _Covariance | None = field(default=None, metadata=LEFT_OUT)
-    air_field: _WrittenField | None = field(default=None, metadata=LEFT_OUT)
+    air_field: _FieldEntry | None = field(default=None, metadata=LEFT_OUT)
     depth_error_mm2: _Covariance | None = field(default=None, metadata=LEFT_OUT)
-    camera_serials: _WrittenSerials | None = field(default=None, metadata=LEFT_OUT)
+    camera_serials: _SerialsEntry | None = field(default=None, metadata=LEFT_OUT)
 
     @classmethod
-    def of(cls, calibration: Calibration) -> _Written:
-        """Return what is written of a calibration."""
+    def of(cls, calibration: Calibration) -> _Content:
+        """Return the content of a calibration's file."""
         rig, of_air, serials = calibration.rig, calibration.air_field, calibration.camera_serials
         return cls(
             calibration.rig_serial,
             calibration.method,
             calibration.made_at,
             calibration.made_from,
-            _WrittenWater(**asdict(calibration.water)),
-            _WrittenCameras(_WrittenCamera.of(rig.left), _WrittenCamera.of(rig.right)),
-            _WrittenVolume(**asdict(rig.volume)),
+            _WaterEntry(**asdict(calibration.water)),
+            _CamerasEntry(_CameraEntry.of(rig.left), _CameraEntry.of(rig.right)),
+            _VolumeEntry(**asdict(rig.volume)),
             calibration.residual_px,
             calibration.air_covariance,
-            None if of_air is None else _WrittenField(of_air.intervals, of_air.mean, of_air.text),
+            None if of_air is None else _FieldEntry(of_air.intervals, of_air.mean, of_air.text),
             calibration.depth_error_mm2,
-            None if serials is None else _WrittenSerials(*serials),
+            None if serials is None else _SerialsEntry(*serials),
         )
 
     def calibration(self) -> Calibration:
-        """Return the calibration. Raises ValueError for what no instrument is."""
+        """Return the calibration. Raises ValueError for impossible values."""
         serials = self.camera_serials
         return Calibration(
             self.rig_serial,
@@ -297,7 +295,7 @@ def _whole(intervals: tuple[float, float]) -> tuple[int, int]:
 
 
 def _covariance(key: str, rows: _Covariance | None, size: int) -> _Covariance | None:
-    """Return a covariance (size, size). Raises ValueError for what is none."""
+    """Return a covariance (size, size). Raises ValueError if it is not a valid one."""
     if rows is None:
         return None
     if [len(row) for row in rows] != [size] * size:
@@ -310,7 +308,7 @@ def _covariance(key: str, rows: _Covariance | None, size: int) -> _Covariance | 
 
 
 CALIBRATION = SealedFile(
-    _Written,
+    _Content,
     schema=1,
     max_bytes=16 * 1024 * 1024,
     what="calibration",

@@ -1,17 +1,17 @@
-"""Owns the signed ray gap: by how much two rays that should meet miss each other, and how it answers to each change.
+"""The signed ray gap, and its response to changes of the calibration.
 
-A true correspondence's rays meet if the calibration is right. If it is not, they pass each other, mostly up or down in
-the image: the gap is the only quantity of a scan of an unknown object that must be zero. Its sign is that of the left
-ray below the right one (+y of the left camera frame).
+The two rays of a true correspondence meet if the calibration is right. If it is wrong, they pass each other, mostly up
+or down in the image: the gap is the only quantity of a scan of an unknown object that must be zero. It is positive
+where the left ray is below the right one (+y of the left camera frame).
 
-The pattern of the gap over the image tells changes apart only as far as their patterns differ. Four patterns carry
-nearly all that mechanics and water can do (``docs/calibration-health.md``); each is the answer of the model itself to a
-change of the right camera, freed of the earlier ones:
+Changes can be distinguished only as far as their patterns of gaps over the image differ. Four patterns explain nearly
+all changes by mechanics and water (``docs/calibration-health.md``); each is the response of the model to a change of
+the right camera, orthogonal to the earlier ones:
 
-    height   turn about x: both ends of the image alike
-    twist    turn about z: opposite at left and right
+    height   rotation about x: both ends of the image alike
+    twist    rotation about z: opposite at left and right
     scale    principal distance: opposite at top and bottom
-    shear    turn about y: opposite at neighbouring corners
+    shear    rotation about y: opposite at neighbouring corners
 """
 
 from __future__ import annotations
@@ -36,22 +36,21 @@ _PRIMARIES = (
 TURNS = tuple(f"right camera's turn {axis} (rad)" for axis in "xyz")
 FIELD_NODES = (12, 9)
 FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
-"""Depths, of the standard housing, of the lattice over the image on which amplitudes are normalised, inside the
-measuring volume."""
+"""Depths, of the standard housing, of the lattice in the working volume on which amplitudes are normalised."""
 
 
 @dataclass(frozen=True, slots=True)
 class VeilGaps:
-    """Ray gaps in µm that backscatter with fringes of its own makes at n places of the left image."""
+    """Ray gaps in µm by backscatter fringes at n places of the left image."""
 
     left_px: Array
     """(n, 2)."""
     gap_um: Array
-    """(n,) what it is expected to add."""
+    """(n,) expected gap."""
     doubts_um: Array
-    """(n, DOUBTS) by how much that may be wrong, one standard deviation of each cause; all places together."""
+    """(n, DOUBTS) its errors by one standard deviation of each cause; each is common to all places."""
     shape_um: Array
-    """(n,) the standard deviation of what is left of it, smooth over the image."""
+    """(n,) standard deviation of its remaining error, smooth over the image."""
 
 
 def signed_gap_mm(rig: StereoRig, water_index: float, left_px: Array, right_px: Array) -> Array:
@@ -60,26 +59,26 @@ def signed_gap_mm(rig: StereoRig, water_index: float, left_px: Array, right_px: 
 
 
 def pairs_in_volume(rig: StereoRig, water_index: float) -> tuple[Array, Array]:
-    """Return matched pixels (n, 2) of both cameras, spread over the image and the depth of the measuring volume."""
+    """Return matched pixels (n, 2) of both cameras, spread over the working volume."""
     left, right = rig.left, rig.right
     share = [np.linspace(0.03, 0.97, nodes) for nodes in FIELD_NODES]
     u, v = np.meshgrid(share[0] * (left.width_px - 1), share[1] * (left.height_px - 1))
     uv = np.stack([u, v], -1).reshape(-1, 2)
     origin, direction = left.rays(uv, water_index)
-    seen = []
+    pairs = []
     for depth_mm in (rig.volume.scaled(mm) for mm in FIELD_DEPTHS_MM):
         points = origin + direction * ((depth_mm - origin[:, 2:]) / direction[:, 2:])
-        other = right.project(points, water_index)
+        right_px = right.project(points, water_index)
         with np.errstate(invalid="ignore"):
-            inside = np.all((other >= 0.0) & (other <= [right.width_px - 1, right.height_px - 1]), axis=1)
-        seen.append((uv[inside], other[inside]))
-    return np.concatenate([a for a, _ in seen]), np.concatenate([b for _, b in seen])
+            inside = np.all((right_px >= 0.0) & (right_px <= [right.width_px - 1, right.height_px - 1]), axis=1)
+        pairs.append((uv[inside], right_px[inside]))
+    return np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
 
 
 class GapModes:
-    """The four patterns of one calibration in one water. Amplitudes are µm RMS over the measuring volume.
+    """The four patterns of one calibration in one water. Amplitudes are µm RMS over the working volume.
 
-    Raises ValueError when the cameras share too little of the volume to tell the patterns apart.
+    Raises ValueError if the cameras share too little of the volume to distinguish the patterns.
     """
 
     def __init__(self, rig: StereoRig, water_index: float) -> None:
@@ -100,7 +99,7 @@ class GapModes:
         if not np.abs(np.diag(r)).min() >= 1e-9:  # NaN neither
             raise ValueError("two gap patterns of this calibration are the same; check the relative orientation")
         self._mix = np.linalg.inv(r) * signs
-        # A primary's own amplitudes are its column of R, mm of one step.
+        # The amplitudes of a change are its column of R, in mm for one step.
         of_step = 1000.0 * signs[:, None] * r
         per_deg = {
             name: np.radians(of_step[:, k] / RIG_PARAMETERS.steps[steps[k]]) for k, name in enumerate(_PRIMARIES)
@@ -117,7 +116,7 @@ class GapModes:
 
 
 def in_words(parameter: str, change: float) -> str:
-    """Return a turn of the right camera in a technician's words."""
+    """Return a rotation of the right camera in a technician's words."""
     return f"the right camera turned by {np.degrees(change):+.3f}° about its {parameter.split()[3]} axis"
 
 

@@ -1,7 +1,7 @@
-"""Owns whether a calibration is of an instrument: of its serial number, of its cameras, of their image size.
+"""The check whether a calibration belongs to an instrument: serial numbers and image sizes.
 
-A calibration describes two lenses behind two windows. With another camera in the housing it describes something that is
-not there any more, and lengths are wrong by percents while every picture looks right.
+A calibration describes two lenses behind two ports. With another camera in the housing it is wrong, and lengths are
+wrong by percents while every image looks right.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ class Owner:
     sizes_px: tuple[tuple[int, int], tuple[int, int]]
     """Width and height of the left and of the right camera's images."""
     camera_serials: tuple[str, str] | None
-    """Serial numbers of the left and the right camera; ``None``: not known."""
+    """Serial numbers of the left and the right camera; ``None``: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """Reason why a calibration is not of an instrument."""
+    """Reason why a calibration does not belong to an instrument."""
 
     reason: str
     exchanged: tuple[str, ...] = ()
-    """Sides (``left``, ``right`` or both) whose cameras were exchanged, where nothing else is another."""
+    """Sides (``left``, ``right`` or both) whose cameras were exchanged, if nothing else differs."""
 
 
 def owner_misfit(calibration: Calibration, owner: Owner) -> Misfit | None:
-    """Return why ``calibration`` is not of ``owner``; ``None`` where it is, as far as is known."""
+    """Return why ``calibration`` does not belong to ``owner``; ``None`` if no difference is known."""
     if calibration.rig_serial != owner.rig_serial:
         return Misfit(f"the calibration is of instrument {calibration.rig_serial}; this one is {owner.rig_serial}")
     cameras = (calibration.rig.left, calibration.rig.right)
@@ -47,7 +47,7 @@ def owner_misfit(calibration: Calibration, owner: Owner) -> Misfit | None:
 
 
 def exchanged(calibrated: tuple[str, str] | None, connected: tuple[str, str] | None) -> Misfit | None:
-    """Return which cameras are not those of the calibration; ``None``: they are, or nobody knows."""
+    """Return which cameras are not those of the calibration; ``None`` if no difference is known."""
     if calibrated is None or connected is None or calibrated == connected:
         return None
     if calibrated == connected[::-1]:
@@ -57,8 +57,8 @@ def exchanged(calibrated: tuple[str, str] | None, connected: tuple[str, str] | N
             f"connected the other way round",
             SIDES,
         )
-    others = [
+    differences = [
         (side, before, now) for side, before, now in zip(SIDES, calibrated, connected, strict=True) if before != now
     ]
-    reasons = [f"{side} camera exchanged: calibrated with serial {a}, connected {b}" for side, a, b in others]
-    return Misfit("; ".join(reasons), tuple(side for side, _, _ in others))
+    reasons = [f"{side} camera exchanged: calibrated with serial {a}, connected {b}" for side, a, b in differences]
+    return Misfit("; ".join(reasons), tuple(side for side, _, _ in differences))

@@ -1,4 +1,4 @@
-"""Owns the list of numbers that a calibration may change, as increments on a rig, and how a rig looks with them."""
+"""The parameters of a rig that a calibration may change, as increments."""
 
 from __future__ import annotations
 
@@ -23,24 +23,23 @@ _POSE = ("turn x (rad)", "turn y (rad)", "turn z (rad)", "shift x (mm)", "shift 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigParameters:
-    """The numbers of a rig that a calibration may change: the ports' six, then the twenty-two that boards in air tell."""
+    """The parameters of a rig: six of the ports, then the twenty-two that are calibrated in air."""
 
     names: tuple[str, ...]
     steps: Array
-    """(n,): increments for difference quotients, hundredths of a pixel at the image's edge, where the model is
-    straight."""
+    """(n,): increments for difference quotients: hundredths of a pixel at the image's edge, in the linear range."""
     ports = slice(0, 6)
     air = slice(6, 28)
 
     @property
     def count(self) -> int:
-        """All parameters."""
+        """Number of all parameters."""
         return len(self.names)
 
     def changed(self, rig: StereoRig, x: Array | float, which: slice | int | Sequence[int] = slice(None)) -> StereoRig:
-        """Return ``rig`` changed by the increments ``x`` of the parameters ``which``, in the order of ``names``.
+        """Return ``rig`` changed by increments ``x`` of the parameters ``which``, in the order of ``names``.
 
-        Tilts lean the port's normal towards the camera's x and y; turns are about the right camera's own axes.
+        Tilts are of the port's normal towards the camera's x and y; rotations are about the right camera's axes.
         """
         full = np.zeros(self.count)
         full[which] = x

@@ -1,4 +1,4 @@
-"""Owns the file of the projector's response: small, checksummed, readable JSON, beside the calibration."""
+"""The file of the projector's response: small, checksummed, readable JSON, beside the calibration."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ _WholeUs = Annotated[int, Within(0, math.inf, integers_only=True)]
 
 @dataclass(frozen=True, slots=True)
 class StoredResponse:
-    """A response and where it comes from. Raises ValueError for harmonics that no response has."""
+    """A response and its source. Raises ValueError for impossible harmonics."""
 
     rig_serial: str
     made_from: tuple[str, ...]
     """Ids of the scans."""
     residual: Annotated[float, FINITE]
-    """RMS of what was seen against the response, as a fraction of the bright light."""
+    """RMS residual of the fit, as a fraction of the bright light."""
     harmonics: tuple[Annotated[float, FINITE], ...]
-    """Those of the response."""
+    """Harmonics of the response."""
     exposure_us: _WholeUs | None = field(default=None, metadata=LEFT_OUT)
-    """Exposure that it was measured with: a projector of bit planes has another one for each. ``None``: not known."""
+    """Exposure of the measurement: a projector of bit planes has a response for each. ``None``: unknown."""
     trigger_delay_us: _WholeUs | None = field(default=None, metadata=LEFT_OUT)
-    """Time from the vertical sync to the beginning of that exposure; ``None``: not known."""
+    """Time from the vsync to the beginning of that exposure; ``None``: unknown."""
 
     def __post_init__(self) -> None:
         Response(self.harmonics)

@@ -15,7 +15,7 @@ a period. Only the fringe order is in doubt, and the next order is farther away 
 surface are from each other. So a doubtful pixel takes the order in which its phase continues theirs, if its reliable
 bits agree. Pixels that were decided so decide others: two sweeps, down and up again.
 
-Symbols, in periods of the pattern: ``turns`` wrapped phase −½ … ½, c a neighbour's coordinate, whole a pixel's fringe
+Symbols, in periods of the pattern: ``turns`` wrapped phase −½ … ½, c a neighbour's coordinate, order a pixel's fringe
 order.
 """
 
@@ -54,7 +54,7 @@ def _decide_by_neighbours(
 ) -> bool:
     """Write the half-period order of one doubtful pixel from its neighbours; return True if decided."""
     turns = _turns(frames, sine, y, x)
-    votes, whole = 0, 0
+    votes, order = 0, 0
     for j in range(y - 1, y + 2):
         for i in range(x - 1, x + 2):
             if doubtful[j, i] == 0:
@@ -62,18 +62,18 @@ def _decide_by_neighbours(
                 ahead = np.float32(periods(half_period[j, i], theirs)) + theirs - turns
                 named = int(np.floor(ahead + np.float32(0.5)))
                 if abs(ahead - np.float32(named)) <= np.float32(NEAR):
-                    if votes > 0 and named != whole:
+                    if votes > 0 and named != order:
                         return False
-                    votes, whole = votes + 1, named
-    if votes < AGREEING or whole + turns < 0.0:
+                    votes, order = votes + 1, named
+    if votes < AGREEING or order + turns < 0.0:
         return False
-    number = int(np.floor(np.float32(2.0) * (np.float32(whole) + turns)))
+    number = int(np.floor(np.float32(2.0) * (np.float32(order) + turns)))
     # The pixel's reliable bits must agree. At the border of two half periods either is accepted.
     code = int(half_period[y, x]) ^ (int(half_period[y, x]) >> 1)
     beyond_doubt = 255 ^ int(soft[y, x])
     for candidate in (number, number - 1, number + 1):
         same = ((candidate ^ (candidate >> 1)) ^ code) & beyond_doubt == 0
-        if same and 0 <= candidate < 256 and periods(candidate, turns) == whole:
+        if same and 0 <= candidate < 256 and periods(candidate, turns) == order:
             half_period[y, x] = np.uint8(candidate)
             return True
     return False
@@ -181,12 +181,12 @@ def _settle(
     halves = 2**images
     best, second, chosen = 2**30, 2**30, UNDECIDED
     against, votes_asked = 0, 0
-    for whole in range(-(highest - REACH) // 2 - 1, (halves - (lowest - REACH)) // 2 + 1):
-        if lowest - REACH + 2 * whole < 0 or highest - REACH + 2 * whole >= halves:
+    for order in range(-(highest - REACH) // 2 - 1, (halves - (lowest - REACH)) // 2 + 1):
+        if lowest - REACH + 2 * order < 0 or highest - REACH + 2 * order >= halves:
             continue
         wrong, wrong_coarse, of_coarse = 0, 0, 0
         for place in range(lowest, highest + 1):
-            number = place - REACH + 2 * whole
+            number = place - REACH + 2 * order
             # Reflected Gray code: g = b xor b/2.
             gray = number ^ (number >> 1)
             for k in range(images):
@@ -197,7 +197,7 @@ def _settle(
                     of_coarse += votes[k, place, 0] + votes[k, place, 1]
         # The least contradicted K, and the next one.
         if wrong < best:
-            best, second, chosen, against, votes_asked = wrong, best, whole, wrong_coarse, of_coarse
+            best, second, chosen, against, votes_asked = wrong, best, order, wrong_coarse, of_coarse
         elif wrong < second:
             second = wrong
     # K must be clearly better than the next; a piece of two surfaces has votes against every K.
@@ -250,8 +250,8 @@ def decide_pieces(
         if is_decided[k]:
             continue
         mine = members[(ends[k - 1] if k > 0 else 0) : ends[k]]
-        whole = _settle(mine, ahead, states, coarse, votes)
-        if whole == UNDECIDED:
+        order = _settle(mine, ahead, states, coarse, votes)
+        if order == UNDECIDED:
             continue
         is_decided[k] = True
         new += 1
@@ -259,7 +259,7 @@ def decide_pieces(
             y, x = member // columns, member % columns
             half = np.float32(2.0) * ahead[y, x]
             r = int(np.floor(half))
-            number = r + 2 * whole
+            number = r + 2 * order
             inside = abs(half - np.float32(r) - np.float32(0.5)) <= np.float32(INSIDE)
             gray, agrees = number ^ (number >> 1), inside and number >= 0 and number < 2**images
             for i in range(images):

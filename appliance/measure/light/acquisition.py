@@ -1,4 +1,4 @@
-"""Owns how a sequence is taken: exposure, frame period, the cameras' noise, and what could be chosen instead."""
+"""The settings of a sequence: exposure, frame period, the cameras' noise, and the possible exposures."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionSettings:
-    """Settings that a sequence is taken with."""
+    """Settings with which a sequence is captured."""
 
     exposure: Exposure = NOMINAL
     frame_s: float = 1.0 / 60.0
-    """The time from one frame to the next."""
+    """Frame period."""
     noise: StereoNoise = TYPICAL_PAIR
-    """The temporal noise of both cameras at this gain."""
+    """Temporal noise of both cameras at this gain."""
     steps: tuple[Exposure, ...] = (NOMINAL,)
-    """The exposures that may be proposed for the next scan, from dark to bright."""
+    """Exposures that may be proposed for the next scan, from dark to bright."""

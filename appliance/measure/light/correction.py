@@ -1,7 +1,8 @@
-"""Owns the image correction: what a real lens and window do to a pixel beyond every formula, as a smooth surface.
+"""The image correction: displacements of pixels by lens and port beyond the camera model.
 
-A uniform bicubic B-spline over the image. Pixel (u, v) looks where the ideal pixel (u, v) − s(u, v) would look. The
-surface is at most some tenths of a pixel and changes slowly, so that it is inverted by repeated substitution.
+It is a uniform bicubic B-spline s over the image. Pixel (u, v) sees what the ideal pixel (u, v) − s(u, v) would see.
+The displacements are at most some tenths of a pixel and change slowly, so that they are inverted by repeated
+substitution.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 CORRECTION_INTERVALS = (6, 5)
-"""Intervals across and down the image: the coarsest that follow what lenses do beyond five coefficients."""
+"""Intervals across and down the image: the coarsest that fit lenses beyond five distortion coefficients."""
 SUBSTITUTIONS = 12
 TOLERANCE_PX = 1e-11
 
 
 @dataclass(frozen=True, slots=True)
 class ImageCorrection:
-    """A shift of pixels as a bicubic B-spline, in px.
+    """Displacements of pixels as a bicubic B-spline, in px.
 
     ``coefficients_px`` holds (s_u, s_v) per node, row by row: (down+3)·(across+3)·2. Raises ValueError for another
     number.
@@ -34,15 +35,15 @@ class ImageCorrection:
     coefficients_px: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        wanted = 2 * node_count(self.intervals)
-        if len(self.coefficients_px) != wanted:
+        count = 2 * node_count(self.intervals)
+        if len(self.coefficients_px) != count:
             raise ValueError(
                 f"image correction with {len(self.coefficients_px)} coefficients; {self.intervals[0]} × "
-                f"{self.intervals[1]} intervals need {wanted}; calibrate again"
+                f"{self.intervals[1]} intervals need {count}; calibrate again"
             )
 
     def shift_px(self, uv_px: Array) -> Array:
-        """Return the shift s in px at pixels (..., 2), same shape. Beyond the image's edge the edge's value goes on."""
+        """Return the displacement s in px at pixels (..., 2); beyond the image it is that of the edge."""
         return surface(uv_px, (self.width_px, self.height_px), self.intervals, self.coefficients_px)
 
     def to_ideal(self, uv_px: Array) -> Array:
@@ -52,8 +53,8 @@ class ImageCorrection:
     def to_real(self, ideal_px: Array) -> Array:
         """Return the real pixels (..., 2) of ideal ones (..., 2): the inverse of ``to_ideal``; NaN stays NaN."""
         ideal = np.asarray(ideal_px, np.float64)
-        known = np.isfinite(ideal).all(axis=-1, keepdims=True)
-        start = np.where(known, ideal, 0.0)
+        finite = np.isfinite(ideal).all(axis=-1, keepdims=True)
+        start = np.where(finite, ideal, 0.0)
         real = start
         # real = ideal + s(real), by substitution: s changes by far less than a pixel per pixel.
         for _ in range(SUBSTITUTIONS):
@@ -61,7 +62,7 @@ class ImageCorrection:
             real = real + step
             if float(np.max(np.abs(step), initial=0.0)) < TOLERANCE_PX:
                 break
-        return np.where(known, real, np.nan)
+        return np.where(finite, real, np.nan)
 
 
 def surface(
@@ -89,10 +90,10 @@ def node_count(intervals: tuple[int, int]) -> int:
 
 
 def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the first node (...,) and the four cubic B-spline weights (..., 4) at coordinates of one direction."""
-    # Clipped: beyond the edge the edge's value goes on.
+    """Return the first node (...,) and the four cubic B-spline weights (..., 4) at coordinates (...,)."""
+    # Clipped: beyond the edge the value is that of the edge.
     t = np.clip((np.asarray(at_px, np.float64) + 0.5) / size_px, 0.0, 1.0) * intervals
-    # The last edge belongs to the interval before it: there are no nodes for one behind.
+    # The last edge belongs to the last interval.
     first = np.minimum(t.astype(np.intp), intervals - 1)
     f = t - first
     weights = np.stack(
@@ -109,7 +110,7 @@ def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp],
 
 @dataclass(frozen=True, slots=True)
 class SplineGrid:
-    """The nodes of a bicubic B-spline over an image; they count row by row."""
+    """The nodes of a bicubic B-spline over an image, numbered row by row."""
 
     size_px: tuple[int, int]
     """Width and height of the image."""
@@ -122,7 +123,7 @@ class SplineGrid:
         return node_count(self.intervals)
 
     def entries(self, uv_px: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return the sixteen nodes (n, 16) that touch pixels (n, 2), and their weights (n, 16)."""
+        """Return the sixteen nodes (n, 16) that influence pixels (n, 2), and their weights (n, 16)."""
         columns, rows = self.intervals
         iu, wu = basis(uv_px[:, 0], self.size_px[0], columns)
         iv, wv = basis(uv_px[:, 1], self.size_px[1], rows)

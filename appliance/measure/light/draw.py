@@ -1,4 +1,4 @@
-"""Owns how a pattern becomes a picture: one table of codes, spread over columns or rows by a shader, to the bit."""
+"""Drawing of patterns: a table of codes, spread over columns or rows by a shader, exact to the bit."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def draw_patterns(
     width_px: int,
     height_px: int,
 ) -> list[NDArray[np.uint8]]:
-    """Draw each table of codes as a picture (height_px, width_px) uint8, row 0 at the top; exact to the bit.
+    """Draw each table of codes as an image (height_px, width_px) uint8, row 0 at the top.
 
-    A table (n,) uint8 varies along ``Direction.X`` (n = width_px) or ``Direction.Y`` (n = height_px). The pictures
-    are read-back buffers of their own. Raises ValueError for a table that does not fit.
+    It is exact to the bit. A table (n,) uint8 varies along ``Direction.X`` (n = width_px) or ``Direction.Y`` (n =
+    height_px). The results are copies. Raises ValueError for a table of another length.
     """
     for number, (direction, table) in enumerate(tables):
         size = width_px if direction is Direction.X else height_px
@@ -50,24 +50,24 @@ def draw_patterns(
                 f"table {number} along {direction.value} is {table.shape} {table.dtype}; it must be ({size},) uint8"
             )
     pictures = [np.empty((height_px, width_px), np.uint8) for _ in tables]
-    with context, contextlib.ExitStack() as made:
+    with context, contextlib.ExitStack() as resources:
         target = context.renderbuffer((width_px, height_px), 1)
-        made.callback(target.release)
+        resources.callback(target.release)
         canvas = context.framebuffer([target])
-        made.callback(canvas.release)
+        resources.callback(canvas.release)
         program = context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
-        made.callback(program.release)
+        resources.callback(program.release)
         triangle = context.vertex_array(program, [])
-        made.callback(triangle.release)
+        resources.callback(triangle.release)
         codes = {
             Direction.X: context.texture((width_px, 1), 1, alignment=1),
             Direction.Y: context.texture((height_px, 1), 1, alignment=1),
         }
         for texture in codes.values():
-            made.callback(texture.release)
+            resources.callback(texture.release)
         dither = 0x0BD0
         context.disable_direct(dither)  # on by default in GL; it would change codes
-        # Screens share the context: what they blend must not touch a code.
+        # Screens share the context and use blending, which would change a code.
         with context.scope(canvas, enable_only=moderngl.NOTHING):
             for (direction, table), picture in zip(tables, pictures, strict=True):
                 codes[direction].write(np.ascontiguousarray(table))
@@ -81,7 +81,6 @@ def draw_patterns(
 def draw_sequence(
     context: moderngl.Context, sequence: PatternSequence, response: Response | None = None
 ) -> list[NDArray[np.uint8]]:
-    """Return every pattern of a sequence in the order of projection, (height, width) uint8 each, for a projector's
-    ``response``."""
+    """Return every pattern of a sequence in order, (height, width) uint8, for a projector's ``response``."""
     tables = [(pattern.direction, pattern.codes(response)) for pattern in sequence.patterns]
     return draw_patterns(context, tables, sequence.width_px, sequence.height_px)

@@ -1,4 +1,4 @@
-"""Owns how bright scans are taken: exposure and gain of both cameras, and the steps a diver may choose from."""
+"""The exposure of scans: exposure time and gain of both cameras, and the steps that may be chosen."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ STEPS_MS = (2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0, 10.0, 12.0, 14.0, 16.0)
 """Exposure times, about a quarter more light each. 10 ms is a whole period of lamps on 50 Hz mains, which flicker 100
 times a second."""
 GAIN_STEP_DB = 2.0
-"""Step of the gain above the rig's own, once no longer exposure is left: a quarter more light each."""
+"""Step of the gain above the rig's, after the longest exposure: a quarter more light each."""
 BRIDGED = 1.14
 """Least ratio of light from a step of gain to the next longer exposure."""
 MARGIN_MS = 0.1
-"""Time between the end of the longest exposure and the next vertical sync."""
+"""Time between the end of the longest exposure and the next vsync."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Exposure:
 
     @property
     def light(self) -> float:
-        """Grey values per light are proportional to this: µs at 0 dB."""
+        """Exposure time at 0 dB with the same grey values, µs."""
         # Decibels of amplitude, as cameras state their gain: 20 dB are ten times the grey value.
         return float(self.time_us * 10.0 ** (self.gain_db / 20.0))
 
@@ -37,26 +37,26 @@ class Exposure:
 
 
 NOMINAL = Exposure(12_000)
-"""Exposure of an instrument whose rig file nobody has read."""
+"""Exposure of an instrument without a rig file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Exposures that may be proposed, whatever the projector's period allows."""
+    """The exposures that may be proposed, before the limit by the projector's period."""
 
     shortest_ms: float = 2.0
     longest_ms: float = 16.0
     most_gain_db: float = 12.0
-    """Largest gain of all, that of the rig file included."""
+    """Largest total gain, including that of the rig file."""
     times_ms: tuple[float, ...] = STEPS_MS
-    """Exposure times to choose from, for instance those that leave this projector's fringes straight."""
+    """Exposure times to choose from, for instance those in which this projector's fringes are sines."""
 
 
 def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float, span: Span) -> tuple[Exposure, ...]:
-    """Return all steps from dark to bright for a projector's vertical period: first longer exposures at the rig's own
-    gain, and more gain only on the longest, or to bridge exposures that are far apart.
+    """Return all exposures from dark to bright that fit a projector's vertical period.
 
-    Raises ValueError where no step fits between trigger and next vertical sync.
+    First longer exposures at the rig's gain; more gain only with the longest, or between exposures that are far apart.
+    Raises ValueError if no step fits between trigger and next vsync.
     """
     # Longer exposure before more gain: gain amplifies noise with the light.
     room_ms = 1000.0 / refresh_hz - trigger_delay_us / 1000.0 - MARGIN_MS
@@ -68,13 +68,13 @@ def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float, span: Span)
             f"delay {trigger_delay_us} us); steps are {', '.join(f'{step:g}' for step in span.times_ms)} ms: "
             "shorten the delay, or scan.shortest_exposure_ms"
         )
-    # 1e-9: a difference of whole steps may come out a last digit below them.
+    # 1e-9: a difference of whole steps may be a last digit too small.
     count = int((span.most_gain_db - gain_db) / GAIN_STEP_DB + 1e-9)
     steps = []
     for k, time_us in enumerate(times):
-        # To the next exposure, if there is one: a step that is hardly darker than it would only be noisier.
+        # Up to the next exposure: a step that is hardly darker would only be noisier.
         enough = times[k + 1] / BRIDGED if k + 1 < len(times) else math.inf
-        for one in (Exposure(time_us, gain_db + GAIN_STEP_DB * n) for n in range(count + 1)):
-            if one.gain_db == gain_db or one.light < enough * 10.0 ** (gain_db / 20.0):
-                steps.append(one)
+        for exposure in (Exposure(time_us, gain_db + GAIN_STEP_DB * n) for n in range(count + 1)):
+            if exposure.gain_db == gain_db or exposure.light < enough * 10.0 ** (gain_db / 20.0):
+                steps.append(exposure)
     return tuple(steps)

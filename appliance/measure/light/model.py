@@ -1,4 +1,4 @@
-"""Owns the camera model: a lens behind its port at its place in the rig, and the stereo rig of two of them."""
+"""The camera model: a lens behind its port at its pose in the rig, and the stereo rig of two of them."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ class HousedCamera:
     rotation: Matrix3 = IDENTITY
     translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     correction: ImageCorrection | None = None
-    """Image correction for what lens and window do beyond their formulas; ``None`` if the calibration could not see it.
-    """
+    """Image correction for lens and port beyond their models; ``None``: not calibrated."""
     ray_shift: RayShift | None = None
-    """Ray shift for the part of it that depends on depth: how far each ray passes beside where port and correction put
-    it; ``None`` if the calibration could not see it."""
+    """Displacement of each ray, for the part that depends on depth; ``None``: not calibrated."""
     lens_in_water: bool = False
-    """True if the lens was calibrated in water, as a pinhole: rays leave the projection centre straight, the port means
-    nothing, and in other water the calibration is wrong."""
+    """True if the lens was calibrated in water, as a pinhole: rays are straight from the projection centre, the port is
+    ignored, and in other water the calibration is wrong."""
 
     def at_origin(self) -> HousedCamera:
         """Return the camera in its own frame."""
         return replace(self, rotation=IDENTITY, translation_mm=(0.0, 0.0, 0.0))
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
-        """Return the water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera
-        frame, mm."""
+        """Return the water rays of pixels (..., 2): origins on the outer glass face, mm, and unit directions.
+
+        Both are in the left camera frame.
+        """
         ideal = uv_px if self.correction is None else self.correction.to_ideal(uv_px)
         direction = self.lens.to_directions(ideal)
         if self.lens_in_water:
@@ -53,7 +53,7 @@ class HousedCamera:
         else:
             origin, direction = water_rays(self.port, water_index, direction)
         if self.ray_shift is not None:
-            # By the pixel as recorded, not the ideal one: the shift was fitted over the image.
+            # At the real pixel, not the ideal one, since the shift was fitted over the image.
             origin[..., :2] += self.ray_shift.at_mm(uv_px)
         R = np.asarray(self.rotation)
         return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
@@ -68,11 +68,10 @@ class HousedCamera:
         uv = self._seen_at(local, water_index)
         if self.ray_shift is None:
             return uv
-        # The shift is known by pixel, the pixel is asked for: substitute until it stays.
+        # The shift depends on the pixel, and the pixel on the shift: repeated substitution.
         for _ in range(SUBSTITUTIONS):
             shift = np.zeros_like(local)
-            # NaN (a point that is not before the camera) would be no index into the spline's nodes; it stays NaN all
-            # the same.
+            # NaN (a point behind the camera) cannot be an index of the spline's nodes; the result stays NaN.
             shift[..., :2] = self.ray_shift.at_mm(np.nan_to_num(uv))
             before, uv = uv, self._seen_at(local - shift, water_index)
             if not np.any(np.abs(uv - before) > TOLERANCE_PX):
@@ -80,9 +79,9 @@ class HousedCamera:
         return uv
 
     def ideal_pixels(self, local_mm: Array, water_index: float) -> Array:
-        """Return the pixels (..., 2) of points (..., 3) in the camera's own frame, before correction and ray shift."""
+        """Return the pixels (..., 2) of points (..., 3) in the camera frame, before correction and ray shift."""
         if self.lens_in_water:
-            # A point behind the camera would be projected, too, mirrored.
+            # A point behind the camera would be projected, too, but mirrored.
             direction = np.where(local_mm[..., 2:] > 0.0, local_mm, np.nan)
         else:
             direction = air_directions(self.port, water_index, local_mm)
@@ -97,16 +96,18 @@ class HousedCamera:
 
 @dataclass(frozen=True, slots=True)
 class StereoRig:
-    """Both cameras; the left one's frame is the frame of everything measured."""
+    """Both cameras; the left one's frame is that of all measurements."""
 
     left: HousedCamera
     right: HousedCamera
     volume: WorkingVolume = STANDARD
-    """Range in which they measure, as the rig file states it."""
+    """Working volume, as the rig file states it."""
 
     def volume_centre_mm(self, water_index: float) -> Array:
-        """Return the point (3,) in the left camera frame, in mm, where the two central rays come nearest: the middle of
-        the measuring volume. Raises ValueError if they are parallel."""
+        """Return the point (3,), mm, where the two central rays are nearest: the middle of the working volume.
+
+        It is in the left camera frame. Raises ValueError if the rays are parallel.
+        """
         centres = []
         for camera in (self.left, self.right):
             uv = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])

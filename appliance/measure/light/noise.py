@@ -1,4 +1,4 @@
-"""Owns how much a camera's grey values scatter: read noise and photons, from the camera's data sheet and its gain."""
+"""The noise of grey values: read noise and photon noise, from the camera's data sheet and its gain."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FULL_DN = 255
-"""Largest grey value of a camera's eight bits: a pixel that has it is saturated, and how far beyond it the light goes
-is unknown."""
+"""Largest grey value of a camera's eight bits: a pixel with it is saturated."""
 QUANTISATION_DN2 = 1.0 / 12.0
 """Variance of rounding to whole grey values."""
 # 1 / Φ⁻¹(3/4), with Φ the normal distribution.
@@ -24,21 +23,21 @@ Float = TypeVar("Float", np.float32, np.float64)
 class CameraNoise:
     """One camera's temporal noise: variance = ``read_dn``² + ``dn_per_e`` · (grey value − ``black_dn``).
 
-    What is fixed to the pixel (offset, sensitivity) cancels in the phase and is not in it.
+    Fixed patterns (offset, sensitivity) cancel in the phase and are not included.
     """
 
     read_dn: float
-    """All that does not depend on light, rounding included."""
+    """Noise that does not depend on light, including rounding."""
     dn_per_e: float
-    """Grey values per electron: the photons' variance per grey value."""
+    """Grey values per electron: the variance of photon noise per grey value."""
     black_dn: float
-    """Grey value of no light."""
+    """Grey value without light."""
 
     @property
     def dark_variance_dn2(self) -> float:
-        """The straight line's variance at grey value 0: what a kernel adds ``dn_per_e`` times the grey value to.
+        """The variance at grey value 0 on the straight line, to which a kernel adds ``dn_per_e`` · grey value.
 
-        It may be below 0 where black is far above 0; grey values below black do not occur but for noise.
+        It may be below 0 if black is far above 0; grey values below black occur only by noise.
         """
         return self.read_dn**2 - self.dn_per_e * self.black_dn
 
@@ -47,9 +46,8 @@ class CameraNoise:
     @overload
     def variance_dn2(self, grey_dn: NDArray[Float]) -> NDArray[Float]: ...
     def variance_dn2(self, grey_dn: float | NDArray[Float]) -> float | NDArray[Float]:
-        """Return the variance of grey values whose mean is ``grey_dn``, of any shape and in its type; below black, that
-        of black."""
-        # Light cannot be negative: below black the photons' part is zero, not below it.
+        """Return the variance of grey values with mean ``grey_dn``, of any shape; below black, that of black."""
+        # Light cannot be negative: below black the photon noise is zero.
         if isinstance(grey_dn, np.ndarray):
             return np.asarray(self.read_dn**2 + self.dn_per_e * np.maximum(grey_dn - self.black_dn, 0.0), grey_dn.dtype)
         return self.read_dn**2 + self.dn_per_e * max(grey_dn - self.black_dn, 0.0)
@@ -64,10 +62,9 @@ class StereoNoise:
 
 
 def camera_noise(full_well_e: float, read_noise_e: float, black_dn: float, gain_db: float) -> CameraNoise:
-    """Build the noise model from the figures of a data sheet after EMVA 1288 (saturation capacity, temporal dark
-    noise), both at 0 dB.
+    """Return the noise model from the figures of a data sheet after EMVA 1288, both at 0 dB.
 
-    ``full_well_e``: electrons at 255 grey values.
+    ``full_well_e``: electrons at 255 grey values (saturation capacity); ``read_noise_e``: temporal dark noise.
     """
     # Gain in dB of amplitude: 20 dB are a factor of ten. Quantisation to whole grey values adds 1/12.
     dn_per_e = FULL_DN / full_well_e * 10.0 ** (gain_db / 20.0)
@@ -75,5 +72,5 @@ def camera_noise(full_well_e: float, read_noise_e: float, black_dn: float, gain_
 
 
 TYPICAL = camera_noise(13_000.0, 20.0, 2.0, 0.0)
-"""Noise of a camera whose data sheet nobody has entered."""
+"""Noise of a camera without data sheet figures."""
 TYPICAL_PAIR = StereoNoise(TYPICAL, TYPICAL)

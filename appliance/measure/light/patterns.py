@@ -1,5 +1,4 @@
-"""Owns the patterns that are projected and their sequence: Gray code and sine fringes in two directions, bright and
-dark."""
+"""The patterns and their sequence: Gray code and sine fringes in two directions, bright and dark."""
 
 from __future__ import annotations
 
@@ -16,17 +15,21 @@ from appliance.measure.light.sine import AMPLITUDE_CODE, MEAN_CODE, PHASE_STEPS,
 
 
 def bit_count(size_px: int, period_px: int) -> int:
-    """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on
-    1024, and one more of each on 1280."""
-    # Rounded up: a rest of a period at the far edge has its own number.
+    """Return the number of Gray-code images that number all half periods over ``size_px``.
+
+    It is 7, 6, 5 for 16, 32, 64 px on 1024, and one more of each on 1280.
+    """
+    # Rounded up: a part of a period at the far edge has a number, too.
     half_periods = -(-2 * size_px // period_px)
     return max(1, (half_periods - 1).bit_length())
 
 
 def gray_bit(size_px: int, period_px: int, bit: int) -> NDArray[np.bool_]:
-    """Return which places of ``size_px`` are illuminated in the image of bit ``bit`` (0 = most significant) of the
-    reflected binary code: shape (size_px,) bool."""
-    # By the pixels' left edges, while `sine.fringe` takes their centres: for even periods both change between the same
+    """Return which pixels of ``size_px`` are bright in the image of bit ``bit``: shape (size_px,) bool.
+
+    Bit 0 is the most significant of the reflected binary code.
+    """
+    # At the pixels' left edges, while `sine.fringe` uses their centres: for even periods both change between the same
     # pixels.
     half_period = 2 * np.arange(size_px, dtype=np.int64) // period_px
     # Reflected binary code: n xor n/2.
@@ -59,11 +62,11 @@ REFERENCES = 2
 STEPS = (0, 1, 3, 2)
 """Order in which the steps of 90° are projected: 0°, 90°, 270°, 180°.
 
-Sine and cosine of the phase follow from the pairs (90°, 270°) and (0°, 180°), which have the same middle in time so: a
-steady movement shifts both alike, and makes no ripple.
+Sine and cosine of the phase follow from the pairs (90°, 270°) and (0°, 180°), which have the same middle in time in
+this order: uniform motion shifts both alike, and makes no ripple.
 """
 RISING_STEPS = (0, 1, 2, 3)
-"""Rising order: 0°, 90°, 180°, 270°. A movement of a px from frame to frame makes a ripple of half a px."""
+"""Rising order: 0°, 90°, 180°, 270°. Motion of a px from frame to frame makes a ripple of half a px."""
 STEP_ORDERS = (STEPS, RISING_STEPS)
 """Orders in which a sequence may project its steps of 90°: that of the instrument, and the rising one."""
 
@@ -109,10 +112,10 @@ class Pattern:
                 assert_never(unknown)
 
     def codes(self, response: Response | None = None) -> NDArray[np.uint8]:
-        """Return the 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
+        """Return the 8-bit codes along the varying axis: shape (size_px,) uint8.
 
-        ``response`` is the projector's, if it was measured; the light of sine fringes is then a sine, else their codes
-        are.
+        Gray stripes use the bright code. With the projector's ``response`` the light of sine fringes is a sine, without
+        it their codes are.
         """
         match self.kind:
             case Kind.BRIGHT:
@@ -120,8 +123,8 @@ class Pattern:
             case Kind.DARK:
                 return np.full(self.size_px, DARK_CODE, np.uint8)
             case Kind.GRAY:
-                lit = gray_bit(self.size_px, self.period_px, self.index)
-                return np.where(lit, BRIGHT_CODE, DARK_CODE).astype(np.uint8)
+                is_bright = gray_bit(self.size_px, self.period_px, self.index)
+                return np.where(is_bright, BRIGHT_CODE, DARK_CODE).astype(np.uint8)
             case Kind.SINE:
                 draw = sine_codes if response is None else response.sine_codes
                 return draw(self.size_px, self.period_px, self.index)
@@ -138,7 +141,7 @@ class Axis:
     gray: tuple[int, ...]
     """Frame numbers of the Gray-code images, most significant bit first."""
     sine: tuple[int, int, int, int]
-    """Frame numbers of the steps 0°, 90°, 180°, 270°, in whatever order they were projected."""
+    """Frame numbers of the steps 0°, 90°, 180°, 270°, regardless of the order of projection."""
 
     @property
     def last(self) -> int:
@@ -147,7 +150,7 @@ class Axis:
 
     @property
     def pair_frames(self) -> tuple[int, int]:
-        """Frames from the step 0° to that of 180°, which give the cosine, and from 90° to 270°, which give the sine."""
+        """Frames from the step 0° to that of 180°, which give the cosine, and from 90° to 270°, for the sine."""
         zero, quarter, half, three = self.sine
         return half - zero, three - quarter
 
@@ -156,10 +159,10 @@ class Axis:
 class PatternSequence:
     """All patterns of a scan in the order of projection.
 
-    Whoever decodes, judges or compensates a scan may rely on this, and on nothing else
+    Decoders, judges and compensation may rely on this, and on nothing else
     (``docs/adr/0039-what-a-sequence-promises.md``):
 
-    * the bright and the dark reference are the first two frames, in whichever order;
+    * the bright and the dark reference are the first two frames, in either order;
     * there are two directions: every frame that varies along X comes before every one that varies along Y, and the last
       frame of Y is the last of all;
     * a direction begins with its Gray-code images, the most significant bit first, as many as number all half periods;
@@ -167,7 +170,7 @@ class PatternSequence:
       both directions;
     * all have the same period and each the size of its axis.
 
-    Raises ValueError for anything else, with the first frame that is wrong.
+    Raises ValueError for another sequence, with the first frame that is wrong.
     """
 
     period_px: int
@@ -176,13 +179,13 @@ class PatternSequence:
     patterns: tuple[Pattern, ...]
 
     def __post_init__(self) -> None:
-        bright, dark, *rest = _promised(self.period_px, self.width_px, self.height_px, self.steps)
-        # Either order keeps the promise (ADR 0039); what is built here begins with the bright one.
+        bright, dark, *varying = _promised(self.period_px, self.width_px, self.height_px, self.steps)
+        # Either order of the references keeps the promise (ADR 0039).
         references = (dark, bright) if self.patterns[:1] == (dark,) else (bright, dark)
-        for k, (wanted, found) in enumerate(zip_longest((*references, *rest), self.patterns)):
-            if wanted != found:
+        for k, (expected, pattern) in enumerate(zip_longest((*references, *varying), self.patterns)):
+            if expected != pattern:
                 raise ValueError(
-                    f"frame {k} of the sequence: {_named(found)}; {_named(wanted)} belongs there (class "
+                    f"frame {k} of the sequence: {_named(pattern)}; {_named(expected)} belongs there (class "
                     "PatternSequence)"
                 )
 
@@ -190,12 +193,12 @@ class PatternSequence:
     def of_names(cls, period_px: int, width_px: int, height_px: int, names: tuple[str, ...]) -> PatternSequence:
         """Return the sequence whose patterns have these ``names``, in the order of projection.
 
-        Raises ValueError where no sequence has them.
+        Raises ValueError if no sequence has them.
         """
         for steps in STEP_ORDERS:
             built = build_sequence(period_px, width_px, height_px, steps)
-            bright, dark, *rest = built.patterns
-            for patterns in (built.patterns, (dark, bright, *rest)):
+            bright, dark, *varying = built.patterns
+            for patterns in (built.patterns, (dark, bright, *varying)):
                 if tuple(pattern.name for pattern in patterns) == names:
                     return replace(built, patterns=patterns)
         raise ValueError(
@@ -208,7 +211,7 @@ class PatternSequence:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """Order in which the steps of 90° were projected: ``RISING_STEPS``, or else ``STEPS``."""
+        """Order in which the steps of 90° were projected: ``RISING_STEPS`` or ``STEPS``."""
         first = REFERENCES + bit_count(self.width_px, self.period_px)
         shown = tuple(pattern.index for pattern in self.patterns[first : first + PHASE_STEPS])
         return RISING_STEPS if shown == RISING_STEPS else STEPS
@@ -224,13 +227,12 @@ class PatternSequence:
         return 1 - self.bright
 
     def __hash__(self) -> int:
-        # The promise leaves nothing else to choose; hashing two dozen patterns would cost every judge's look into a
-        # cache.
+        # These determine the patterns; hashing two dozen patterns would slow down every cache lookup.
         return hash((self.period_px, self.width_px, self.height_px, self.bright, self.steps))
 
     def axis(self, direction: Direction) -> Axis:
         """Return the frame numbers that encode ``direction``."""
-        # Counted, not searched for: it is asked for each frame and by each judge.
+        # Computed, not searched, since it is called for each frame and by each judge.
         size, first = self.width_px, REFERENCES
         bits = bit_count(size, self.period_px)
         if direction is Direction.Y:
@@ -244,11 +246,10 @@ class PatternSequence:
 def build_sequence(
     period_px: int, width_px: int = 1024, height_px: int = 768, steps: tuple[int, ...] = STEPS
 ) -> PatternSequence:
-    """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768, one more on 1280
-    × 720.
+    """Return the sequence for a fringe period.
 
-    Any period ≥ 4 px is accepted here (also no power of two); the rig file restricts what a diver may choose.
-    Raises ValueError for a period outside 4..size.
+    It has 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768, one more on 1280 × 720. Any period ≥ 4 px is accepted
+    here (also no power of two); the rig file restricts the choice. Raises ValueError for a period outside 4..size.
     """
     if not 4 <= period_px <= min(width_px, height_px):
         raise ValueError(
@@ -263,7 +264,7 @@ def _promised(period_px: int, width_px: int, height_px: int, steps: tuple[int, .
         Pattern(Kind.BRIGHT, Direction.X, 0, period_px, width_px),
         Pattern(Kind.DARK, Direction.X, 0, period_px, width_px),
     ]
-    # The references name X as their direction although they do not vary: a Pattern needs one, and its codes one length.
+    # The references have X as their direction although they do not vary, since a Pattern needs one.
     for direction, size_px in ((Direction.X, width_px), (Direction.Y, height_px)):
         patterns += [
             Pattern(Kind.GRAY, direction, bit, period_px, size_px) for bit in range(bit_count(size_px, period_px))

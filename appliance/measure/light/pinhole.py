@@ -1,4 +1,4 @@
-"""Owns the lens in air: pixels to directions and back, with the distortion of OpenCV."""
+"""The lens in air: pixels to directions and back, with the distortion of OpenCV."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Lens:
     c_px: tuple[float, float]
     """Principal point (c_u, c_v) in px; (0, 0) is the centre of the top left pixel."""
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3 as OpenCV defines them; lenses of others may have its k4, k5, k6, s1, s2, s3, s4, too."""
+    """k1, k2, p1, p2, k3 as OpenCV defines them; foreign lenses may have its k4, k5, k6, s1, s2, s3, s4, too."""
 
     def to_pixels(self, xy: Array) -> Array:
         """Return the pixels (..., 2) of ideal normalised coordinates (..., 2)."""
         return np.asarray(distort(xy, self.distortion) * np.asarray(self.f_px) + np.asarray(self.c_px))
 
     def to_normalised(self, uv: Array) -> Array:
-        """Return the ideal normalised coordinates (..., 2) of pixels (..., 2): the inverse of ``to_pixels`` to 1e-12."""
+        """Return the ideal normalised coordinates (..., 2) of pixels (..., 2): inverts ``to_pixels`` to 1e-12."""
         return undistort((np.asarray(uv, np.float64) - np.asarray(self.c_px)) / np.asarray(self.f_px), self.distortion)
 
     def to_directions(self, uv: Array) -> Array:
@@ -41,15 +41,14 @@ class Lens:
 
 
 class FoldingLens(Lens):
-    """A lens of others, whose distortion may fold over within the image: pixels there have no direction, NaN."""
+    """A foreign lens whose distortion may fold over within the image: pixels there have no direction, NaN."""
 
     __slots__ = ()
 
     def to_normalised(self, uv: Array) -> Array:
-        """Return what ``Lens.to_normalised`` does; NaN where the distortion cannot be inverted, or only beyond its
-        fold."""
+        """Return the same as ``Lens.to_normalised``; NaN if the distortion cannot be inverted before its fold."""
         xy_distorted = (np.asarray(uv, np.float64) - np.asarray(self.c_px)) / np.asarray(self.f_px)
-        # Newton's method runs away there.
+        # Newton's method diverges there.
         with np.errstate(invalid="ignore", over="ignore"):
             xy = undistort(xy_distorted, self.distortion, strict=False)
             beyond = np.sum(xy * xy, axis=-1, keepdims=True) >= fold(self.distortion)
@@ -57,7 +56,7 @@ class FoldingLens(Lens):
 
 
 def fold(distortion: tuple[float, ...]) -> float:
-    """Return the squared radius at which the radial distortion turns back or has a pole; infinite where it never does."""
+    """Return the squared radius at which the radial distortion turns back or has a pole; or infinity."""
     k1, k2, _, _, k3, k4, k5, k6 = (*distortion, 0.0, 0.0, 0.0)[:8]
     # Derivative of r A / B, polynomials in q = r²: (A B + 2 q (A' B - A B')) / B².
     A, B, q = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0]), np.poly1d([1.0, 0.0])
@@ -96,13 +95,13 @@ def _radial(r2: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
 def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: bool = True) -> Array:
     """Invert ``distort`` by Newton's method.
 
-    Where the lens folds over within the image: raises ValueError, or NaN unless ``strict``.
+    If the lens folds over within the image: raises ValueError, or gives NaN unless ``strict``.
     """
     target = np.asarray(xy_distorted, np.float64)
     if not any(distortion):
         return target.copy()
     _, _, p1, p2, _ = distortion[:5]
-    # Distortion moves a point by far less than the image is wide: the distorted one is near enough to begin with.
+    # Distortion moves a point by far less than the image's width: the distorted point is a good start.
     xy = target.copy()
     for _ in range(MAX_ITERATIONS):
         residual = distort(xy, distortion) - target
@@ -111,8 +110,8 @@ def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: boo
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial, slope = _radial(r2, distortion)
-        # Jacobian of ``distort``: xx, xy_, yy are ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; what prisms do to it is too
-        # little to matter.
+        # Jacobian of ``distort``: xx, xy_, yy are ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; thin prisms are negligible in
+        # it.
         xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
         xy_ = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
         yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
@@ -125,11 +124,11 @@ def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: boo
                 ],
                 axis=-1,
             )
-    # Where Newton's method ran away, the error is no number: that is no solution either.
-    found = np.abs(distort(xy, distortion) - target) <= 1e-9
+    # If Newton's method diverged, the error is NaN, which is no solution either.
+    is_solution = np.abs(distort(xy, distortion) - target) <= 1e-9
     if not strict:
-        return np.where(found.all(axis=-1, keepdims=True), xy, np.nan)
-    if not np.all(found[np.isfinite(target)]):
+        return np.where(is_solution.all(axis=-1, keepdims=True), xy, np.nan)
+    if not np.all(is_solution[np.isfinite(target)]):
         raise ValueError(
             f"lens distortion {distortion} cannot be inverted within the image; recalibrate the camera in air"
         )

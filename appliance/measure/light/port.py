@@ -1,4 +1,4 @@
-"""Owns refraction at a plane port: air → glass → water, and the forward projection through it.
+"""Refraction at a plane port: air → glass → water, and the projection through it.
 
 Formulas: vector form of Snell's law; all refracted rays meet the axis through the projection centre along the
 port's normal (axial camera), so projecting a water point is a one-dimensional monotone equation.
@@ -19,7 +19,7 @@ TOLERANCE = 1e-15
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A plane-parallel window in front of a camera."""
+    """A plane-parallel port in front of a camera."""
 
     normal: tuple[float, float, float]
     """Unit normal in the camera frame, towards the water."""
@@ -41,11 +41,13 @@ def refract(incident: Array, normal: Array, ratio: float) -> Array:
 
 
 def water_rays(port: Port, water_index: float, air_directions: Array) -> tuple[Array, Array]:
-    """Return the rays in water of air directions (..., 3): (points on the outer face, unit directions), camera frame,
-    mm."""
+    """Return the water rays of air directions (..., 3): points on the outer face, mm, and unit directions.
+
+    Both are in the camera frame.
+    """
     n = np.asarray(port.normal, np.float64)
     a = np.asarray(air_directions, np.float64)
-    # Both from air: a plane-parallel glass does not change the direction in water.
+    # Both refracted from air, since plane-parallel glass does not change the direction in water.
     g = refract(a, n, 1.0 / port.glass_index)
     w = refract(a, n, 1.0 / water_index)
     # Through the air to the inner face, then through the glass to the outer one.
@@ -56,8 +58,7 @@ def water_rays(port: Port, water_index: float, air_directions: Array) -> tuple[A
 
 
 def air_directions(port: Port, water_index: float, points_mm: Array) -> Array:
-    """Return the directions in air (..., 3), not normalised, under which water points (..., 3) in the camera frame are
-    seen.
+    """Return the directions in air (..., 3), not normalised, of water points (..., 3) in the camera frame.
 
     Points not beyond the outer face give NaN. Converges from any point in 3–4 Newton steps to 1e-12 px, because
     the left side of the equation is increasing and concave.

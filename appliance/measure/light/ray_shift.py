@@ -1,8 +1,8 @@
-"""Owns the ray shift: how far a ray in water passes beside where port and image correction put it.
+"""The ray shift: displacements of rays in water beyond port and image correction.
 
-An image correction turns rays; it cannot say that a ray is right at one depth and wrong at another. A window that is
-not quite flat or plane-parallel does that. The shift moves the ray, without turning it: a bicubic B-spline over the
-image, in mm across the camera's axis, some hundredths at most. Both together are a free field of rays about the
+An image correction rotates rays; it cannot express that a ray is right at one depth and wrong at another. A port that
+is not quite flat or plane-parallel does that. The shift displaces the ray without rotating it: a bicubic B-spline over
+the image, in mm across the camera's axis, some hundredths at most. Both together are a free field of rays about the
 refractive model.
 """
 
@@ -23,7 +23,7 @@ INTERVALS = (4, 3)
 
 @dataclass(frozen=True, slots=True)
 class RayShift:
-    """A shift of rays as a bicubic B-spline, in mm.
+    """Displacements of rays as a bicubic B-spline, in mm.
 
     ``coefficients_mm`` holds (x, y) per node, row by row: (down+3)·(across+3)·2. Raises ValueError for another number.
     """
@@ -35,16 +35,16 @@ class RayShift:
     coefficients_mm: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        wanted = 2 * node_count(self.intervals)
-        if len(self.coefficients_mm) != wanted:
+        count = 2 * node_count(self.intervals)
+        if len(self.coefficients_mm) != count:
             raise ValueError(
                 f"ray shift with {len(self.coefficients_mm)} coefficients; {self.intervals[0]} × "
-                f"{self.intervals[1]} intervals need {wanted}; calibrate again"
+                f"{self.intervals[1]} intervals need {count}; calibrate again"
             )
 
     def at_mm(self, uv_px: Array) -> Array:
         """Return the shift (..., 2) in mm of the rays of pixels (..., 2), along the camera's x and y.
 
-        Beyond the image's edge the edge's value goes on.
+        Beyond the image's edge it is that of the edge.
         """
         return surface(uv_px, (self.width_px, self.height_px), self.intervals, self.coefficients_mm)

@@ -1,5 +1,4 @@
-"""Owns rotations as numbers: from a rotation vector to a matrix and back, and from a matrix to the value that a camera
-keeps."""
+"""Rotations: from a rotation vector to a matrix and back, and to the immutable value in a camera."""
 
 from __future__ import annotations
 
@@ -14,9 +13,9 @@ Array = NDArray[np.float64]
 
 
 def rotation_matrix(vector_rad: Array) -> Array:
-    """Return the rotation matrix (3, 3) that turns about the direction of ``vector_rad`` (3,), by its length in rad.
+    """Return the rotation matrix (3, 3) about the direction of ``vector_rad`` (3,), by its length in rad.
 
-    A vector of length 0 turns nothing.
+    A vector of length 0 gives the identity.
     """
     angle = float(np.linalg.norm(vector_rad))
     if angle == 0.0:
@@ -28,7 +27,7 @@ def rotation_matrix(vector_rad: Array) -> Array:
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """Return the vector (3,), rad, of a rotation matrix, for turns of less than 180°."""
+    """Return the vector (3,), rad, of a rotation matrix, for rotations of less than 180°."""
     axis = 0.5 * np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )

@@ -1,4 +1,4 @@
-"""Owns the sine fringes: the intensity of each 90° step, and the phase convention.
+"""The sine fringes: the intensity of each 90° step, and the phase convention.
 
 Phase of pattern coordinate p (px, pixel centres at integers) is φ = 2π (p + ½) / period, so that a phase of zero lies
 on the edge between two pixels, where the Gray code changes. Step k shows A + B cos(φ + k·90°); therefore I0 − I2 = 2B
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 PHASE_STEPS = 4
-"""Number of phase steps, 90° apart; ``PatternSequence`` says what relies on it."""
+"""Number of phase steps, 90° apart; see ``PatternSequence``."""
 STEP_DEG = 360 // PHASE_STEPS
 MEAN_CODE = 127.5
 AMPLITUDE_CODE = 119.5
-"""Codes run from 8 to 247: clear of the ends of the scale, where projectors clip."""
+"""Amplitude of the codes, which run from 8 to 247: projectors clip near the ends of the scale."""
 
 
 def fringe(size_px: int, period_px: int, step: int) -> NDArray[np.float64]:

@@ -1,8 +1,8 @@
-"""Owns the working range of a housing: between which distances it measures, and what else goes with its size.
+"""The working volume of a housing: its range of distances, and lengths in proportion to its size.
 
 Distances are counted along the instrument's axis, from the middle between both cameras' projection centres. The rig
-file states the range (``[volume]``), a calibration carries it with the cameras (``StereoRig``), and whoever needs a
-distance or a length that belongs to the housing asks here (``docs/adr/0065-a-housing-states-its-volume.md``).
+file states the range (``[volume]``), and a calibration has it with the cameras (``StereoRig``). Distances and lengths
+that depend on the housing are scaled here (``docs/adr/0065-a-housing-states-its-volume.md``).
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 STANDARD_MM = 500.0
-"""Working distance of the housing that this software's lengths were found on; ``WorkingVolume.scaled`` takes them to
-another."""
+"""Working distance of the standard housing; ``WorkingVolume.scaled`` scales its lengths to another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +22,7 @@ class WorkingVolume:
 
     nearest_mm: float = 440.0
     working_mm: float = STANDARD_MM
-    """Distance that is aimed for."""
+    """Best distance."""
     farthest_mm: float = 560.0
 
     def __post_init__(self) -> None:
@@ -35,13 +34,12 @@ class WorkingVolume:
             )
 
     def scaled(self, standard_mm: float) -> float:
-        """Return the length of this housing that is ``standard_mm`` in the standard one: a housing for half the
-        distance is half as large.
+        """Return the length of this housing that corresponds to ``standard_mm`` of the standard one.
 
-        In the standard housing it is ``standard_mm`` to the last bit.
+        A housing for half the distance is half as large. In the standard housing it is exactly ``standard_mm``.
         """
         return standard_mm * (self.working_mm / STANDARD_MM)
 
 
 STANDARD = WorkingVolume()
-"""The volume of the standard housing: of rig files and calibrations that say nothing else."""
+"""The volume of the standard housing: the default of rig files and calibrations."""

@@ -1,4 +1,4 @@
-"""Owns what water does to light: its refractive index, and how far one sees in it."""
+"""Optical properties of water: refractive index and visibility."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from appliance.base import refuse_wrong_fields
 @refuse_wrong_fields
 @dataclass(frozen=True, slots=True)
 class Water:
-    """The water around the instrument, and the wavelength of the light that travels through it."""
+    """The water around the instrument, and the wavelength of the light in it."""
 
     temperature_c: float
     salinity_psu: float
@@ -49,10 +49,12 @@ def quan_fry_index(temperature_c: float, salinity_psu: float, wavelength_nm: flo
 
 
 BLACK_DISK = 4.8
-"""Distance at which a black disk vanishes, seen along, times the beam attenuation."""
+"""Distance at which a black disk vanishes in a horizontal view, times the beam attenuation."""
 
 
 def sight_m(attenuation_per_m: float) -> float | None:
-    """Return how far one sees in water of that beam attenuation, in m: a black disk's distance, 4.8 / c, Davies-Colley,
-    Limnology and Oceanography 33 (1988) 616; ``None`` where nothing is swallowed."""
+    """Return the visibility in water of that beam attenuation, in m: a black disk's distance, 4.8 / c.
+
+    Davies-Colley, Limnology and Oceanography 33 (1988) 616. ``None`` without attenuation.
+    """
     return BLACK_DISK / attenuation_per_m if attenuation_per_m > 0.0 else None

@@ -73,7 +73,7 @@ class Sight:
     camera: HousedCamera
     water_index: float
     projection: Projection
-    other: Projection
+    second: Projection
     """Projection of the other camera, for points in this one's frame: a scan needs both cameras."""
 
     def by_both(self, shape: tuple[int, int], depth_mm: float) -> NDArray[np.bool_]:
@@ -82,8 +82,8 @@ class Sight:
         v, u = np.mgrid[0:h, 0:w]
         uv = (np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) * (self.camera.width_px / w) - 0.5
         points_mm = np.column_stack([self.directions(uv, depth_mm) * depth_mm, np.full(len(uv), depth_mm)])
-        pixels_px = self.other.pixels(points_mm)
-        high, wide = self.other.size_px
+        pixels_px = self.second.pixels(points_mm)
+        high, wide = self.second.size_px
         return np.asarray(((pixels_px > 0.0) & (pixels_px < (wide - 1, high - 1))).all(axis=1).reshape(h, w))
 
     @property

@@ -43,9 +43,9 @@ class Cloud:
     gaps: PatchGaps | None = None
     """Signed gaps before any limit; only in a full cloud."""
 
-    def thinned(self, most: int) -> Cloud:
+    def thinned(self, count: int) -> Cloud:
         """Return at most about ``most`` of its points, evenly over the image; ``summary`` does not change."""
-        k = slice(None, None, max(1, -(-len(self.pixel) // most)))
+        k = slice(None, None, max(1, -(-len(self.pixel) // count)))
         return Cloud(
             self.points_mm[k],
             self.intensity[k],
@@ -84,9 +84,9 @@ class PointTable:
         points.pixel[:n], points.intensity[:n] = cloud.pixel, cloud.intensity
         return Found(((0, n),), cloud.summary, cloud.gaps)
 
-    def cloud(self, found: Found, block: NDArray[np.uint8] | None = None) -> Cloud:
+    def cloud(self, location: Found, block: NDArray[np.uint8] | None = None) -> Cloud:
         """Copy the points out, in one piece, into ``block`` (``CLOUD_BYTES`` for each at least) or new memory."""
-        count = sum(stop - first for first, stop in found.pieces)
+        count = sum(stop - first for first, stop in location.pieces)
         # Columns of four bytes first, so that all are aligned.
         ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1]) * count
         places: list[NDArray[np.uint8] | None] = [None] * len(ends)
@@ -95,12 +95,12 @@ class PointTable:
 
         def join(column: NDArray[Column], place: NDArray[np.uint8] | None) -> NDArray[Column]:
             into = None if place is None else place.view(column.dtype).reshape(count, *column.shape[1:])
-            return np.concatenate([column[first:stop] for first, stop in found.pieces], out=into)
+            return np.concatenate([column[first:stop] for first, stop in location.pieces], out=into)
 
         points = self.points
         xyz, modulation, gap, sigma, pixel, intensity = places
         modulation_dn = np.empty(count, np.float32) if modulation is None else modulation.view(np.float32)
-        half_dn = np.concatenate([points.modulation_half_dn[first:stop] for first, stop in found.pieces])
+        half_dn = np.concatenate([points.modulation_half_dn[first:stop] for first, stop in location.pieces])
         return Cloud(
             points_mm=join(points.xyz_mm, xyz),
             intensity=join(points.intensity, intensity),
@@ -108,6 +108,6 @@ class PointTable:
             ray_gap_mm=join(points.gap_mm, gap),
             sigma_mm=join(points.sigma_mm, sigma),
             pixel=join(points.pixel, pixel),
-            summary=found.summary,
-            gaps=found.gaps,
+            summary=location.summary,
+            gaps=location.gaps,
         )

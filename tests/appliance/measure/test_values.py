@@ -16,7 +16,7 @@ from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.measure.light.noise import MAD_TO_SIGMA, TYPICAL, CameraNoise, StereoNoise, camera_noise
 from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.verdict import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, Verdict, grade, is_usable
+from appliance.measure.verdict import HARMLESS_FAULTS, SPOILS_POINTS, Grade, Verdict, grade, is_usable
 from appliance.store.config.load import load_rig
 
 CAMERA = CameraNoise(read_dn=0.9, dn_per_e=0.05, black_dn=3.0)
@@ -148,7 +148,7 @@ def test_a_scan_whose_warning_says_repeat_is_not_good(code: FaultCode) -> None:
     said = grade(90.0, 0.02, [code])
     if RULES[code].severity is not Severity.INFO:
         assert said is not Grade.GOOD
-    assert (said is Grade.GOOD) == (code in TOLD_BESIDE_GOOD)
+    assert (said is Grade.GOOD) == (code in HARMLESS_FAULTS)
     assert (said is Grade.BAD) == (code in SPOILS_POINTS)
     assert "REPEAT" not in RULES[FaultCode.COMPENSATED].action.english
 

@@ -27,7 +27,7 @@ from appliance.measure.news import FullCloud, LiveGuidance, News, PatternIdentit
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import PointTable
 from appliance.measure.procedure import SequenceProcessor
-from appliance.measure.warm import compiler_watched
+from appliance.measure.warm import watch_compiler
 from tests.support import synthetic
 
 WIDTH_PX, HEIGHT_PX = 120, 90
@@ -160,11 +160,11 @@ def test_what_had_to_be_compiled_is_told_from_what_was_there() -> None:
     def new(values: NDArray[np.float64]) -> float:
         return float(values[0])
 
-    with compiler_watched() as compiled:
+    with watch_compiler() as compiled:
         assert not compiled()
         new(np.zeros(1))
         assert compiled()
-    with compiler_watched() as compiled:
+    with watch_compiler() as compiled:
         new(np.zeros(2))
         assert not compiled()
 

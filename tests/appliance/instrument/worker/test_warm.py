@@ -16,7 +16,7 @@ from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor
-from appliance.measure.warm import run_what_an_empty_scan_does_not
+from appliance.measure.warm import run_remaining_kernels
 from appliance.store.config import load_rig
 from appliance.store.origin import SourceScan
 from appliance.store.wish import ScanOptions
@@ -43,7 +43,7 @@ def warm() -> Iterator[None]:
     with Pipeline(calibration, synthetic.WATER, sequence) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, synthetic.WATER)
         processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
-        run_what_an_empty_scan_does_not(sequence)
+        run_remaining_kernels(sequence)
         yield
 
 

@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from appliance.measure.accept.acceptance import Certificate, Kept, Quantity, Symbol, expanded_mm, of_bar, overall, probe
+from appliance.measure.accept.acceptance import (
+    Certificate,
+    Compliance,
+    Quantity,
+    Symbol,
+    bar_quantities,
+    expanded_mm,
+    overall,
+    probe,
+)
 from appliance.measure.accept.ball_bar import BallBar
 from appliance.measure.accept.result import Artefact, Result, evaluate
 from appliance.store.scan_list import ListError, ScanList
@@ -65,7 +74,7 @@ def measured(certificate: Certificate) -> Result:
 
 def test_a_ball_bar_has_form_size_and_spacing_with_their_uncertainty() -> None:
     result = measured(Certificate(0.03, RADIUS_MM - 0.05, 0.004))
-    assert [(q.symbol.value, q.of) for q in result.quantities] == [
+    assert [(q.symbol.value, q.part) for q in result.quantities] == [
         ("PF", "first ball"), ("PS", "first ball"), ("PF", "second ball"), ("PS", "second ball"), ("SD", "length"),
     ]  # fmt: skip
     *balls, spacing = result.quantities
@@ -92,8 +101,8 @@ def test_without_a_certified_radius_there_is_no_size_and_of_a_ball_of_too_few_po
     used = result.fit.first.used
     few = replace(used, indices=used.indices[:4], rejected=used.rejected[:0])
     broken = replace(result.fit, first=replace(result.fit.first, used=few))
-    quantities = of_bar(bar_cloud(), broken, LENGTH_MM, Certificate(), {})
-    assert [(q.symbol, q.of) for q in quantities] == [(Symbol.PF, "second ball"), (Symbol.SD, "length")]
+    quantities = bar_quantities(bar_cloud(), broken, LENGTH_MM, Certificate(), {})
+    assert [(q.symbol, q.part) for q in quantities] == [(Symbol.PF, "second ball"), (Symbol.SD, "length")]
 
 
 def test_the_flatness_error_is_the_range_of_the_plane() -> None:
@@ -101,21 +110,24 @@ def test_the_flatness_error_is_the_range_of_the_plane() -> None:
     (flat,) = result.quantities
     assert result.e_f is not None
     assert flat.value_mm == pytest.approx(250.0 * result.e_f)
-    assert (flat.symbol, flat.kept) == (Symbol.F, Kept.FAIL)
+    assert (flat.symbol, flat.compliance) == (Symbol.F, Compliance.FAIL)
     assert flat.value_mm > 0.25
 
 
 def test_a_limit_is_kept_or_exceeded_only_beyond_the_uncertainty_and_all_together_if_each_is() -> None:
-    for value_mm, uncertainty_mm, limit_mm, kept in (
-        (0.04, 0.01, 0.05, Kept.PASS), (-0.03, 0.01, 0.05, Kept.PASS), (0.045, 0.01, 0.05, Kept.UNDECIDED), (-0.055, 0.01, 0.05, Kept.UNDECIDED),
-        (0.07, 0.01, 0.05, Kept.FAIL), (-0.07, 0.01, 0.05, Kept.FAIL), (0.0500001, None, 0.05, Kept.FAIL), (0.05, None, 0.05, Kept.PASS),
-        (9.0, None, None, Kept.NO_LIMIT),
+    for value_mm, uncertainty_mm, limit_mm, compliance in (
+        (0.04, 0.01, 0.05, Compliance.PASS), (-0.03, 0.01, 0.05, Compliance.PASS),
+        (0.045, 0.01, 0.05, Compliance.UNDECIDED), (-0.055, 0.01, 0.05, Compliance.UNDECIDED),
+        (0.07, 0.01, 0.05, Compliance.FAIL), (-0.07, 0.01, 0.05, Compliance.FAIL),
+        (0.0500001, None, 0.05, Compliance.FAIL), (0.05, None, 0.05, Compliance.PASS),
+        (9.0, None, None, Compliance.NO_LIMIT),
     ):  # fmt: skip
-        assert Quantity(Symbol.SD, "length", value_mm, uncertainty_mm, 100, 0, limit_mm).kept is kept
+        assert Quantity(Symbol.SD, "length", value_mm, uncertainty_mm, 100, 0, limit_mm).compliance is compliance
     one, over = (Quantity(Symbol.PF, "first ball", value_mm, None, 100, 0, 0.2) for value_mm in (0.1, 0.3))
     free, doubt = Quantity(Symbol.F, "plane", 0.3, None, 100, 0), Quantity(Symbol.SD, "length", 0.2, 0.01, 100, 0, 0.2)
     for quantities, kept in (
-        ([one, free], Kept.PASS), ([one, doubt], Kept.UNDECIDED), ([one, doubt, over], Kept.FAIL), ([free], Kept.NO_LIMIT), ([], Kept.NO_LIMIT),
+        ([one, free], Compliance.PASS), ([one, doubt], Compliance.UNDECIDED), ([one, doubt, over], Compliance.FAIL),
+        ([free], Compliance.NO_LIMIT), ([], Compliance.NO_LIMIT),
     ):  # fmt: skip
         assert overall(quantities) is kept
     assert expanded_mm(3.0, 4.0, None) == pytest.approx(10.0), "squares add, and what is not known is nothing"

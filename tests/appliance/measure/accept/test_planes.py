@@ -7,7 +7,7 @@ import pytest
 
 from appliance.measure.accept.flatness import cubic_of, flatness, local_noise_mm
 from appliance.measure.accept.plane import PlaneFit, fit_plane, orthogonal_plane
-from appliance.measure.accept.points import NotFound, Used, finite_rows, thinned, without_outliers
+from appliance.measure.accept.points import FitPoints, NotFound, finite_rows, thinned, without_outliers
 from tests.appliance.measure.accept.made_points import Array, Points, board
 
 
@@ -83,7 +83,7 @@ def test_residuals_are_told_by_rms_and_range_and_the_worst_three_in_a_thousand_m
     for n, gone in ((333, 0), (334, 1), (999, 2), (1000, 3)):
         badness = np.random.default_rng(n).permutation(n).astype(np.float64)
         assert set(badness[~without_outliers(badness)].tolist()) == set(range(n - gone, n))
-    used = Used(np.arange(4), np.arange(4, dtype=np.uint32), np.array([3.0, -1.0, 1.0, 1.0]), np.arange(2))
+    used = FitPoints(np.arange(4), np.arange(4, dtype=np.uint32), np.array([3.0, -1.0, 1.0, 1.0]), np.arange(2))
     assert (used.count, used.rejected_count, used.range_mm) == (4, 2, 4.0)
     assert used.rms_mm == pytest.approx(np.sqrt(3.0))
 

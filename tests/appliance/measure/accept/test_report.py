@@ -8,14 +8,14 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.accept.acceptance import Quantity, Symbol
-from appliance.measure.accept.points import NotFound, Used
+from appliance.measure.accept.points import FitPoints, NotFound
 from appliance.measure.accept.report import Evaluation, Item, deviation_map, summary
 from appliance.measure.accept.result import Artefact, Length, Result
 
 
-def used(residual_mm: NDArray[np.float64], pixel: NDArray[np.int64]) -> Used:
+def used(residual_mm: NDArray[np.float64], pixel: NDArray[np.int64]) -> FitPoints:
     n = len(residual_mm)
-    return Used(np.arange(n), pixel.astype(np.uint32), residual_mm, np.arange(0))
+    return FitPoints(np.arange(n), pixel.astype(np.uint32), residual_mm, np.arange(0))
 
 
 def picture(png: bytes) -> NDArray[np.uint8]:
