@@ -18,10 +18,7 @@ class MissingLibraryError(Exception):
 
 
 def require(module: str, package: str, what: str) -> None:
-    """Raise MissingLibraryError if ``package`` is absent; imports nothing.
-
-    For the beginning of work that takes minutes.
-    """
+    """Raise MissingLibraryError if ``package`` is not installed; do not import it."""
     if importlib.util.find_spec(module.partition(".")[0]) is None:
         raise MissingLibraryError(f"{what} needs {package}: pip install '{EXTRA}'")
 

@@ -1,1 +1,1 @@
-"""The package draws what the diver sees: views go in as values, pictures come out."""
+"""The diver's screens: view models go in as values, pictures come out."""

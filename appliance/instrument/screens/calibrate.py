@@ -1,8 +1,8 @@
-"""Owns the screens of the calibration: a step that records, the adjustment, and its result.
+"""Screens of the calibration in water: a step that records, the adjustment, and its result.
 
 draw_calibrate                the screen of the state
-sketch_front, sketch_depth    how an artefact is held: as the instrument sees it, and from above or from the side
-refusal_words                 words about a recording that cannot be used
+sketch_front, sketch_depth    pose of an artefact: as the instrument sees it, and from above or from the side
+refusal_text                  text about a recording that cannot be used
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ Picture = NDArray[np.uint8]
 
 SIZE_PX = (180, 180)
 SCALE = 2
-"""Drawn larger and reduced: smooth lines on displays of any size."""
+"""Factor by which sketches are drawn larger and then reduced, for smooth lines."""
 BALL_MM, HALF_BAR_MM = 15.0, 75.0
 PLANE_MM = (125.0, 100.0)
 FIELD_MM = 265.0
-"""Width in mm that the sketch shows at the working distance: the instrument's field and a margin."""
+"""Width in mm of the sketch at the working distance: the instrument's field and a margin."""
 _INK, _LINE, _SOFT, _BODY, _BRIGHT = 14, 70, 44, 150, 235
 _POSES: Mapping[Step, tuple[float, float, float, float]] = MappingProxyType(
     {
@@ -59,26 +59,26 @@ _POSES: Mapping[Step, tuple[float, float, float, float]] = MappingProxyType(
         Step.VERIFY: (515.0, 0.0, 0.0, -45.0),
     }
 )
-"""Distance in mm before the standard housing, and turns about x, y, z in degrees, one after the other."""
+"""Distance in mm before the standard housing, and rotations about x, y, z in degrees, one after the other."""
 FROM_THE_SIDE = frozenset({Step.M2, Step.M3, Step.M4})
-"""Steps whose tilt in depth shows from the side; that of the others from above."""
+"""Steps whose tilt in depth is shown from the side; that of the others from above."""
 
 
 def sketch_front(step: Step) -> Picture:
-    """Return (h, w) uint8: what the instrument sees, in true perspective. ``step`` is one that records."""
+    """Return a sketch (h, w) uint8 as the instrument sees the artefact. ``step`` is one that records."""
     points, radii = _shape(step)
     # Pinhole: an object of FIELD_MM at the working distance is as wide as the sketch.
     focal = SCALE * SIZE_PX[0] * STANDARD_MM / FIELD_MM
     middle = 0.5 * SCALE * np.array(SIZE_PX)
-    seen = middle + focal * points[:, :2] / points[:, 2:]
+    pixels = middle + focal * points[:, :2] / points[:, 2:]
     picture = _empty()
     if HELD[step] is ArtefactKind.PLANE:
-        _face(picture, seen)
+        _face(picture, pixels)
     else:
         order = np.argsort(-points[:, 2])  # the farther ball first
         _bar(
             picture,
-            seen,
+            pixels,
             focal * radii / points[:, 2],
             [_BRIGHT if p[2] <= points[:, 2].min() + 5.0 else _BODY for p in points],
             order,
@@ -87,13 +87,13 @@ def sketch_front(step: Step) -> Picture:
 
 
 def sketch_depth(step: Step, volume: WorkingVolume = STANDARD) -> Picture:
-    """Return (h, w) uint8: the instrument on the left, the water to the right, from above or from the side."""
+    """Return a sketch (h, w) uint8 from above or from the side: the instrument on the left, water right."""
     points, radii = _shape(step)
-    other = points[:, 1] if step in FROM_THE_SIDE else points[:, 0]
+    across = points[:, 1] if step in FROM_THE_SIDE else points[:, 0]
     scale = SCALE * SIZE_PX[0] / 360.0
-    at = np.stack([(points[:, 2] - 300.0) * scale, 0.5 * SCALE * SIZE_PX[1] + other * scale], -1)
+    pixels = np.stack([(points[:, 2] - 300.0) * scale, 0.5 * SCALE * SIZE_PX[1] + across * scale], -1)
     picture = _empty()
-    # All is drawn for the standard housing; objects for a smaller one are smaller, and it is the same drawing.
+    # Drawn for the standard housing; a smaller one has smaller artefacts, so that the drawing is the same.
     ends_mm = (mm * STANDARD_MM / volume.working_mm for mm in (volume.nearest_mm, volume.farthest_mm))
     near, far = (round((mm - 300.0) * scale) for mm in ends_mm)
     cv2.rectangle(picture, (near, 20 * SCALE), (far, (SIZE_PX[1] - 20) * SCALE), (_SOFT,), -1)
@@ -101,29 +101,29 @@ def sketch_depth(step: Step, volume: WorkingVolume = STANDARD) -> Picture:
     cv2.rectangle(picture, (0, middle - 26 * SCALE), (16 * SCALE, middle + 26 * SCALE), (_BODY,), -1)
     cv2.line(picture, (16 * SCALE, middle), (SCALE * SIZE_PX[0], middle), (_LINE,), SCALE, cv2.LINE_AA)
     if HELD[step] is ArtefactKind.PLANE:
-        ends = at[[0, 2]]
+        ends = pixels[[0, 2]]
         cv2.line(picture, _pixel(ends[0]), _pixel(ends[1]), (_BRIGHT,), 6 * SCALE, cv2.LINE_AA)
     else:
-        _bar(picture, at, radii * scale, [_BRIGHT, _BRIGHT], np.array([0, 1]))
+        _bar(picture, pixels, radii * scale, [_BRIGHT, _BRIGHT], np.array([0, 1]))
     return _reduced(picture)
 
 
 def _shape(step: Step) -> tuple[Array, Array]:
-    """Return corners of the plane (4, 3) or centres of the balls (2, 3) in the rig frame, and the balls' radii."""
-    distance, *turns = _POSES[step]
+    """Return corners (4, 3) of the plane or centres (2, 3) of the balls in the rig frame, and ball radii."""
+    distance, *angles = _POSES[step]
     if HELD[step] is ArtefactKind.PLANE:
         x, y = PLANE_MM
         local = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     else:
         local = np.array([[-HALF_BAR_MM, 0.0, 0.0], [HALF_BAR_MM, 0.0, 0.0]])
-    for axis, degrees in enumerate(turns):
+    for axis, degrees in enumerate(angles):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         # The plane of each rotation in the order that keeps it right-handed: y-z, z-x, x-y.
         i, j = ((1, 2), (2, 0), (0, 1))[axis]
-        turn = np.eye(3)
-        turn[i, i] = turn[j, j] = c
-        turn[i, j], turn[j, i] = -s, s
-        local = local @ turn.T
+        rotation = np.eye(3)
+        rotation[i, i] = rotation[j, j] = c
+        rotation[i, j], rotation[j, i] = -s, s
+        local = local @ rotation.T
     return local + np.array([0.0, 0.0, distance]), np.full(len(local), BALL_MM)
 
 
@@ -143,8 +143,8 @@ def _bar(picture: Picture, centres: Array, radii: Array, greys: list[int], order
         cv2.circle(picture, _pixel(centres[k]), round(float(radii[k])), (greys[k],), -1, cv2.LINE_AA)
 
 
-def _pixel(at: Array) -> tuple[int, int]:
-    return round(float(at[0])), round(float(at[1]))
+def _pixel(position: Array) -> tuple[int, int]:
+    return round(float(position[0])), round(float(position[1]))
 
 
 def _reduced(picture: Picture) -> Picture:
@@ -156,7 +156,7 @@ _LIVE_PX = (364.0, 273.0)
 _WORDS_PX = 392.0
 _BOX_PX = 370.0
 _BAND_PX, _WORKING_PX = 84.0, 52.0
-"""Heights of what was found and what is right, and of one line."""
+"""Heights of the band with a result and a remedy, and of one line."""
 _TICKS_PX = 24.0
 """Distance of the marks' middle from the lower edge, in units of the design."""
 
@@ -184,8 +184,7 @@ _TASKS = {
 def draw_calibrate(canvas: Canvas, view: CalibrateView, time_s: float) -> None:
     name = STEP_NAMES[view.step]
     draw_title(canvas, (name, "", Text.BALL_BAR) if view.step is Step.VERIFY else name, view.keys)
-    # From below to above: an alert first, over it what became of the recording, and sketches and picture share
-    # what is left.
+    # From bottom to top: an alert, the result of the recording, and sketches and image in the remaining space.
     bottom = alerts_top(canvas, view.alerts) + (-4 if view.alerts else 8)
     free = bottom - _latest_px(view)
     if view.step in HELD:
@@ -200,11 +199,11 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, time_s: float) -> None:
 
 
 def _latest_px(view: CalibrateView) -> float:
-    """Return the height of what is said at the lower end of the screen."""
-    check = view.at.latest or view.session.check(view.step)
-    if view.at.task is not None:
+    """Return the height of the band at the lower end of the screen."""
+    check = view.position.latest or view.session.check(view.step)
+    if view.position.task is not None:
         return _WORKING_PX
-    if view.at.failed is not None or check is not None:
+    if view.position.failed is not None or check is not None:
         return _BAND_PX
     return 36.0 if view.step is Step.SOLVE else 0.0
 
@@ -219,16 +218,16 @@ _FAILURES = {
     FailureKind.BROKEN_OFF: (Text.BROKEN_OFF, Text.TRY_AGAIN),
     FailureKind.NO_ANSWER: (Text.ANSWERED_LATE, Text.TRY_AGAIN),
 }
-"""Words for each failure: what came to nothing, and what to do. The details are in the log and in the status file."""
+"""Texts for each failure: the fault and the remedy. The details are in the log and in the status file."""
 
 
-def _step_name(about: str) -> Label:
-    """Return the name of the step that a failure is about; empty where it is about none."""
-    return next((name for step, name in STEP_NAMES.items() if step.value == about), about)
+def _step_name(step_name: str) -> Label:
+    """Return the name of a failure's step; empty if it names none."""
+    return next((name for step, name in STEP_NAMES.items() if step.value == step_name), step_name)
 
 
-def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
-    """Return what the diver reads about a recording that will not do: what is wrong, and what to do or what is right."""
+def refusal_text(check: RecordingCheck) -> tuple[Text, Text]:
+    """Return the texts about a recording that was refused: the fault, and the remedy or the right value."""
     bar = HELD[check.step] is ArtefactKind.BALL_BAR
     match check.refusal:
         case None:
@@ -265,9 +264,9 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
 
 
 def _how(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
-    """Draw two sketches side by side, and the same in words; smaller where what is below needs the room."""
+    """Draw two sketches side by side, and the instruction in words; smaller if there is little space."""
     step = view.step
-    words, depth = _HOLD[step]
+    instruction, depth = _HOLD[step]
     # 92 px are the caption below the sketches and two lines of words.
     size = min(_SKETCH_PX, bottom - _TOP_PX - 92.0)
     for slot, picture, left, caption in (
@@ -275,7 +274,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
         ("sketch.depth", sketch_depth(step, view.volume), 204.0, depth),
     ):
         canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, size)
-        canvas.words(
+        canvas.write(
             caption,
             (left + _SKETCH_PX / 2, _TOP_PX + size + 22),
             CAPTION,
@@ -284,12 +283,12 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
             Align.CENTRE,
             _SKETCH_PX,
         )
-    # The words and the drawing say the same from two tables: this holds them together.
+    # Texts and drawings come from two tables, which must agree.
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
     numbers = (plane_distance(step, view.volume).nominal_mm,) if HELD[step] is ArtefactKind.PLANE else ()
-    lines = words.filled(canvas.language, *numbers).split(", ")
+    lines = instruction.filled(canvas.language, *numbers).split(", ")
     for number, line in enumerate(lines):
-        canvas.words(
+        canvas.write(
             line,
             (_WORDS_PX / 2, _TOP_PX + size + 52 + 33 * number),
             BODY,
@@ -300,7 +299,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
 
 
 def _live(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
-    """Draw the left camera's picture, with the laser dots' marks, and the distance that they say."""
+    """Draw the left camera's image, with the laser dots' marks, and the distance."""
     pixels, gauge = view.left, view.gauge
     width, height = _LIVE_PX[0], min(_LIVE_PX[1], bottom - _TOP_PX)
     left = canvas.width - width
@@ -310,15 +309,15 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
         if view.marks is not None:
             draw_marks(canvas, view.marks.left, pixels, left, _TOP_PX, width, height, distance_mm is not None)
         if gauge is not None:
-            known = distance_mm is not None
-            said = f"{distance_mm:.0f} mm" if known else Text.DOT_ON_IT
-            wide = canvas.measure(said, CAPTION + 2, BLACK) + 20
+            is_measured = distance_mm is not None
+            text = f"{distance_mm:.0f} mm" if is_measured else Text.DOT_ON_IT
+            wide = canvas.measure(text, CAPTION + 2, BLACK) + 20
             canvas.box(left + 10, _TOP_PX + 10, wide, 42, theme.INK, 10)
-            ink = theme.WHITE if known else theme.YELLOW
-            canvas.words(said, (left + 20, _TOP_PX + 41), CAPTION + 2, BLACK, ink)
+            ink = theme.WHITE if is_measured else theme.YELLOW
+            canvas.write(text, (left + 20, _TOP_PX + 41), CAPTION + 2, BLACK, ink)
         return
     canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, (theme.YELLOW, 4))
-    canvas.words(
+    canvas.write(
         Text.NO_IMAGE,
         (canvas.width - width / 2, _TOP_PX + height / 2),
         TITLE,
@@ -329,31 +328,30 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
 
 
 def _latest(canvas: Canvas, view: CalibrateView, bottom: float, time_s: float) -> None:
-    """Draw the band over the lower labels, or over an alert: what is done now, or what became of the latest
-    recording."""
-    at = view.at
-    # What this visit recorded, else what the session has of the step from before, perhaps from before a restart.
-    check = at.latest or view.session.check(view.step)
-    if at.task is not None:
-        _working(canvas, at.task, at.progress, time_s, bottom)
-    elif at.failed is not None:
-        came, remedy = _FAILURES[at.failed.kind]
-        _band(canvas, theme.YELLOW, came, remedy, _step_name(at.failed.step_name), bottom)
+    """Draw the band over the lower labels, or over an alert: the current task, or the latest result."""
+    position = view.position
+    # The recording of this visit, else that of the session, perhaps from before a restart.
+    check = position.latest or view.session.check(view.step)
+    if position.task is not None:
+        _working(canvas, position.task, position.progress, time_s, bottom)
+    elif position.failed is not None:
+        came, remedy = _FAILURES[position.failed.kind]
+        _band(canvas, theme.YELLOW, came, remedy, _step_name(position.failed.step_name), bottom)
     elif check is not None and check.refusal is None:
         number = "" if check.number is None else f"{1000.0 * check.number:.0f} µm"
         what = (STEP_NAMES[check.step], Text.ACCEPTED)
         _band(canvas, theme.GREEN, what, (str(check.points), Text.POINTS), number, bottom)
     elif check is not None and check.refusal is not None:
-        words, why = refusal_words(check)
+        refusal, why = refusal_text(check)
         # An angle is written without the space that SI puts before other units.
         number = "" if check.number is None else f"{check.number:.3g} {UNITS[check.refusal]}".replace(" °", "°")
         numbers: tuple[float, ...] = ()
         if why is Text.RIGHT_RANGE:
             place = plane_distance(check.step, view.volume)
             numbers = (place.nearest_mm, place.farthest_mm)
-        _band(canvas, theme.YELLOW, words, why.filled(canvas.language, *numbers), number, bottom)
+        _band(canvas, theme.YELLOW, refusal, why.filled(canvas.language, *numbers), number, bottom)
     elif view.step is Step.SOLVE:
-        canvas.words(Text.SOME_SECONDS, (canvas.width / 2, bottom - 16), CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
+        canvas.write(Text.SOME_SECONDS, (canvas.width / 2, bottom - 16), CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
 
 
 def _band(canvas: Canvas, fill: theme.Colour, what: Label, why: Label, number: Label, bottom: float) -> None:
@@ -361,20 +359,20 @@ def _band(canvas: Canvas, fill: theme.Colour, what: Label, why: Label, number: L
     canvas.box(0, top, canvas.width, _BAND_PX, fill)
     right = canvas.width - 16
     if number:
-        right -= canvas.words(number, (right, top + 39), TITLE - 4, BLACK, ink, Align.RIGHT) + 18
-    canvas.words(what, (16, top + 39), TITLE - 4, BLACK, ink, max_width=right - 16)
-    canvas.words(why, (16, top + 72), CAPTION + 2, BOLD, ink, max_width=canvas.width - 32)
+        right -= canvas.write(number, (right, top + 39), TITLE - 4, BLACK, ink, Align.RIGHT) + 18
+    canvas.write(what, (16, top + 39), TITLE - 4, BLACK, ink, max_width=right - 16)
+    canvas.write(why, (16, top + 72), CAPTION + 2, BOLD, ink, max_width=canvas.width - 32)
 
 
 def _working(canvas: Canvas, task: Task, progress: float | None, time_s: float, bottom: float) -> None:
     top = bottom - _WORKING_PX
     canvas.box(0, top, canvas.width, _WORKING_PX, theme.INK)
-    canvas.words(_TASKS[task], (16, top + 38), BODY, BLACK, max_width=300)
+    canvas.write(_TASKS[task], (16, top + 38), BODY, BLACK, max_width=300)
     left, width = 330.0, canvas.width - 346.0
     canvas.box(left, top + 12, width, 28, theme.PANEL, 14)
     if progress is not None:
         canvas.box(left, top + 12, max(28.0, width * min(1.0, progress)), 28, theme.AQUA, 14)
-    else:  # something that moves, without pretending to a length
+    else:  # an animation without a length, since the progress is not known
         swing = 1.0 - abs(2.0 * (0.4 * time_s % 1.0) - 1.0)
         canvas.box(left + (width - 120.0) * swing, top + 12, 120, 28, theme.AQUA, 14)
 
@@ -382,10 +380,10 @@ def _working(canvas: Canvas, task: Task, progress: float | None, time_s: float, 
 def _solve(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
     middle, room = canvas.width / 2, bottom - _TOP_PX
     top = _TOP_PX
-    if view.at.failed is None:
+    if view.position.failed is None:
         top, low, size = (top + 84.0, 24.0, TITLE) if room > 240 else (top + 38.0, 7.0, TITLE - 6)
-        canvas.words(Text.FOUR_READY, (middle, top - low), size, BLACK, align=Align.CENTRE, max_width=760)
-    # Rows move together where an alert needs room; all four stay, as the diver compares them.
+        canvas.write(Text.FOUR_READY, (middle, top - low), size, BLACK, align=Align.CENTRE, max_width=760)
+    # Rows move together if an alert needs space; all four stay, since the diver compares them.
     pitch = min(40.0, (bottom - top - 4) / len(USED))
     size = BODY if pitch > 34 else CAPTION
     for row, step in enumerate(USED):
@@ -393,8 +391,8 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
         if check is None:
             continue
         baseline = top + pitch * (row + 0.75)
-        canvas.words(STEP_NAMES[step], (120, baseline), size, BOLD)
-        canvas.words(
+        canvas.write(STEP_NAMES[step], (120, baseline), size, BOLD)
+        canvas.write(
             (str(check.points), Text.POINTS),
             (560, baseline),
             CAPTION,
@@ -403,36 +401,36 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
             Align.RIGHT,
         )
         if check.number is not None:
-            canvas.words(f"{1000.0 * check.number:.0f} µm", (690, baseline), size, BOLD, align=Align.RIGHT)
+            canvas.write(f"{1000.0 * check.number:.0f} µm", (690, baseline), size, BOLD, align=Align.RIGHT)
 
 
 @dataclass(frozen=True, slots=True)
 class _Box:
-    """The box of a length error, as high as what is below leaves room for."""
+    """Box of a length error, as high as the space allows."""
 
     left: float
     top: float
     height: float
-    used: bool
-    """True if the calibration of the box is the one in use."""
+    is_in_use: bool
+    """True if this calibration is the one in use."""
 
     def draw(self, canvas: Canvas, name: Text, error: float | None) -> None:
         """Draw the name above, the error in percent in the middle."""
-        edge, width = (theme.AQUA, 6) if self.used else (theme.LINE, 3)
+        edge, width = (theme.AQUA, 6) if self.is_in_use else (theme.LINE, 3)
         canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, (edge, width))
-        canvas.words(name, (self.left + 24, self.name_at), BODY, BLACK, theme.MUTED)
+        canvas.write(name, (self.left + 24, self.name_at), BODY, BLACK, theme.MUTED)
         text = "—" if error is None else f"{100.0 * abs(error):.3f} %"
         # 76 units are the lines of name and verdict, between which the number stands.
         size = round(min(HUGE - 18.0, 0.8 * (self.height - 76)))
-        # Figures are 0.72 of the type size high: half of that below the middle is where their baseline has to be.
+        # Digits are 0.72 of the type size high: their baseline is half of that below the middle.
         level = 0.5 * (self.name_at + self.verdict_at - 26) + 0.36 * size
-        canvas.words(text, (self.left + _BOX_PX / 2, level), size, BLACK, align=Align.CENTRE, max_width=340)
+        canvas.write(text, (self.left + _BOX_PX / 2, level), size, BLACK, align=Align.CENTRE, max_width=340)
 
     def judge(self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None) -> None:
-        """Draw the verdict in a word, and how sure it is."""
-        canvas.words(word, (self.left + 24, self.verdict_at), BODY, BLACK, colour)
+        """Draw the verdict in a word, and its standard uncertainty."""
+        canvas.write(word, (self.left + 24, self.verdict_at), BODY, BLACK, colour)
         if verified is not None:
-            canvas.words(
+            canvas.write(
                 f"± {100.0 * verified.sigma:.3f} %",
                 (self.left + 346, self.verdict_at),
                 CAPTION,
@@ -457,28 +455,28 @@ def _result(canvas: Canvas, view: CalibrateView, bottom: float) -> None:
     top = _TOP_PX + 34
     height = min(190.0, bottom - top - 34)
     below = top + height + 27
-    canvas.words(Text.LENGTH_ERROR, (canvas.width / 2, top - 9), BODY, BOLD, theme.MUTED, Align.CENTRE)
+    canvas.write(Text.LENGTH_ERROR, (canvas.width / 2, top - 9), BODY, BOLD, theme.MUTED, Align.CENTRE)
     verified = session.verified
-    # Without anything solved the bar has checked the calibration in use: there is nothing to compare it with.
+    # Without a solved calibration the bar has checked the one in use, and there is no comparison.
     if verified is not None and verified.after is None:
-        _checked(canvas, session, _Box(215.0, top, height, used=True), below)
+        _checked(canvas, session, _Box(215.0, top, height, is_in_use=True), below)
         return
     before = None if verified is None else verified.before
     new = None if verified is None else verified.after
-    # Before on the left, new on the right, whichever is in use: the edge says which, and nothing moves when it changes.
+    # Before on the left, new on the right: the edge marks the one in use, and nothing moves when it changes.
     boxes = _Box(20.0, top, height, not session.in_use), _Box(410.0, top, height, session.in_use)
     for box, name, value in zip(boxes, (Text.BEFORE, Text.NEW), (before, new), strict=True):
         box.draw(canvas, name, value)
-        if box.used:
-            canvas.words(Text.IN_USE, (box.left + 346, box.name_at), CAPTION, BOLD, theme.AQUA, Align.RIGHT)
+        if box.is_in_use:
+            canvas.write(Text.IN_USE, (box.left + 346, box.name_at), CAPTION, BOLD, theme.AQUA, Align.RIGHT)
     if verified is not None:
         verdict, colour = _VERDICTS[verified.better]
         boxes[1].judge(canvas, verdict, colour, verified)
     if session.solved is not None:
-        canvas.words((Text.RESIDUAL, f"{session.solved.residual_px:.3f} px"), (20, below), CAPTION, BOLD, max_width=370)
+        canvas.write((Text.RESIDUAL, f"{session.solved.residual_px:.3f} px"), (20, below), CAPTION, BOLD, max_width=370)
         if session.solved.warnings:
-            canvas.words(
-                f"{canvas.said(Text.WARNINGS)}: {len(session.solved.warnings)}",
+            canvas.write(
+                f"{canvas.translate(Text.WARNINGS)}: {len(session.solved.warnings)}",
                 (canvas.width - 20, below),
                 CAPTION,
                 BOLD,
@@ -494,7 +492,7 @@ def _checked(canvas: Canvas, session: Session, box: _Box, below: float) -> None:
     word, colour = (Text.NOT_RIGHT, theme.YELLOW) if session.wrong else (Text.RIGHT, theme.GREEN)
     box.judge(canvas, word, colour, session.verified)
     if session.wrong:
-        canvas.words(
+        canvas.write(
             Text.CHECK_WATER,
             (canvas.width / 2, below),
             CAPTION + 2,
@@ -506,16 +504,21 @@ def _checked(canvas: Canvas, session: Session, box: _Box, below: float) -> None:
 
 
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:
-    """Draw a mark per step between the lower labels: filled when done, ringed where the diver is."""
+    """Draw a mark per step between the lower labels: filled if done, ringed if current."""
     pitch, size = 52.0, 26.0
     left, y = canvas.width / 2 - pitch * (len(STEPS) - 1) / 2, canvas.height - _TICKS_PX
     for number, step in enumerate(STEPS):
         x = left + pitch * number
-        done, here = view.session.done(step), step is view.step
-        if here:
+        is_done, is_current = view.session.done(step), step is view.step
+        if is_current:
             canvas.box(x - size, y - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, (theme.WHITE, 3))
         canvas.box(
-            x - size / 2, y - size / 2, size, size, theme.GREEN if done else theme.LINE, size / 2 if not done else 5
+            x - size / 2,
+            y - size / 2,
+            size,
+            size,
+            theme.GREEN if is_done else theme.LINE,
+            size / 2 if not is_done else 5,
         )
-        if done:
-            canvas.words("✓", (x, y + 9), CAPTION, BLACK, theme.INK, Align.CENTRE)
+        if is_done:
+            canvas.write("✓", (x, y + 9), CAPTION, BLACK, theme.INK, Align.CENTRE)

@@ -1,7 +1,6 @@
-"""Owns drawing on a picture: boxes, words and images in pixels of the design, top left first.
+"""Drawing on a picture: boxes, text and images in pixels of the design, from the top left.
 
-Everything is one quad each. Row 0 of the frame buffer is the top row of the picture, so that reading it back turns
-nothing over.
+Each drawing is one quad. Row 0 of the frame buffer is the top row of the picture, so that it is read back upright.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from appliance.instrument.machine.words import Label, Language, worded
 from appliance.instrument.screens.theme import BODY, BOLD, CAPTION, DESIGN_SIZE_PX, WHITE, Colour, colour_table
 from drivers.api import DeviceGone
 
-MAX_WORDS = 192
-"""Textures of words that are kept; the one unused for longest goes first."""
+MAX_TEXTS = 192
+"""Largest number of text textures kept; the least recently used is released first."""
 
 _QUAD = """
 #version 330
@@ -134,16 +133,16 @@ void main() {
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
-    """One line of text as it stands on the picture; lengths in units of the design, of its ink alone."""
+class TextLine:
+    """One line of text on the picture; lengths in units of the design, of the ink only."""
 
-    words: str
+    text: str
     left: float
     top: float
     right: float
     bottom: float
     size: int
-    """Size of the type after it was made smaller to fit."""
+    """Size of the type after it was reduced to fit."""
     colour: Colour
     cut: bool
     """True if it did not fit even at the smallest size, and ends in an ellipsis."""
@@ -156,7 +155,7 @@ class Align(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class _Words:
+class _TextTexture:
     texture: moderngl.Texture
     width_px: int
     height_px: int
@@ -166,15 +165,14 @@ class _Words:
 
 
 class Canvas:
-    """A picture of ``size_px`` that is drawn on with the units of the design size and read back once."""
+    """A picture of ``size_px``, drawn in units of the design size and read back once."""
 
     def __init__(self, context: moderngl.Context, size_px: tuple[int, int]) -> None:
         self.context = context
         self.language = Language.ENGLISH
-        """The language that words are written in."""
+        """Language of the text."""
         self.size_px = size_px
-        # The smaller of both: on a display of another shape nothing of the design is cut off, and the rest is
-        # free room.
+        # The smaller of both, so that the design fits on a display of any shape.
         self.scale = min(size_px[0] / DESIGN_SIZE_PX[0], size_px[1] / DESIGN_SIZE_PX[1])
         self.width, self.height = size_px[0] / self.scale, size_px[1] / self.scale
         self._made: list[Any] = []
@@ -188,19 +186,19 @@ class Canvas:
         self._water, self._water_quad = self._program(_WATER)
         self._bar, self._bar_quad = self._program(_BAR)
         self._table = self._keep(context.texture((256, 1), 3, colour_table(), alignment=1))
-        # The variable font that OpenCV carries: no file of the system's decides how wide a word is.
+        # OpenCV's own variable font, so that the width of text does not depend on fonts of the system.
         self._font = cv2.FontFace("sans")
-        self._words: OrderedDict[tuple[str, int, int], _Words] = OrderedDict()
+        self._texts: OrderedDict[tuple[str, int, int], _TextTexture] = OrderedDict()
         self._images: dict[str, moderngl.Texture] = {}
-        self.written: list[Written] = []
-        """Every line of text since ``begin``: what an eye would check for size, contrast and room."""
+        self.written: list[TextLine] = []
+        """Every line of text since ``begin``, for checks of size, contrast and space."""
         self.pictured: list[tuple[str, float, float, float, float]] = []
-        """Every picture since ``begin``: its slot, and left, top, right, bottom in units of the design."""
+        """Every image since ``begin``: its slot, and left, top, right, bottom in units of the design."""
 
     def begin(self, background: Colour) -> None:
         self.written.clear()
         self.pictured.clear()
-        # Whoever used the context before may have left an error behind, as by releasing what was still bound.
+        # An earlier user of the context may have left an error, as by releasing a bound object.
         _ = self.context.error
         self.framebuffer.use()
         self.context.viewport = (0, 0, *self.size_px)
@@ -210,10 +208,12 @@ class Canvas:
         self.framebuffer.clear(*background.as_tuple())
 
     def finish(self) -> NDArray[np.uint8]:
-        """Return the picture (height, width, 3) uint8 RGB: the same memory each time. Raises DeviceGone without a
-        context."""
+        """Return the picture (height, width, 3) uint8 RGB, in the same memory each time.
+
+        Raises DeviceGone without a context.
+        """
         self.framebuffer.read_into(self._picture, components=3, alignment=1)
-        # Asked once for each picture: reading it back has waited for all of its drawing.
+        # Checked once for each picture: reading it back has completed all drawing.
         error = self.context.error
         if error != "GL_NO_ERROR":
             raise DeviceGone("gl", f"drawing failed ({error})", "Restart the service")
@@ -262,70 +262,69 @@ class Canvas:
         self._place(program, x - size / 2, y - size / 2, size, size)
         self._arrow_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def words(
+    def write(
         self,
-        words: Label,
-        at: tuple[float, float],
+        text: Label,
+        origin: tuple[float, float],
         size: int = BODY,
         weight: int = BOLD,
         colour: Colour = WHITE,
         align: Align = Align.LEFT,
         max_width: float | None = None,
     ) -> float:
-        """Write one line of text in the canvas's language ``at`` a place on its baseline; smaller where it would be wider
-        than ``max_width``.
+        """Write one line of text at a place on its baseline; return its width.
 
-        Returns its width.
-        It is never smaller than a caption, which is the least that can be read: what does not fit then is cut.
+        It is smaller if it would be wider than ``max_width``, but not smaller than a caption, the smallest readable
+        size: longer text is cut.
         """
-        words = self.said(words)
-        if not words:
+        text = self.translate(text)
+        if not text:
             return 0.0
-        x, baseline = at
+        x, baseline = origin
         cut = False
         if max_width is not None:
-            width = self.measure(words, size, weight)
+            width = self.measure(text, size, weight)
             if width > max_width:
-                # A good guess first, since each size that is measured is drawn and kept as a texture; whole
-                # pixels make widths not quite proportional.
+                # A good guess first, since each measured size is drawn and kept as a texture. Widths are not quite
+                # proportional to sizes.
                 size = max(CAPTION, int(size * max_width / width))
-                while size > CAPTION and self.measure(words, size, weight) > max_width:
+                while size > CAPTION and self.measure(text, size, weight) > max_width:
                     size -= 1
-            whole = words
-            while self.measure(words, size, weight) > max_width and len(words) > 1:
-                words = words.removesuffix("…")[:-1].rstrip() + "…"
-            cut = words != whole
-        line = self._line(words, round(size * self.scale), weight)
-        # Whole pixels: the letters' anti-aliasing was made for them.
+            full_text = text
+            while self.measure(text, size, weight) > max_width and len(text) > 1:
+                text = text.removesuffix("…")[:-1].rstrip() + "…"
+            cut = text != full_text
+        line = self._line(text, round(size * self.scale), weight)
+        # Integer pixels, for which the letters were anti-aliased.
         left = round(x * self.scale - align.value * line.width_px)
         top = round(baseline * self.scale) - line.baseline_px
         from_left, from_top, to_right, to_bottom = (edge / self.scale for edge in line.ink_px)
         x, y = left / self.scale, top / self.scale
-        ends = Written(words, x + from_left, y + from_top, x + to_right, y + to_bottom, size, colour, cut)
+        ends = TextLine(text, x + from_left, y + from_top, x + to_right, y + to_bottom, size, colour, cut)
         self.written.append(ends)
         self._stamp(line, left, top, colour)
         return line.width_px / self.scale
 
-    def _stamp(self, line: _Words, left_px: int, top_px: int, colour: Colour) -> None:
+    def _stamp(self, line: _TextTexture, left_px: int, top_px: int, colour: Colour) -> None:
         line.texture.use(0)
         self._letters["fill"] = colour.as_tuple()
         self._letters["size"] = self.size_px
         self._letters["box"] = (left_px, top_px, line.width_px, line.height_px)
         self._letters_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def said(self, words: Label) -> str:
-        """Return words as they are written."""
-        return worded(words, self.language)
+    def translate(self, label: Label) -> str:
+        """Return a label as text in the canvas's language."""
+        return worded(label, self.language)
 
-    def measure(self, words: Label, size: int = BODY, weight: int = BOLD) -> float:
+    def measure(self, label: Label, size: int = BODY, weight: int = BOLD) -> float:
         """Return the width of a line of text."""
-        return self._line(self.said(words), round(size * self.scale), weight).width_px / self.scale
+        return self._line(self.translate(label), round(size * self.scale), weight).width_px / self.scale
 
     def image(self, slot: str, pixels: NDArray[np.uint8], left: float, top: float, width: float, height: float) -> None:
-        """Draw a picture in the middle of the box, as large as fits: (h, w) uint8 of a camera, saturation striped, or
-        (h, w, 3) uint8 RGB.
+        """Draw an image in the middle of the box, as large as fits.
 
-        ``slot`` names its texture, which is used again.
+        ``pixels``: (h, w) uint8 of a camera, with stripes where saturated, or (h, w, 3) uint8 RGB. ``slot`` names its
+        texture, which is used again.
         """
         shape = pixels.shape[1] / pixels.shape[0]
         if width / height > shape:  # the picture keeps its shape
@@ -334,8 +333,7 @@ class Canvas:
             top, height = top + (height - width / shape) / 2, width / shape
         self.pictured.append((slot, left, top, left + width, top + height))
         across, down = max(1, round(width * self.scale)), max(1, round(height * self.scale))
-        # By area, on the processor: GL would sample a few of the sixteen pixels that fall together, and fine
-        # texture would beat.
+        # Averaged on the processor: GL would sample only some of the pixels, with moiré in fine texture.
         shrink = pixels.shape[0] > down or pixels.shape[1] > across
         if shrink:
             pixels = np.asarray(cv2.resize(pixels, (across, down), interpolation=cv2.INTER_AREA), np.uint8)
@@ -346,7 +344,7 @@ class Canvas:
                 texture.release()
             texture = self._images[slot] = self.context.texture(size, components, alignment=1)
             texture.repeat_x = texture.repeat_y = False
-        # GL reads rows one behind the other; a picture may be a view into something wider.
+        # GL needs contiguous rows; an image may be a view into a wider array.
         texture.write(np.ascontiguousarray(pixels))
         texture.use(0)
         self._image["radius"] = 10.0 * self.scale
@@ -355,14 +353,14 @@ class Canvas:
         self._image_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def water(self, left: float, top: float, width: float, height: float, phase: float, centre: float = 0.5) -> None:
-        """Draw fringes on something round: what this instrument does, as a picture."""
+        """Draw fringes on a round object, as an ornament."""
         self._water["phase"] = phase
         self._water["centre"] = centre
         self._place(self._water, left, top, width, height)
         self._water_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def colours(self, left: float, top: float, width: float, height: float) -> None:
-        """Draw the colour table of clouds as a lying bar, its bright end on the left."""
+        """Draw the colour table of clouds as a horizontal bar, its bright end on the left."""
         self._table.use(0)
         self._place(self._bar, left, top, width, height)
         self._bar_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
@@ -374,35 +372,35 @@ class Canvas:
 
     def close(self) -> None:
         """Release every GL object."""
-        for words in self._words.values():
-            words.texture.release()
+        for line in self._texts.values():
+            line.texture.release()
         for texture in self._images.values():
             texture.release()
-        for made in reversed(self._made):
-            made.release()
-        self._words.clear()
+        for resource in reversed(self._made):
+            resource.release()
+        self._texts.clear()
         self._images.clear()
         self._made.clear()
 
-    def _line(self, words: str, size_px: int, weight: int) -> _Words:
-        key = (words, size_px, weight)
-        if key in self._words:
-            self._words.move_to_end(key)
-            return self._words[key]
-        _, _, width, _ = cv2.getTextSize((0, 0), words, (0, 0), self._font, size_px, weight)
-        # 1.4 type sizes hold the dots above Ä and the tails below the baseline; the rest is for anti-aliasing.
+    def _line(self, text: str, size_px: int, weight: int) -> _TextTexture:
+        key = (text, size_px, weight)
+        if key in self._texts:
+            self._texts.move_to_end(key)
+            return self._texts[key]
+        _, _, width, _ = cv2.getTextSize((0, 0), text, (0, 0), self._font, size_px, weight)
+        # 1.4 type sizes include the dots of Ä and the descenders; the rest is for anti-aliasing.
         width_px, height_px, baseline_px = int(width) + 4, round(1.4 * size_px) + 2, size_px + 1
         mask = np.zeros((height_px, width_px), np.uint8)
-        # The image is wider than the text, else the library would wrap its last letter.
+        # The image is wider than the text, otherwise the library would wrap its last letter.
         wide = np.zeros((height_px, width_px + 2 * size_px), np.uint8)
-        cv2.putText(wide, words, (1, baseline_px), (255,), self._font, size_px, weight)
+        cv2.putText(wide, text, (1, baseline_px), (255,), self._font, size_px, weight)
         mask[:] = wide[:, :width_px]
         texture = self.context.texture((width_px, height_px), 1, mask, alignment=1)
         columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
         ink_px = (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1) if columns.size else (0,) * 4
-        line = self._words[key] = _Words(texture, width_px, height_px, baseline_px, ink_px)
-        if len(self._words) > MAX_WORDS:
-            _, oldest = self._words.popitem(last=False)
+        line = self._texts[key] = _TextTexture(texture, width_px, height_px, baseline_px, ink_px)
+        if len(self._texts) > MAX_TEXTS:
+            _, oldest = self._texts.popitem(last=False)
             oldest.texture.release()
         return line
 
@@ -414,6 +412,6 @@ class Canvas:
         program = self._keep(self.context.program(vertex_shader=_QUAD, fragment_shader=fragment_shader))
         return program, self._keep(self.context.vertex_array(program, []))
 
-    def _keep(self, made: Any) -> Any:
-        self._made.append(made)
-        return made
+    def _keep(self, resource: Any) -> Any:
+        self._made.append(resource)
+        return resource

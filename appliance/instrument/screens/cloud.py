@@ -1,10 +1,10 @@
-"""Owns the picture of a point cloud: perspective, a gentle turn, colour by value, shading from depth alone.
+"""Picture of a point cloud: perspective, slow rotation, colour by value, shading from depth.
 
-A scan is seen from one side, so the surface around a point is a height over x and y: its slope gives the point a
-normal and, with that, light and shade. Edges between near and far are darkened as in eye-dome lighting
-(C. Boucheny, thesis, Grenoble 2009).
+    CloudPainter    draws one cloud into a part of a picture
+    Relief          a cloud as a coarse, smooth height over x and y, for light and shade
 
-It also owns the shape of a cloud as a height over x and y, coarse and smooth: enough for light and shade.
+A scan is seen from one side, so the surface around a point is a height over x and y: its slope gives the surface normal
+for the shading. Edges between near and far are darkened as in eye-dome lighting (C. Boucheny, thesis, Grenoble 2009).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ MAX_CELLS = 512
 
 
 class Relief:
-    """Mean z of the points (n, 3) float32 mm in square cells between ``low`` and ``high`` (3,), smoothed 3 × 3.
+    """Mean z of the points (n, 3) float32 mm in square cells between ``low`` and ``high`` (3,).
 
-    For looking at only: nothing that is measured goes through it.
+    Smoothed 3 × 3. Only for display, not for measurements.
     """
 
     def __init__(self, points: NDArray[np.float32], low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
@@ -36,27 +36,26 @@ class Relief:
         self._cell_mm = max(cell_mm, across_mm / MAX_CELLS, down_mm / MAX_CELLS)
         self._low = low[:2]
         self._columns, self._rows = int(across_mm / self._cell_mm) + 1, int(down_mm / self._cell_mm) + 1
-        at = self._cells(points)
+        cells = self._cells(points)
         shape = self._rows, self._columns
         size = self._rows * self._columns
-        number = np.bincount(at, minlength=size).reshape(shape)
-        total = np.bincount(at, weights=points[:, 2], minlength=size).reshape(shape)
+        number = np.bincount(cells, minlength=size).reshape(shape)
+        total = np.bincount(cells, weights=points[:, 2], minlength=size).reshape(shape)
         self.area_mm2 = max(1, int(np.count_nonzero(number))) * self._cell_mm**2
-        """Area that the points cover as seen along z; holes do not count."""
-        # Sums and counts are smoothed apart and divided then, so that a cell without points takes no part in the
-        # mean.
+        """Area that the points cover as seen along z, without holes."""
+        # Sums and counts are smoothed separately and then divided, so that empty cells do not affect the mean.
         weight = np.asarray(cv2.blur(number.astype(np.float64), (3, 3)), np.float64)
         height = np.asarray(cv2.blur(total, (3, 3)), np.float64)
         self._height = np.divide(height, weight, out=np.full(shape, np.nan), where=weight > 0.0)
 
     def slopes(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return (n, 2) float32: dz/dx and dz/dy of the surface around each point; 0 where it has no neighbours."""
+        """Return (n, 2) float32: dz/dx and dz/dy of the surface around each point; 0 without neighbours."""
         down, across = np.gradient(self._height, self._cell_mm) if min(self._height.shape) > 1 else (0.0, 0.0)
-        at = self._cells(points)
-        found = np.empty((len(points), 2), np.float32)
-        found[:, 0] = np.broadcast_to(across, self._height.shape).ravel()[at]
-        found[:, 1] = np.broadcast_to(down, self._height.shape).ravel()[at]
-        return np.nan_to_num(found, nan=0.0)
+        cells = self._cells(points)
+        slopes = np.empty((len(points), 2), np.float32)
+        slopes[:, 0] = np.broadcast_to(across, self._height.shape).ravel()[cells]
+        slopes[:, 1] = np.broadcast_to(down, self._height.shape).ravel()[cells]
+        return np.nan_to_num(slopes, nan=0.0)
 
     def _cells(self, points: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the flat index of each point's cell; points beyond the edge count to the cell at the edge."""
@@ -67,17 +66,18 @@ class Relief:
 
 
 MAX_POINTS = 40_000
-"""More cannot be told apart at this size, and a software renderer needs 0.4 ms per thousand."""
+"""More points cannot be distinguished at this size, and a software renderer needs 0.4 ms per thousand."""
 TURN_DEG, TURN_S = 24.0, 11.0
+"""Amplitude and period of the rotation about the vertical axis."""
 NOD_DEG, NOD_S = 9.0, 17.0
-"""Amplitude and period of the turn about the vertical and the horizontal axis. It begins at the camera's view."""
+"""Amplitude and period of the rotation about the horizontal axis. It begins at the camera's view."""
 STEP_DEG = 20.0
 """Angle in degrees by which one step of the diver turns the cloud."""
 EYE_RADII = 3.2
 """Distance of the eye from the middle of the cloud, in radii of the cloud."""
 
 FILL = 0.9
-"""Part of the picture that the cloud may take while it turns."""
+"""Share of the picture that the cloud may take while it turns."""
 
 _POINTS = """
 #version 330
@@ -144,9 +144,9 @@ void main() {
 
 
 def thin(number: int, limit: int = MAX_POINTS) -> NDArray[np.int64]:
-    """Return indices of at most ``limit`` of ``number`` points, one out of each run of equal length, sorted.
+    """Return sorted indices of at most ``limit`` of ``number`` points, one out of each equal run.
 
-    Jittered, so that the rows of the camera do not beat with the thinning; the same for the same numbers.
+    Jittered, so that the rows of the camera make no moiré with the thinning; the same for the same numbers.
     """
     if number <= limit:
         return np.arange(number)
@@ -156,7 +156,7 @@ def thin(number: int, limit: int = MAX_POINTS) -> NDArray[np.int64]:
 
 
 def spread(values: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the range that colours span: 2nd to 98th percentile of the finite values, never empty."""
+    """Return the range of the colours: 2nd to 98th percentile of the finite values, never empty."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return 0.0, 1.0
@@ -165,7 +165,7 @@ def spread(values: NDArray[np.float32]) -> tuple[float, float]:
 
 
 class CloudPainter:
-    """Draws one cloud again and again into a part of a picture; copies it to the GPU when it is another one."""
+    """Draws one cloud repeatedly into a part of a picture; copies it to the GPU when it changes."""
 
     def __init__(self, context: moderngl.Context, size_px: tuple[int, int]) -> None:
         self._context = context
@@ -190,14 +190,14 @@ class CloudPainter:
         self._radius_mm = 1.0
         self._spacing_mm = 1.0
         self.range = (0.0, 1.0)
-        """Values at the two ends of the colours, of the cloud drawn last."""
+        """Values at both ends of the colours, of the cloud drawn last."""
 
     @property
     def empty(self) -> bool:
         return self._number == 0
 
     def show(self, points_mm: NDArray[np.float32], values: NDArray[np.float32], bright_is_high: bool) -> None:
-        """Take a cloud (n, 3), (n,). Nothing happens when it is the one that is shown already."""
+        """Set the cloud (n, 3), (n,). Has no effect if it is shown already."""
         if self._shown is not None and _same(self._shown[0], points_mm) and _same(self._shown[1], values):
             return
         self._shown = points_mm, values
@@ -210,14 +210,13 @@ class CloudPainter:
             return
         low, high = self.range = spread(picked)
         level = np.nan_to_num(np.clip((picked - low) / (high - low), 0.0, 1.0), nan=0.0)
-        # Percentiles: a stray point must not push the cloud out of the middle or make it small.
+        # Percentiles, so that an outlier does not move the cloud out of the middle or make it small.
         near, far = np.percentile(points, (1.0, 99.0), axis=0)
         self._middle = (near + far) / 2.0
         self._half_mm = np.maximum((far - near) / 2.0, 1e-3)
         self._radius_mm = float(np.linalg.norm(self._half_mm))
         relief = Relief(points, near, far)
-        # Mean distance of neighbours on the covered area alone: holes would make the splats of a sparse cloud too
-        # large.
+        # Mean distance of neighbours on the covered area only: holes would make the splats too large.
         self._spacing_mm = math.sqrt(relief.area_mm2 / self._number)
         packed = np.empty((self._number, 6), np.float32)
         packed[:, :3] = points
@@ -225,10 +224,12 @@ class CloudPainter:
         packed[:, 5] = level if bright_is_high else 1.0 - level
         self._vertices.write(packed)
 
-    def draw(self, target: moderngl.Framebuffer, room: tuple[int, int, int, int], time_s: float, turn: int = 0) -> None:
-        """Draw over ``target``, in the middle of ``room`` (left, top, width, height in px). Blending is on afterwards.
+    def draw(
+        self, target: moderngl.Framebuffer, room: tuple[int, int, int, int], time_s: float, turn_steps: int = 0
+    ) -> None:
+        """Draw over ``target``, in the middle of ``room`` (left, top, width, height in px); blending stays on.
 
-        ``room`` starts at the left edge; points may stray out of it, but not beyond the painter's size.
+        ``room`` starts at the left edge; points may leave it, but not the painter's size.
         """
         width, height = self._size_px
         place = (room[0], 0)
@@ -236,12 +237,12 @@ class CloudPainter:
         fit = self._focal_px(eye, room[2:])
         context = self._context
         self._buffer.use()
-        # Nearness (alpha) 0 is "nothing here": `_RESOLVE` closes gaps and darkens edges by it.
+        # Nearness (alpha) 0 marks empty pixels, by which `_RESOLVE` closes gaps and darkens edges.
         self._buffer.clear(0.0, 0.0, 0.0, 0.0)
-        # Alpha carries the nearness in this pass; blended, it would be mixed away.
+        # Alpha is the nearness in this pass, and must not be blended.
         context.disable(moderngl.BLEND)
         context.enable(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
-        self._points["turn"] = tuple(_turn(time_s, turn).T.ravel())
+        self._points["turn"] = tuple(_turn(time_s, turn_steps).T.ravel())
         self._points["middle"] = tuple(self._middle)
         self._points["eye"] = eye
         self._points["focal"] = (2.0 * fit / width, 2.0 * fit / height)
@@ -261,23 +262,23 @@ class CloudPainter:
         context.enable(moderngl.BLEND)
 
     def _focal_px(self, eye_mm: float, room_px: tuple[int, ...]) -> float:
-        """Return the focal length at which the cloud fills its part of the picture, also at the ends of its turn."""
+        """Return the focal length at which the cloud fills its part of the picture, at any rotation."""
         half_x, half_y, half_z = self._half_mm
         across = math.hypot(half_x, half_z * math.sin(math.radians(TURN_DEG)) * 1.5)
         down = math.hypot(half_y, half_z * math.sin(math.radians(NOD_DEG)) * 1.5)
         width, height = room_px
-        # For the nearest part of the cloud, which perspective shows largest.
+        # For the nearest part of the cloud, which appears largest.
         return 0.5 * FILL * min(width / across, height / down) * (eye_mm - half_z)
 
     def close(self) -> None:
         """Release every GL object."""
-        for made in reversed(self._made):
-            made.release()
+        for resource in reversed(self._made):
+            resource.release()
         self._made.clear()
 
-    def _keep(self, made: Any) -> Any:
-        self._made.append(made)
-        return made
+    def _keep(self, resource: Any) -> Any:
+        self._made.append(resource)
+        return resource
 
 
 def _turn(time_s: float, steps: int) -> NDArray[np.float64]:
@@ -292,8 +293,15 @@ def _turn(time_s: float, steps: int) -> NDArray[np.float64]:
     return turned
 
 
-def _same(held: NDArray[np.float32], given: NDArray[np.float32]) -> bool:
-    """Return True if both look at the same memory. ``held`` keeps it alive, so an equal address is the same cloud."""
-    # Addresses, not values: comparing a million points at each picture would cost more than drawing them.
-    one, other = held.__array_interface__, given.__array_interface__
-    return one["data"] == other["data"] and held.shape == given.shape and held.strides == given.strides
+def _same(held: NDArray[np.float32], candidate: NDArray[np.float32]) -> bool:
+    """Return True if both arrays use the same memory.
+
+    ``held`` is still referenced, so an equal address means the same cloud.
+    """
+    # Addresses are compared, not values: comparing a million points would cost more than drawing them.
+    held_interface, candidate_interface = held.__array_interface__, candidate.__array_interface__
+    return (
+        held_interface["data"] == candidate_interface["data"]
+        and held.shape == candidate.shape
+        and held.strides == candidate.strides
+    )

@@ -1,4 +1,4 @@
-"""Owns the rings in the live images where the laser dots will appear; the diver aims the rings at the object."""
+"""Rings in the live images where the laser dots will appear; the diver aims the rings at the object."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ def draw_marks(
     top: float,
     width: float,
     height: float,
-    seen: bool,
+    is_measured: bool,
 ) -> None:
-    """Draw a ring for each dot at the working distance, and two points where it is at the ends of the measuring volume.
+    """Draw a ring for each dot at the working distance, and two points for the ends of the working volume.
 
-    ``pixels`` (h, w) is the picture in the box, in its middle and as large as fits; ``seen``: a dot was found, so that
-    the marks need not call for attention.
+    ``pixels`` (h, w) is the image in the middle of the box, as large as fits; ``is_measured``: a dot was found, so that
+    the marks need not attract attention.
     """
     shape = pixels.shape[1] / pixels.shape[0]
     shown_width, shown_height = min(width, height * shape), min(height, width / shape)
     left, top = left + (width - shown_width) / 2, top + (height - shown_height) / 2
-    colour = theme.WHITE if seen else theme.YELLOW
+    colour = theme.WHITE if is_measured else theme.YELLOW
 
-    def dot(at: Place, size: float, fill: theme.Colour, rim: theme.Colour | None = None) -> None:
-        x, y = left + at[0] * shown_width, top + at[1] * shown_height
+    def dot(position: Place, size: float, fill: theme.Colour, rim: theme.Colour | None = None) -> None:
+        x, y = left + position[0] * shown_width, top + position[1] * shown_height
         edge = None if rim is None else (rim, _RIM_PX)
         canvas.box(x - size / 2, y - size / 2, size, size, fill, size / 2, edge)
 
     for track in tracks:
         for end in (track.near, track.far):
-            # Each mark has a dark rim: the live picture behind it may be white or black.
+            # Each mark has a dark rim, since the live image behind it may be white or black.
             dot(end, _END_PX + 2 * 2.0, theme.INK)
             dot(end, _END_PX, colour)
         dot(track.middle, _RING_PX + 2.0, _NOTHING, theme.INK)

@@ -1,8 +1,7 @@
-"""Owns the way from a view to a picture, and that none is drawn twice: where a view would look as the one before, the
-picture that stands is shown again.
+"""Drawing of views as pictures; an unchanged view is not drawn again.
 
-A screen is presented at each beat, sixty times a second, and seldom is anything new on it: live images come ten times a
-second, words at a key. Drawing all the same would keep a graphics card, and a battery, at work for nothing.
+A screen is presented at each cycle, sixty times a second, but seldom changes: live images come ten times a second, text
+changes at a key. Drawing all the same would keep a graphics card, and a battery, busy for nothing.
 """
 
 from __future__ import annotations
@@ -48,8 +47,7 @@ from appliance.measure import FaultCode
 from drivers.api import Key
 
 MOVES_HZ = 20.0
-"""Pictures per second of what moves by itself: fringes that drift, a bar that swings, a cloud that nods in ten seconds.
-"""
+"""Pictures per second of animations: drifting fringes, a swinging bar, a cloud that nods in ten seconds."""
 _DRAWINGS: Mapping[type[AnyView], Callable[[Canvas, Any, float], None]] = {
     SelfTestView: draw_self_test,
     AimView: draw_aim,
@@ -62,17 +60,16 @@ _DRAWINGS: Mapping[type[AnyView], Callable[[Canvas, Any, float], None]] = {
     SafeView: draw_safe,
     ShutdownView: draw_shutdown,
 }
-"""Functions that draw each view; that of ``ReviewView`` needs the painter's cloud."""
+"""Function that draws each view; that of ``ReviewView`` needs the painter's cloud."""
 _STILL = (AimView, MenuView, GalleryView, CoolingView)
-"""Views on which nothing moves by itself but an alert that flashes."""
+"""Views without animation except for a flashing alert."""
 
 
 class Painter:
-    """Draws views, and only what changed, at ``size_px`` (width, height) with a GL context that is current in the
-    calling thread.
+    """Draws views as pictures of ``size_px`` (width, height), and only if they have changed.
 
-    A context manager: its GL objects end with it. The context may be shared with others; it is made current for
-    each drawing.
+    A context manager: its GL objects end with it. The context may be shared with others; it is made current for each
+    drawing, in the calling thread.
     """
 
     def __init__(
@@ -82,12 +79,10 @@ class Painter:
         self.language = language
         """May be changed between two drawings."""
         self._drawn: tuple[tuple[AnyView, Language, tuple[bool, int]], NDArray[np.uint8]] | None = None
-        """View, language and moment that the picture which stands was drawn for, and the picture; ``None``: it has to
-        be drawn."""
+        """View, language and moment of the present picture, and the picture; ``None``: it has to be drawn."""
         with context:
             self._canvas = Canvas(context, size_px)
-            # As high as the screen: a cloud that turns out of its room is not cut off at a line, and labels are
-            # drawn over it.
+            # As high as the screen, so that a turning cloud is not cut off; labels are drawn over it.
             self._cloud = CloudPainter(context, self._canvas.pixels(0, 0, CLOUD_PX, self._canvas.height)[2:])
         self._drawings: Mapping[type[AnyView], Callable[[Canvas, Any, float], None]] = {
             **_DRAWINGS,
@@ -105,40 +100,38 @@ class Painter:
             self._canvas.close()
 
     def preview(self) -> NDArray[np.uint8] | None:
-        """Return the cloud of the latest ``ReviewView`` alone, as the camera saw it: (h, w, 3) uint8 RGB; None
-        without points.
+        """Return the cloud of the latest ``ReviewView`` as the camera saw it, (h, w, 3) uint8 RGB.
 
-        The picture that ``draw`` returned is drawn over.
+        ``None`` without points. It overwrites the picture that ``draw`` returned.
         """
         self._drawn = None
         if self._cloud.empty:
             return None
         with self._context:
             self._canvas.begin(theme.INK)
-            # At time 0 the cloud stands as the camera saw it, so that a scan's stored picture does not depend on
-            # when it was made.
+            # At time 0 the cloud is seen from the camera, so that a scan's stored picture does not depend on the time.
             left, top, width, height = self._canvas.pixels(0, BAR_PX, CLOUD_PX, self._canvas.height - 2 * BAR_PX)
             self._cloud.draw(self._canvas.framebuffer, (left, top, width, height), 0.0)
             return self._canvas.finish()[top : top + height, left : left + width].copy()
 
     @property
     def canvas(self) -> Canvas:
-        """Canvas on which the latest view was drawn; it knows what is written where."""
+        """Canvas of the latest view, with a record of its text and images."""
         return self._canvas
 
     def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns); it may be as
-        old as 1 / ``MOVES_HZ``.
+        """Return the picture of ``view`` at ``time_s``; it may be as old as 1 / ``MOVES_HZ``.
 
-        (height, width, 3) uint8 RGB, row 0 at the top, in the same memory each time. Arrays of a view must not change
-        while it is shown. Raises DeviceGone when the GL context failed.
+        ``time_s``: any steady clock, for animations. The picture is (height, width, 3) uint8 RGB, row 0 at the top, in
+        the same memory each time. Arrays of a view must not change while it is shown. Raises DeviceGone when the GL
+        context failed.
         """
-        asked = (view, self.language, moment(view, time_s))
-        if self._drawn is not None and same(self._drawn[0], asked):
+        request = (view, self.language, animation_moment(view, time_s))
+        if self._drawn is not None and is_same(self._drawn[0], request):
             return self._drawn[1]
         self._drawn = None
-        picture = self._paint(said_once(view), time_s)
-        self._drawn = asked, picture
+        picture = self._paint(without_shown_alerts(view), time_s)
+        self._drawn = request, picture
         return picture
 
     def _paint(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
@@ -147,7 +140,7 @@ class Painter:
             canvas.language = self.language
             canvas.begin(theme.INK)
             self._drawings[type(view)](canvas, view, time_s)
-            # Last, over everything: no screen can cover a warning or the meaning of a key.
+            # Drawn last, so that no screen can cover a warning or the label of a key.
             draw_alerts(canvas, view.alerts, time_s)
             dim = isinstance(view, AimView | CalibrateView) and not view.scan_allowed
             urgent = frozenset(key for key, word in view.keys.items() if word in (Text.SEEN, Text.ANYWAY))
@@ -155,37 +148,39 @@ class Painter:
             return canvas.finish()
 
 
-def said_once(view: AnyView) -> AnyView:
-    """Return the view without the alerts that its screen is made of: nothing is said twice."""
+def without_shown_alerts(view: AnyView) -> AnyView:
+    """Return the view without the alerts that its screen shows by itself."""
     match view:
         case SafeView():
-            said = {view.alert.code}
+            shown_codes = {view.alert.code}
         case ShutdownView():
-            said = set() if view.reason is None else {view.reason.code}
+            shown_codes = set() if view.reason is None else {view.reason.code}
         case CoolingView():
-            said = {FaultCode.HOT}
+            shown_codes = {FaultCode.HOT}
         case _:
             return view
-    return replace(view, alerts=tuple(alert for alert in view.alerts if alert.code not in said))
+    return replace(view, alerts=tuple(alert for alert in view.alerts if alert.code not in shown_codes))
 
 
-def moment(view: AnyView, time_s: float) -> tuple[bool, int]:
-    """Return what ``time_s`` means to the picture of ``view``: times of equal moments need no drawing anew."""
+def animation_moment(view: AnyView, time_s: float) -> tuple[bool, int]:
+    """Return the moment of an animation: pictures of ``view`` with the same moment are equal."""
     still = isinstance(view, _STILL) or (isinstance(view, ProgressView) and not view.computes)
     return theme.flash_on(time_s), 0 if still else math.floor(time_s * MOVES_HZ)
 
 
-def same(a: object, b: object) -> bool:
-    """Return True if two views show the same: equal values, and the very same arrays, which must not change while
-    shown."""
+def is_same(a: object, b: object) -> bool:
+    """Return True if two views look the same: equal values, and identical arrays.
+
+    Arrays must not change while shown.
+    """
     if a is b:
         return True
     if type(a) is not type(b) or isinstance(a, np.ndarray):
         return False
     if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(map(same, a, b))
+        return len(a) == len(b) and all(map(is_same, a, b))
     if isinstance(a, Mapping) and isinstance(b, Mapping):
-        return same(tuple(a.items()), tuple(b.items()))
+        return is_same(tuple(a.items()), tuple(b.items()))
     if is_dataclass(a) and not isinstance(a, type):
-        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+        return all(is_same(getattr(a, item.name), getattr(b, item.name)) for item in fields(a))
     return bool(a == b)

@@ -1,4 +1,4 @@
-"""Owns the screens of the start: each device and part with its result, as soon as it is known."""
+"""Screens of the start: each device and part with its result, as soon as it is known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from appliance.instrument.machine.alerts import Alert
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
-from appliance.instrument.screens.frame import alerts_top, words_of
+from appliance.instrument.screens.frame import alert_text, alerts_top
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR
 from appliance.instrument.screens.views import DeviceLine, SelfTestView
 
@@ -32,7 +32,7 @@ _RESULTS = {
     False: (Text.FAILED, theme.YELLOW, theme.YELLOW, theme.YELLOW),
     None: (Text.WAITING, theme.MUTED, theme.LINE, theme.MUTED),
 }
-"""Word, and colours of name, mark and word."""
+"""Text of the result, and colours of name, mark and text."""
 
 
 def draw_self_test(canvas: Canvas, view: SelfTestView, time_s: float) -> None:
@@ -47,16 +47,16 @@ def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, time
     """Draw the banner up to the upper edge: the only key label there is GO ON, on the right."""
     canvas.water(0, 0, canvas.width, _BANNER_PX, _FRINGE_SPEED * time_s, 0.5)
     canvas.box(0, 0, 450, _BANNER_PX, theme.INK, (0, 0, 40, 0))
-    canvas.words("KINGFISHER", (24, 52), HEADLINE - 8, BLACK)
+    canvas.write("KINGFISHER", (24, 52), HEADLINE - 8, BLACK)
     name_px = canvas.measure("KINGFISHER", HEADLINE - 8, BLACK)
-    canvas.words(version, (24 + name_px + 14, 52), CAPTION, REGULAR, theme.MUTED, max_width=412 - name_px)
-    canvas.words(word, (24, 91), BODY + 2, BLACK, colour, max_width=410)
+    canvas.write(version, (24 + name_px + 14, 52), CAPTION, REGULAR, theme.MUTED, max_width=412 - name_px)
+    canvas.write(word, (24, 91), BODY + 2, BLACK, colour, max_width=410)
 
 
 def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float) -> None:
-    """Draw the devices in two columns; why one failed stands below its name.
+    """Draw the devices in two columns; the remedy of a failed one stands below its name.
 
-    Where room is short, only such lines are higher.
+    If there is little space, only such lines are higher.
     """
     top = _BANNER_PX + (10 if bottom > 380 else 4)
     column_px = canvas.width / 2
@@ -65,7 +65,7 @@ def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float) -> No
         pitch = min(64.0, (bottom - top) / _ROWS)
         heights = [pitch] * len(lines)
         if pitch < _LEAST_DETAIL_PX:
-            # Rows of equal height would have no room for any reason; of those that failed the diver needs it.
+            # Rows of equal height have no space for remedies, so only those of failed devices get it.
             reasons = [bool(line.detail) and line.works is False for line in lines]
             pitch = (bottom - top - _DETAIL_PX * sum(reasons)) / _ROWS
             if pitch >= _LEAST_DETAIL_PX - _DETAIL_PX:
@@ -79,13 +79,13 @@ def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float) -> No
 def _line(canvas: Canvas, line: DeviceLine, left: float, right: float, top: float, pitch: float) -> None:
     word, ink, mark, result_ink = _RESULTS[line.works]
     name = DEVICE_NAMES.get(line.device, line.device)
-    detail = _said(canvas, line.detail) if pitch >= _LEAST_DETAIL_PX else ""
+    detail = _remedy(canvas, line.detail) if pitch >= _LEAST_DETAIL_PX else ""
     tight = pitch < 60
     baseline = top + (0.5 * pitch + (7 if tight else 10) if not detail else 20 if tight else 26)
-    # A square, not a dot, where it failed: the shape says it without colour.
+    # A square instead of a dot marks a failure without colour.
     canvas.box(left, baseline - 20, 20, 20, mark, 3 if line.works is False else 10)
-    word_px = canvas.words(word, (right, baseline), BODY, BLACK, result_ink, Align.RIGHT)
-    canvas.words(
+    word_px = canvas.write(word, (right, baseline), BODY, BLACK, result_ink, Align.RIGHT)
+    canvas.write(
         name,
         (left + 32, baseline),
         CAPTION + 2 if tight else BODY - 2,
@@ -93,7 +93,7 @@ def _line(canvas: Canvas, line: DeviceLine, left: float, right: float, top: floa
         ink,
         max_width=right - word_px - left - 44,
     )
-    canvas.words(
+    canvas.write(
         detail,
         (left + 32, baseline + (27 if tight else 28)),
         CAPTION,
@@ -103,6 +103,6 @@ def _line(canvas: Canvas, line: DeviceLine, left: float, right: float, top: floa
     )
 
 
-def _said(canvas: Canvas, detail: Alert | Label) -> Label:
-    """Return what to do about a failure; the device's own message is for the log."""
-    return words_of(detail, canvas.language)[1] if isinstance(detail, Alert) else detail
+def _remedy(canvas: Canvas, detail: Alert | Label) -> Label:
+    """Return the remedy of an alert; the device's own message is for the log."""
+    return alert_text(detail, canvas.language)[1] if isinstance(detail, Alert) else detail

@@ -1,11 +1,9 @@
-"""Owns how the screens look: colours, type sizes, and where the keys are.
+"""Appearance of the screens: colours, type sizes, positions of the keys, colour table of values.
 
 Made for arm's length through a mask: on a display of 5 inches, 800 px wide, capitals of a headline are 5.1 mm high,
-those of body type 2.9 mm (at 650 mm, 16 arc minutes are 3.0 mm), and captions, which only name numbers that keep
-their place, 2.2 mm. Colours as dive computers use them: white is normal, solid yellow a warning, flashing red
-critical; brightness, shape and words alone tell them apart, too.
-
-It also owns the colours of values: one table, ordered by lightness.
+those of body type 2.9 mm (at 650 mm, 16 arc minutes are 3.0 mm), and captions, which only name numbers that keep their
+place, 2.2 mm. Colours as on dive computers: white is normal, solid yellow a warning, flashing red critical. Brightness,
+shape and text distinguish them, too.
 """
 
 from __future__ import annotations
@@ -22,9 +20,9 @@ from drivers.api import Key
 
 
 def colour_table() -> NDArray[np.uint8]:
-    """Return 256 colours (256, 3) uint8 RGB from dark to bright, even to the eye: viridis without its darkest eighth.
+    """Return 256 colours (256, 3) uint8 RGB from dark to bright: viridis without its darkest eighth.
 
-    Lightness alone orders it, so that it can be read in grey and by the colour-blind.
+    The steps look even. Lightness alone orders it, so that it can be read in grey and by the colour-blind.
     """
     ramp = np.linspace(32, 255, 256).astype(np.uint8)[np.newaxis, :]
     bgr = np.asarray(cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS), np.uint8)
@@ -32,7 +30,7 @@ def colour_table() -> NDArray[np.uint8]:
 
 
 DESIGN_SIZE_PX = (800, 480)
-"""All positions are laid out on this size and scaled to the display's."""
+"""Size for which all positions are laid out; they are scaled to the display's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +47,7 @@ class Colour:
 
     @property
     def luminance(self) -> float:
-        """Relative luminance 0..1 (WCAG 2.2): what is left in grey."""
+        """Relative luminance 0..1 (WCAG 2.2): the colour as a grey value."""
         linear = [
             # sRGB to linear light (IEC 61966-2-1), weighted with the sensitivity of the eye (ITU-R BT.709).
             c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
@@ -78,13 +76,13 @@ GREEN = hex_colour(0x5BE38A)
 YELLOW = hex_colour(0xFFD21F)
 RED = hex_colour(0xFF3B3B)
 BLOOD = hex_colour(0xA00A1A)
-"""The ground of critical words: dark enough for white letters to stand out in grey, too."""
+"""Ground of critical alerts: dark enough for white letters to stand out in grey, too."""
 
 LEAST_CONTRAST = 7.0
 """Least contrast between letters and their ground, by luminance alone (WCAG 2.2, 1.4.6)."""
 
 CAPTION, BODY, TITLE, HEADLINE, HUGE = 24, 30, 40, 54, 84
-"""Type sizes in px of the design size. Nothing is written smaller than a caption."""
+"""Type sizes in px of the design size. The caption is the smallest."""
 REGULAR, BOLD, BLACK = 450, 650, 800
 """Weights of the variable font."""
 
@@ -93,14 +91,14 @@ FLASH_HZ = 1.5
 
 
 def flash_on(time_s: float) -> bool:
-    """Return True while a flashing thing is in its bright half at ``time_s``; the first half period is bright."""
+    """Return True in the bright half of a flash at ``time_s``; the first half period is bright."""
     return time_s * FLASH_HZ % 1.0 < 0.5
 
 
 KEY_CORNERS: Mapping[Key, tuple[bool, bool]] = MappingProxyType(
     {Key.UP: (False, False), Key.DOWN: (False, True), Key.SCAN: (True, False), Key.BACK: (True, True)}
 )
-"""Side of each key: on the right, and below. Each label touches the edge of the display at its key."""
+"""Corner of each key: whether right, and whether below. Each label touches the edge of the display at its key."""
 BAR_PX = 62
 """Height of the upper and the lower bar, which hold the labels."""
 LABEL_MAX_PX = 250

@@ -1,7 +1,7 @@
-"""Owns what a screen can show: one frozen value per screen, complete in itself, in physical units.
+"""View models: one frozen value per screen, complete in itself, in physical units.
 
-A view says what is so; it holds no position, no colour and no words of its own. ``None`` is "not known" and is drawn
-as a dash, never as zero.
+A view contains facts, without positions, colours or text. ``None`` is "not known" and is drawn as a dash, never as
+zero.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from appliance.measure import STANDARD, Grade, WorkingVolume
 from drivers.api import Key
 
 KeyLabels = Mapping[Key, Label]
-"""The present meaning of each key. A key without a label has none drawn."""
+"""Present label of each key. A key without a label has none drawn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """Base of all views: alerts, the gravest first, and the meaning of the keys."""
+    """Base of all views: alerts, the most severe first, and the labels of the keys."""
 
     alerts: tuple[Alert, ...] = ()
     keys: KeyLabels = field(default_factory=dict)
@@ -35,43 +35,45 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class DeviceLine:
-    """One device of the self-test, named as in the rig file; ``detail`` is one short line, or empty: of an alert what
-    to do."""
+    """One device of the self-test, named as in the rig file.
+
+    ``detail`` is one short line, or empty; of an alert its remedy.
+    """
 
     device: str
     works: bool | None
-    """``None``: nobody knows yet."""
+    """``None``: not known yet."""
     detail: Alert | Label = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SelfTestView(View):
-    """Each device, and storage, calibration and worker, with its result as soon as it is known. Up to nine lines fit."""
+    """Each device, and storage, calibration and worker, with its result, if known. Up to nine lines fit."""
 
     devices: tuple[DeviceLine, ...]
     version: str
     opened: bool = True
-    """False while devices are still opened for the first time."""
+    """False while devices are being opened for the first time."""
     finished: bool = False
     passed: bool = False
-    """True if every line says OK; it means nothing before ``finished``. What failed need not forbid a scan."""
+    """True if every line is OK; valid once ``finished``. A failed device need not forbid a scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
-    """Distance and tilt of the object, from the laser dots, and what to do about them."""
+    """Distance and tilt of the object, from the laser dots, and the advice."""
 
     distance_mm: float | None
     tilt_deg: float | None
     """Positive where the right side of the surface is farther away."""
     word: Reach
     volume: WorkingVolume = STANDARD
-    """Range in which the housing measures."""
+    """Working volume of the housing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AimView(View):
-    """Live pictures while the diver chooses the place. A picture is (h, w) uint8; ``None`` is a camera without one."""
+    """Live images while the diver aims. An image is (h, w) uint8; ``None`` is a camera without one."""
 
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
@@ -79,18 +81,17 @@ class AimView(View):
     scans_left: int | None
     temperature_c: float | None
     exposure: str | None = None
-    """Exposure of the next scan, with its unit; ``None``: there is nothing to say of it."""
+    """Exposure of the next scan, with its unit; ``None``: not shown."""
     gauge: Gauge | None = None
     """Reading of the laser dots; ``None`` while the lasers are off."""
     marks: Marks | None = None
-    """Places where the laser dots are going to be seen; ``None``: no marks are drawn."""
+    """Positions where the laser dots will appear; ``None``: no marks are drawn."""
     water: Text | None = None
-    """Word for the water that the refractive index is computed for."""
+    """Name of the water that the refractive index is computed for."""
     overlap: OverlapText | None = None
-    """Words about the overlap of the latest scan with the one before; ``None``: nothing is said."""
+    """Text about the overlap of the latest scan with the one before; ``None``: none."""
     guidance: GuidanceText | None = None
-    """Words about the overlap that a scan from here would have, and the way to a better one, in place of ``overlap``;
-    ``None``: nothing is said."""
+    """Guidance to the next view, in place of ``overlap``; ``None``: none."""
     object: int | None = None
     """Number of the object that scans belong to; ``None``: of none."""
     scan_allowed: bool = True
@@ -99,26 +100,26 @@ class AimView(View):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProgressView(View):
-    """A scan on its way: ARMED (nothing shines yet), CAPTURE, CHECK or RECONSTRUCT, in which the diver may move.
+    """A scan on its way: ARMED (dark), CAPTURE, or CHECK and RECONSTRUCT, in which the diver may move.
 
-    That of CAPTURE is drawn once, before the first pattern: until the last one nothing is drawn.
+    That of CAPTURE is drawn once, before the first pattern; no other is drawn until the last one.
     """
 
     state: State
 
     @property
     def computes(self) -> bool:
-        """True where something is computed; for how long, nobody knows."""
+        """True during computation, whose duration is not known."""
         return self.state not in (State.ARMED, State.CAPTURE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReviewView(View):
-    """A scan and its verdict. The coarse cloud comes first; the full one replaces it in a later view.
+    """A scan and its grade. The coarse cloud comes first; the full one replaces it in a later view.
 
-    ``points_mm`` is (n, 3) float32 in the left camera frame, ``values`` (n,) float32 their distance in mm, which is
-    what the colours mean. The arrays must not change while they are shown; the same memory in the next view is not
-    copied again. No points: (0, 3), (0,).
+    ``points_mm`` is (n, 3) float32 in the left camera frame, ``values`` (n,) float32 their distance in mm, shown as
+    colours. The arrays must not change while they are shown; the same memory in the next view is not copied again. No
+    points: (0, 3), (0,).
     """
 
     points_mm: NDArray[np.float32]
@@ -130,15 +131,15 @@ class ReviewView(View):
     noise_mm: float | None
     distance_mm: float | None
     duration_s: float | None
-    """Time in seconds from the key press to this picture; ``None`` where it is not known."""
+    """Time in seconds from the key press to this picture; ``None``: not known."""
     lengths_doubtful: bool = False
-    """Lengths are not to be trusted: no grade stands alone."""
+    """True if lengths are unreliable, which the grade then mentions."""
     overlap: OverlapText | None = None
-    """Words about the overlap with the scan before; ``None``: nothing is said."""
+    """Text about the overlap with the scan before; ``None``: none."""
     next_scan: str | None = None
-    """Exposure of the next scan, with its unit, where it is not that of this one."""
+    """Exposure of the next scan, with its unit, if it differs from that of this one."""
     turn_steps: int = 0
-    """Number of steps by which the diver turned the cloud: to the right."""
+    """Number of steps by which the diver turned the cloud to the right."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -151,7 +152,7 @@ class SavingView(View):
 
 @dataclass(frozen=True, slots=True)
 class MenuRow:
-    """One line of a menu. ``value`` is what is chosen now, in one word or several."""
+    """One line of a menu, with its present ``value``."""
 
     text: Text
     value: Label = ""
@@ -165,12 +166,12 @@ class MenuView(View):
     rows: tuple[MenuRow, ...]
     selected: int
     changing: bool = False
-    """The value of the selected row is being changed, and not yet taken."""
+    """True while the value of the selected row is being changed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredScan:
-    """One scan as the gallery shows it. What a damaged scan does not tell is ``None``."""
+    """One scan as the gallery shows it. Unreadable values of a damaged scan are ``None``."""
 
     scan_id: str
     damaged: bool = False
@@ -178,14 +179,14 @@ class StoredScan:
     """(h, w, 3) uint8 RGB as it was stored; it must not change while it is shown."""
     grade: Grade | None = None
     corrected: bool = False
-    """Motion was taken out of its points."""
+    """True if its motion was compensated."""
     lengths_doubtful: bool = False
     points: int | None = None
     coverage_percent: float | None = None
     noise_mm: float | None = None
     distance_mm: float | None = None
-    taken: str | None = None
-    """Wall time; ``None`` where the clock was not to be trusted."""
+    captured_at: str | None = None
+    """Wall time of the capture; ``None`` if the clock was unreliable."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -199,24 +200,24 @@ class GalleryView(View):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrateView(View):
-    """One step of the calibration: what to hold and how, the live pictures, and what became of the latest recording."""
+    """One step of the calibration: instruction, live images, and result of the latest recording."""
 
-    at: Calibrating
+    position: Calibrating
     session: Session
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
     scan_allowed: bool = True
-    """False draws the label of SCAN dim, like in ``AimView``; it means something only at the steps that record."""
+    """False draws the label of SCAN dim, as in ``AimView``; only at the steps that record."""
     gauge: Gauge | None = None
-    """Reading of the laser dots, drawn like that of ``AimView``, and so are the marks."""
+    """Reading of the laser dots, drawn as in ``AimView``, and so are the marks."""
     marks: Marks | None = None
     volume: WorkingVolume = STANDARD
-    """Range in which the housing measures: where planes are to be held."""
+    """Working volume of the housing, for the distances of planes."""
 
     @property
     def step(self) -> Step:
-        """The step that is shown."""
-        return self.at.step
+        """The current step."""
+        return self.position.step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -226,12 +227,12 @@ class CoolingView(View):
     temperature_c: float | None
     limit_c: float
     remaining_s: float | None
-    """Estimated time in seconds until it is that cool; ``None`` where it cannot be told."""
+    """Estimated time in seconds until then; ``None``: not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SafeView(View):
-    """No light any more: ``alert`` says why, and what to do. ``saved``: every scan is durable on the disk."""
+    """No light any more: ``alert`` has cause and remedy. ``saved``: every scan is durable."""
 
     alert: Alert
     saved: bool
@@ -239,11 +240,11 @@ class SafeView(View):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShutdownView(View):
-    """The instrument is switching off. ``reason`` is the alert that forced it, ``None`` after the diver's wish."""
+    """The instrument is switching off. ``reason``: the alert that forced it, ``None`` if the diver did."""
 
     reason: Alert | None = None
     saving: bool = False
-    """A save is still being finished."""
+    """True while a save is being finished."""
 
 
 AnyView = (

@@ -43,7 +43,7 @@ class GalleryController:
         if shown is None or shown.scan_id != scan_id:
             return None
         word = None if shown.grade is None else shown.grade.value
-        return {"scan": shown.scan_id, "damaged": shown.damaged, "grade": word, "taken": shown.taken}
+        return {"scan": shown.scan_id, "damaged": shown.damaged, "grade": word, "taken": shown.captured_at}
 
     def poll(self) -> list[on.Event]:
         """Return the disk's answers since the last call."""
@@ -86,7 +86,7 @@ def read(library: Library, scan_id: str) -> StoredScan:
         coverage_percent=record.cloud.get("coverage_percent"),
         noise_mm=record.cloud.get("noise_mm"),
         distance_mm=record.cloud.get("distance_mm"),
-        taken=record.wall_time if record.clock_trusted else None,
+        captured_at=record.wall_time if record.clock_trusted else None,
     )
 
 

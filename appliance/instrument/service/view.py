@@ -238,7 +238,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
         case State.CALIBRATE:
             position = machine.calibrating or Calibrating(machine.session.next_step)
             return CalibrateView(
-                at=position,
+                position=position,
                 session=machine.session,
                 left=around.left if Device.CAMERA_LEFT in machine.up else None,
                 right=around.right if Device.CAMERA_RIGHT in machine.up else None,

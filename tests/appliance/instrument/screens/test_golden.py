@@ -18,7 +18,7 @@ from appliance.instrument.machine.states import State
 from appliance.instrument.machine.words import Label, Language, Text, worded
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Canvas
-from appliance.instrument.screens.frame import words_of
+from appliance.instrument.screens.frame import alert_text
 from appliance.instrument.screens.views import AnyView
 from appliance.measure.fault import FaultCode
 from appliance.measure.verdict import SPOILS_POINTS, SPOILS_SCAN
@@ -74,7 +74,7 @@ def test_another_word_number_colour_or_place_is_noticed(made: Studio) -> None:
         without = picture.copy()
         top, bottom, left, right = int(line.top), int(line.bottom) + 1, int(line.left), int(line.right) + 1
         without[top:bottom, left:right] = picture[max(0, top - 2), max(0, left - 1)]
-        assert not compare(without, kept).same, line.words
+        assert not compare(without, kept).same, line.text
     for axis in (0, 1):
         assert not compare(np.roll(picture, 4, axis), kept).same
     scene = SCENES["aim"]
@@ -117,7 +117,7 @@ def test_the_list_of_alarms_has_each_with_its_words_and_its_effect_and_a_meaning
     assert len(by_severity) == len(Severity)
     for severity, found in zip(sorted(Severity, reverse=True), by_severity, strict=True):
         wanted = {
-            (*(words_of(ALERTS[code.value], language)), effect(code, language))
+            (*(alert_text(ALERTS[code.value], language)), effect(code, language))
             for code, rule in RULES.items()
             if rule.severity is severity
         }
@@ -162,5 +162,5 @@ def test_the_card_is_as_it_was_and_all_of_it_can_be_read(
     assert len(lines) > 20
     assert not [line for line in lines if line.cut or line.size < theme.CAPTION]
     assert not [line for line in lines if line.right > kept[0].width or line.bottom > kept[0].height]
-    assert not [(a.words, b.words) for a, b in combinations(lines, 2) if overlap(a, b)]
+    assert not [(a.text, b.text) for a, b in combinations(lines, 2) if overlap(a, b)]
     assert compare(drawn, read(card.path(language))).same, AGAIN

@@ -22,9 +22,9 @@ from appliance.instrument.machine.states import Calibrating, Menu, Notice, Notic
 from appliance.instrument.machine.words import Label, Language, Text, worded
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme
-from appliance.instrument.screens.canvas import Canvas, Written
-from appliance.instrument.screens.frame import alerts_top, draw_alerts, draw_key_labels, room_between, words_of
-from appliance.instrument.screens.painter import Painter, said_once
+from appliance.instrument.screens.canvas import Canvas, TextLine
+from appliance.instrument.screens.frame import alert_text, alerts_top, draw_alerts, draw_key_labels, room_between
+from appliance.instrument.screens.painter import Painter, without_shown_alerts
 from appliance.instrument.screens.views import AimView, AnyView, CalibrateView, Gauge, MenuView, ShutdownView
 from appliance.instrument.service.view import Facts, menu_view
 from appliance.measure.fault import Fault, FaultCode
@@ -51,12 +51,12 @@ Picture = NDArray[np.uint8]
 BOTH = pytest.mark.parametrize("language", list(Language))
 
 
-def written(painter: Painter, view: AnyView, time_s: float = 0.0) -> tuple[Picture, list[Written]]:
+def written(painter: Painter, view: AnyView, time_s: float = 0.0) -> tuple[Picture, list[TextLine]]:
     picture = painter.draw(view, time_s).copy()
     return picture, list(painter.canvas.written)
 
 
-def complaints(canvas: Canvas, view: AnyView, lines: list[Written], may_be_cut: bool) -> list[str]:
+def complaints(canvas: Canvas, view: AnyView, lines: list[TextLine], may_be_cut: bool) -> list[str]:
     """What an eye would object to; empty is good."""
     said = [f"smaller than a caption: {line}" for line in lines if line.size < theme.CAPTION]
     said += [f"cut: {line}" for line in lines if line.cut and not may_be_cut]
@@ -65,13 +65,13 @@ def complaints(canvas: Canvas, view: AnyView, lines: list[Written], may_be_cut: 
         for line in lines
         if line.left < 0 or line.top < 0 or line.right > canvas.width or line.bottom > canvas.height
     ]
-    edge = alerts_top(canvas, said_once(view).alerts)
+    edge = alerts_top(canvas, without_shown_alerts(view).alerts)
     said += [f"half under an alert: {line}" for line in lines if view.alerts and line.top < edge - 1 < line.bottom - 2]
-    said += [f"one over the other: {a.words!r} and {b.words!r}" for a, b in combinations(lines, 2) if overlap(a, b)]
+    said += [f"one over the other: {a.text!r} and {b.text!r}" for a, b in combinations(lines, 2) if overlap(a, b)]
     return said
 
 
-def overlap(a: Written, b: Written) -> bool:
+def overlap(a: TextLine, b: TextLine) -> bool:
     return min(a.right, b.right) - max(a.left, b.left) > 0.5 and min(a.bottom, b.bottom) - max(a.top, b.top) > 0.5
 
 
@@ -79,7 +79,7 @@ def test_the_check_finds_what_it_should(painter: Painter) -> None:
     _, (a, b, *_) = written(painter, AIM)
     assert not complaints(painter.canvas, AIM, [a, b], may_be_cut=False)
     outside = replace(b, right=painter.canvas.width + 1)
-    for wrong in ([a, replace(a, words="x")], [outside], [replace(b, size=20)], [replace(b, cut=True)]):
+    for wrong in ([a, replace(a, text="x")], [outside], [replace(b, size=20)], [replace(b, cut=True)]):
         assert complaints(painter.canvas, AIM, wrong, may_be_cut=False)
 
 
@@ -117,7 +117,7 @@ def weak(painter: Painter, view: AnyView, time_s: float, share: float, patch: py
         light = line.colour.luminance
         contrast = (np.maximum(light, behind) + 0.05) / (np.minimum(light, behind) + 0.05)
         if (worst := float(np.percentile(contrast, share))) < theme.LEAST_CONTRAST:
-            found[line.words] = round(worst, 1)
+            found[line.text] = round(worst, 1)
     return found
 
 
@@ -138,7 +138,7 @@ def test_letters_stand_out_in_grey_whatever_the_cameras_show(
 
 def test_the_smallest_capitals_are_two_millimetres_high(painter: Painter) -> None:
     """On the instrument's display of 5 inches, 108.6 mm across 800 px."""
-    caption = next(line for line in written(painter, AIM)[1] if line.words == "SCANS")
+    caption = next(line for line in written(painter, AIM)[1] if line.text == "SCANS")
     assert caption.size == theme.CAPTION
     assert (caption.bottom - caption.top) * 108.6 / 800 >= 2.0
 
@@ -181,7 +181,7 @@ def test_every_fault_with_every_number_is_whole_and_large_in_its_band(canvas: Ca
         assert not any(line.cut for line in canvas.written), words
         if one.passing:  # a mark with what to do
             (line,) = canvas.written
-            assert line.words == f"{words[0]}: {words[1]}"
+            assert line.text == f"{words[0]}: {words[1]}"
             continue
         _, headline, action = canvas.written
         assert headline.size >= theme.TITLE, words
@@ -200,7 +200,7 @@ def test_many_alerts_are_named_or_counted(canvas: Canvas, language: Language) ->
     for number in range(2, 9):
         canvas.begin(theme.INK)
         draw_alerts(canvas, tuple(ALERTS.values())[:number], 0.0)
-        others = [line.words for line in canvas.written[:-3]]
+        others = [line.text for line in canvas.written[:-3]]
         counted = [int(words) for words in others if words.startswith("+")]
         assert 0 < len(others) - len(counted) == number - 1 - sum(counted)
         assert max(line.right for line in canvas.written) <= canvas.width
@@ -221,7 +221,7 @@ def lost_behind(
     """What of a screen's words and pictures without an alert is not there, or not whole, above one."""
     view = replace(scene.view, alerts=SHOWN[shown])
     _, now = written(painter, view, scene.time_s)
-    missing = words - {line.words for line in now}
+    missing = words - {line.text for line in now}
     if isinstance(view, MenuView) and shown != "mark":
         # A long page scrolls by a row: the chosen one is there.
         assert view.rows[view.selected].text.in_language(language) not in missing
@@ -231,10 +231,10 @@ def lost_behind(
         if view.guidance is not None and view.guidance.instruction is not None:
             missing -= {worded(view.guidance.overlap or "", language)}  # what to do stays, how much may go
     missing |= slots - {slot for slot, *_ in painter.canvas.pictured}
-    top = alerts_top(painter.canvas, said_once(view).alerts)
+    top = alerts_top(painter.canvas, without_shown_alerts(view).alerts)
     missing |= {f"{slot} under it" for slot, _, _, _, bottom in painter.canvas.pictured if bottom > top + 0.5}
     if shown == "mark":
-        assert [line.words for line in now].count(words_of(MARK, language)[0]) == 1
+        assert [line.text for line in now].count(alert_text(MARK, language)[0]) == 1
         assert painter.canvas.height - 62 - top < 40, "it costs little room"
     return missing | set(complaints(painter.canvas, view, now, may_be_cut=False))
 
@@ -248,7 +248,7 @@ def test_what_a_screen_says_and_shows_without_an_alert_it_says_and_shows_above_i
         if isinstance(scene.view, ShutdownView):
             continue  # it shows no alert but its own reason
         _, lines = written(painter, replace(scene.view, alerts=()), scene.time_s)
-        words, slots = {line.words for line in lines}, {slot for slot, *_ in painter.canvas.pictured}
+        words, slots = {line.text for line in lines}, {slot for slot, *_ in painter.canvas.pictured}
         for shown in SHOWN if language is Language.GERMAN else ("in full, and a mark",):
             assert not lost_behind(painter, shown, scene, words, slots, language), (name, shown)
 
@@ -270,12 +270,12 @@ MOST: dict[str, AnyView] = {
     "gallery, most": replace(
         GALLERY, index=99_998, count=99_999, scan=replace(
             STORED, scan_id="9999999", points=99_949_999, coverage_percent=100.0, noise_mm=12.3, distance_mm=9_999.0, grade=Grade.USABLE,
-            lengths_doubtful=True, taken="2026-11-21T14:07:59+00:00",
+            lengths_doubtful=True, captured_at="2026-11-21T14:07:59+00:00",
         ),
     ),
     **{
         f"{step}, {refusal}": CalibrateView(
-            at=Calibrating(step, latest=RecordingCheck(step, refusal, 47.123)), session=Session(), left=None, right=None,
+            position=Calibrating(step, latest=RecordingCheck(step, refusal, 47.123)), session=Session(), left=None, right=None,
             keys=keys(scan="SCAN", back="BACK"),
         )
         for step in HELD for refusal in Refusal
@@ -372,7 +372,7 @@ def test_every_label_with_every_value_is_whole_large_enough_and_within_its_own_f
             left, right = room_between(canvas, {key: label}, theme.KEY_CORNERS[key][1])
             rooms[key].append((left, right))
             drawn = canvas.written
-            assert not any("…" in line.words or line.cut for line in drawn), label
+            assert not any("…" in line.text or line.cut for line in drawn), label
             for line in drawn:
                 assert line.size >= theme.CAPTION, label
                 assert 0 <= line.left <= line.right <= canvas.width, label
@@ -383,7 +383,7 @@ def test_every_label_with_every_value_is_whole_large_enough_and_within_its_own_f
     assert min(right for _, right in rooms[Key.BACK]) - max(left for left, _ in rooms[Key.DOWN]) > 260.0
     canvas.begin(theme.INK)
     draw_key_labels(canvas, {Key.DOWN: (Text.EXPOSE, "16 ms +12 dB")})
-    assert [line.words for line in canvas.written] == [Text.EXPOSE.in_language(language), "16 ms +12 dB"]
+    assert [line.text for line in canvas.written] == [Text.EXPOSE.in_language(language), "16 ms +12 dB"]
 
 
 @BOTH

@@ -22,8 +22,8 @@ from appliance.instrument.machine.states import Calibrating, Failure, FailureKin
 from appliance.instrument.machine.words import Label, Language, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme, views
-from appliance.instrument.screens.calibrate import refusal_words, sketch_depth, sketch_front
-from appliance.instrument.screens.canvas import MAX_WORDS, Canvas
+from appliance.instrument.screens.calibrate import refusal_text, sketch_depth, sketch_front
+from appliance.instrument.screens.canvas import MAX_TEXTS, Canvas
 from appliance.instrument.screens.painter import MOVES_HZ, Painter
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.volume import STANDARD, WorkingVolume
@@ -53,7 +53,7 @@ def drawn(painter: Painter, view: views.AnyView, time_s: float = 0.0) -> Picture
 
 def said(painter: Painter, view: views.AnyView) -> list[str]:
     painter.draw(view, 0.0)
-    return [line.words for line in painter.canvas.written]
+    return [line.text for line in painter.canvas.written]
 
 
 def share(picture: Picture, colour: tuple[int, int, int]) -> float:
@@ -71,9 +71,9 @@ def test_other_displays_are_filled_to_their_edges(context: moderngl.Context, siz
 
 def test_the_same_memory_is_used_each_time_and_new_numbers_do_not_fill_it(painter: Painter, canvas: Canvas) -> None:
     canvas.begin(theme.INK)
-    for number in range(3 * MAX_WORDS):
-        canvas.words(f"{number} mm", (10, 100))
-    assert len(canvas._words) == MAX_WORDS
+    for number in range(3 * MAX_TEXTS):
+        canvas.write(f"{number} mm", (10, 100))
+    assert len(canvas._texts) == MAX_TEXTS
     assert painter.draw(AIM, 0.0) is painter.draw(replace(AIM, scans_taken=13), 0.1)
 
 
@@ -257,7 +257,7 @@ BAND = slice(374, 426)
 
 
 def step_of(at: Calibrating, session: Session | None = None, volume: WorkingVolume = STANDARD) -> views.CalibrateView:
-    return views.CalibrateView(at=at, session=session or Session(), left=GREY, right=GREY, volume=volume)
+    return views.CalibrateView(position=at, session=session or Session(), left=GREY, right=GREY, volume=volume)
 
 
 def result(*verified: float | None, kept: str | None = None) -> views.CalibrateView:
@@ -276,13 +276,13 @@ def test_no_two_steps_look_alike_and_the_live_picture_is_shown_where_something_i
 
 def test_each_refusal_and_each_mishap_has_words_of_its_own(painter: Painter, canvas: Canvas) -> None:
     for step in HELD:
-        words = [refusal_words(RecordingCheck(step, refusal, 12.0)) for refusal in Refusal]
+        words = [refusal_text(RecordingCheck(step, refusal, 12.0)) for refusal in Refusal]
         assert len({what for what, _ in words}) == len(Refusal)
         for (what, why), language in ((one, language) for one in words for language in Language):
             assert canvas.measure(what.in_language(language), theme.BODY + 2, theme.BLACK) <= 300 / 0.8
             assert canvas.measure(why.in_language(language), theme.CAPTION, theme.BOLD) <= 520
     of_kind = {
-        kind: {refusal_words(RecordingCheck(step, Refusal.NOT_FOUND, None)) for step, held in HELD.items() if held is kind}
+        kind: {refusal_text(RecordingCheck(step, Refusal.NOT_FOUND, None)) for step, held in HELD.items() if held is kind}
         for kind in ArtefactKind
     }  # fmt: skip
     assert of_kind[ArtefactKind.BALL_BAR].isdisjoint(of_kind[ArtefactKind.PLANE]), "a plane is not called a bar"
@@ -290,9 +290,9 @@ def test_each_refusal_and_each_mishap_has_words_of_its_own(painter: Painter, can
     for kind in FailureKind:
         failed = Failure(kind, "M1, scan 000012: no ball on the right; record M1 again", "M1")
         painter.draw(step_of(Calibrating(Step.SOLVE, failed=failed), Session(USUAL)), 0.0)
-        band = [line for line in painter.canvas.written if line.top > 480 - 62 - 84 and line.words != "✓"]
+        band = [line for line in painter.canvas.written if line.top > 480 - 62 - 84 and line.text != "✓"]
         assert not any(line.cut for line in band)
-        first, *others = (line.words for line in band)
+        first, *others = (line.text for line in band)
         assert first == Text.BAR_LYING.german, "of which step, and never in the words of the log"
         assert all(words in [text.german for text in Text] for words in others)
         told.add(tuple(others))

@@ -14,7 +14,7 @@ from appliance.cli.simrig import default_sim_rig
 from appliance.instrument.machine.states import Calibrating, Device, State, boot
 from appliance.instrument.machine.words import Language
 from appliance.instrument.ranging.reach import Range, Reach, reach_of
-from appliance.instrument.screens.canvas import Written
+from appliance.instrument.screens.canvas import TextLine
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.screens.views import AimView, AnyView, CalibrateView, GalleryView, ReviewView
 from appliance.instrument.service.settings import machine_settings
@@ -35,10 +35,10 @@ def rig() -> Rig:
     return load_rig(default_sim_rig().with_name("compact.toml"))
 
 
-def said_mm(lines: list[Written]) -> set[float]:
+def said_mm(lines: list[TextLine]) -> set[float]:
     """Lengths in mm of 100 and more that are written: distances, not errors."""
-    alone = {float(line.words) for line in lines if re.fullmatch(r"\d{3}", line.words)}
-    pairs = [pair for line in lines for pair in re.findall(r"(\d{3,4})(?:\D{1,5}(\d{3,4}))?\s*mm", line.words)]
+    alone = {float(line.text) for line in lines if re.fullmatch(r"\d{3}", line.text)}
+    pairs = [pair for line in lines for pair in re.findall(r"(\d{3,4})(?:\D{1,5}(\d{3,4}))?\s*mm", line.text)]
     return alone | {float(one) for pair in pairs for one in pair if one}
 
 

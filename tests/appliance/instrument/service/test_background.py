@@ -22,7 +22,7 @@ def double(x: int, report: Progress) -> int:
 
 
 def refuse(report: Progress) -> None:
-    raise NotConverged("no calibration fits M3", about="M3")
+    raise NotConverged("no calibration fits M3", subject="M3")
 
 
 def die(report: Progress) -> None:

@@ -38,9 +38,9 @@ def library(tmp_path: Path) -> Library:
 
 
 def test_a_scan_is_shown_as_it_was_judged_when_it_was_taken(library: Library) -> None:
-    assert read(library, saved(library, clock_trusted=False)).taken is None, "a date that cannot be believed"
+    assert read(library, saved(library, clock_trusted=False)).captured_at is None, "a date that cannot be believed"
     shown = read(library, saved(library))
-    assert shown.taken is not None
+    assert shown.captured_at is not None
     assert (shown.grade, shown.damaged) == (Grade.USABLE, False)
     assert (shown.points, shown.coverage_percent, shown.distance_mm) == (20, 81.5, 512.0)
     np.testing.assert_array_equal(shown.preview, PICTURE)
@@ -81,6 +81,6 @@ def test_the_newest_comes_first_and_the_latest_wish_counts_however_slow_the_disk
     assert gallery.poll() == [on.ScansListed(tuple(reversed(ids)))]
     assert gallery.shown is not None
     assert gallery.poll() == [], "listed once"
-    told = {"scan": ids[-1], "damaged": False, "grade": "usable", "taken": gallery.shown.taken}
+    told = {"scan": ids[-1], "damaged": False, "grade": "usable", "taken": gallery.shown.captured_at}
     assert gallery.status_of(ids[-1]) == told
     assert gallery.status_of(ids[0]) is None, "it is not what the diver looks at"

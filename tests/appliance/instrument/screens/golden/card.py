@@ -12,7 +12,7 @@ from appliance.instrument.machine.alerts import Severity
 from appliance.instrument.machine.words import Language, Text
 from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
-from appliance.instrument.screens.frame import words_of
+from appliance.instrument.screens.frame import alert_text
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.measure.light.volume import STANDARD
 from tests.appliance.instrument.screens.golden.scenes import ALERTS
@@ -89,9 +89,9 @@ def draw_card(context: moderngl.Context, aim: NDArray[np.uint8], language: Langu
 
 def _head(canvas: Canvas, language: Language) -> None:
     canvas.box(0, 0, canvas.width, 84, theme.INK)
-    canvas.words("KINGFISHER", (_EDGE, 60), HEADLINE, BLACK)
+    canvas.write("KINGFISHER", (_EDGE, 60), HEADLINE, BLACK)
     title = "TAUCHKARTE" if language is Language.GERMAN else "DIVE CARD"
-    canvas.words(title, (canvas.width - _EDGE, 58), TITLE, BOLD, align=Align.RIGHT)
+    canvas.write(title, (canvas.width - _EDGE, 58), TITLE, BOLD, align=Align.RIGHT)
 
 
 def _keys(canvas: Canvas, aim: NDArray[np.uint8]) -> None:
@@ -105,21 +105,21 @@ def _keys(canvas: Canvas, aim: NDArray[np.uint8]) -> None:
         ("SCAN", right, top), ("BACK", right, top + height - 50),
     ):  # fmt: skip
         canvas.box(x, y, 110, 50, theme.INK, 25)
-        canvas.words(name, (x + 55, y + 35), CAPTION + 2, BLACK, theme.WHITE, Align.CENTRE)
+        canvas.write(name, (x + 55, y + 35), CAPTION + 2, BLACK, theme.WHITE, Align.CENTRE)
 
 
 def _legend(canvas: Canvas, language: Language) -> None:
     for number, line in enumerate(legend(language)):
         y = _LEGEND_TOP_PX + _LINE_PX * (number + 0.8)
-        canvas.words(line, (canvas.width / 2, y), CAPTION, REGULAR, theme.INK, Align.CENTRE, canvas.width - 60)
+        canvas.write(line, (canvas.width / 2, y), CAPTION, REGULAR, theme.INK, Align.CENTRE, canvas.width - 60)
 
 
 def _steps(canvas: Canvas, language: Language) -> None:
     for number, step in enumerate(steps(language)):
         y = _STEPS_TOP_PX + _STEP_PX * number
         canvas.box(_EDGE - 18, y, 36, 36, theme.INK, 18)
-        canvas.words(str(number + 1), (_EDGE, y + 28), CAPTION + 2, BLACK, theme.WHITE, Align.CENTRE)
-        canvas.words(step, (_EDGE + 34, y + 28), CAPTION + 2, BOLD, theme.INK, max_width=canvas.width - _EDGE - 56)
+        canvas.write(str(number + 1), (_EDGE, y + 28), CAPTION + 2, BLACK, theme.WHITE, Align.CENTRE)
+        canvas.write(step, (_EDGE + 34, y + 28), CAPTION + 2, BOLD, theme.INK, max_width=canvas.width - _EDGE - 56)
 
 
 def _alarms(canvas: Canvas, language: Language) -> None:
@@ -128,16 +128,16 @@ def _alarms(canvas: Canvas, language: Language) -> None:
     critical = [alert for alert in ALERTS.values() if alert.severity is Severity.CRITICAL]
     pitch = (canvas.height - 92 - top) / len(critical)
     for number, alert in enumerate(critical):
-        headline, action = words_of(alert, language)
+        headline, action = alert_text(alert, language)
         y = top + pitch * number
         canvas.box(30, y, canvas.width - 60, pitch - 6, theme.BLOOD, 8)
-        canvas.words(headline, (_EDGE, y + 0.42 * pitch), BODY - 2, BLACK, theme.WHITE)
-        canvas.words(action, (_EDGE, y + 0.81 * pitch), CAPTION, BOLD, theme.WHITE)
+        canvas.write(headline, (_EDGE, y + 0.42 * pitch), BODY - 2, BLACK, theme.WHITE)
+        canvas.write(action, (_EDGE, y + 0.81 * pitch), CAPTION, BOLD, theme.WHITE)
     y = canvas.height - 84
     canvas.box(30, y, canvas.width - 60, 44, theme.YELLOW, 8)
     german = language is Language.GERMAN
     yellow = "GELB: Warnung, und was zu tun ist" if german else "YELLOW: a warning, and what to do"
     said = f"{yellow}. BACK: {Text.SEEN.in_language(language)}."
-    canvas.words(said, (_EDGE, y + 31), CAPTION + 2, BOLD, theme.INK, max_width=canvas.width - 2 * _EDGE)
+    canvas.write(said, (_EDGE, y + 31), CAPTION + 2, BOLD, theme.INK, max_width=canvas.width - 2 * _EDGE)
     last = "Kein Scan wird unter Wasser gelöscht." if german else "No scan is ever deleted under water."
-    canvas.words(last, (canvas.width / 2, canvas.height - 14), CAPTION, REGULAR, theme.INK, Align.CENTRE)
+    canvas.write(last, (canvas.width / 2, canvas.height - 14), CAPTION, REGULAR, theme.INK, Align.CENTRE)

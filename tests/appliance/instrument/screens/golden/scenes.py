@@ -67,7 +67,7 @@ REVIEW = views.ReviewView(
 )  # fmt: skip
 STORED = views.StoredScan(
     "000012", preview=seabed.preview(), grade=Grade.GOOD, points=1_312_409, coverage_percent=87.0, noise_mm=0.028, distance_mm=503.0,
-    taken="2026-11-21 14:07",
+    captured_at="2026-11-21 14:07",
 )  # fmt: skip
 GALLERY = views.GalleryView(scan=STORED, index=0, count=12, keys=keys(back=Text.BACK, down=Text.OLDER))
 MAIN_ROWS = (
@@ -93,7 +93,7 @@ def _calibrate(at: Calibrating, session: Session | None = None, **words: Label) 
     live = seabed.live(False)
     gauge = views.Gauge(None, None, Reach.UNKNOWN) if at.latest is None else views.Gauge(508.0, None, Reach.OK)
     return views.CalibrateView(
-        at=at, session=session or Session(), left=live, right=live, gauge=gauge, marks=seabed.marks(), keys=given
+        position=at, session=session or Session(), left=live, right=live, gauge=gauge, marks=seabed.marks(), keys=given
     )
 
 
