@@ -1,4 +1,4 @@
-"""Work with stored scans away from the instrument: clouds, objects, comparison, reports, import, archives, Python."""
+"""Work with stored scans at the desk: clouds, objects, comparison, reports, import, archives, Python."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of clouds: of a stored scan, of two as one, of an incomplete scan, and of an object; with the reports about them."""
+"""Files and reports of clouds: of a stored scan, of a bracket, of an incomplete scan, of an object."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from appliance.store import ChosenCalibration, IncompleteRecording, SalvagedScan
 def write_cloud(
     folders: Sequence[Path], out: Path, options: ScanOptions, progress: Progress, *, own_form: bool, mesh: bool
 ) -> dict[str, Any]:
-    """Write the cloud of a stored scan, of two of the same scene as one, or of an incomplete scan, and return the report.
+    """Write the cloud of a stored scan, of two as one, or of an incomplete scan, and return the report.
 
     ``own_form``: in the instrument's own format, the only one of the last two; of a damaged scan it states the made-up
     frames. ``mesh``: triangles instead of points. Raises ScanError, CalibrationError, ExportError, StorageError,
@@ -66,7 +66,7 @@ class ObjectFiles:
         spacing_mm: float,
         close_holes_mm: float,
     ) -> None:
-        """Keep the settings: ``spacing_mm`` of the surface's points, and the size of holes of its mesh that are closed."""
+        """Keep the spacing of the surface's points, and the size of holes in its mesh that are closed."""
         self._of, self._progress, self._about = (root, solved, options, progress), progress, metadata_of_object(solved)
         self._spacing_mm, self._close_holes_mm = spacing_mm, close_holes_mm
         self._surface: FusedCloud | None = None
@@ -95,7 +95,7 @@ class ObjectFiles:
 def _export(
     source: SourceScan, chosen: ChosenCalibration, out: Path, progress: Progress, *, mesh: bool
 ) -> dict[str, Any]:
-    """Write the points of a stored scan, or with ``mesh`` its triangles, to ``out`` in the format of the suffix.
+    """Write the points of a stored scan, or with ``mesh`` its triangles, in the format of the suffix.
 
     Raises ExportError for a suffix that is not allowed, MissingLibraryError, ScanError, StorageError.
     """

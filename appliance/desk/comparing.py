@@ -1,4 +1,4 @@
-"""Comparison of measured points with a nominal surface: registration by shape, then the deviation of each point."""
+"""Comparison of measured points with a nominal surface: registration by shape, then deviations."""
 
 from __future__ import annotations
 
@@ -155,10 +155,11 @@ def compare_stored(
     limit_mm: float,
     start: Sequence[float] | None,
 ) -> StoredComparison:
-    """Compare a scan (its folder), or the surface of a solved object, with a CAD model (its file) or another object.
+    """Compare a scan, or the surface of a solved object, with a CAD model or another object.
 
-    ``start``: pose of ``subject``, x, y, z in mm and the rotation as axis times angle in degrees. Raises ScanError,
-    CalibrationError, NominalError, ObjectError, SurfaceMatchError, MissingLibraryError.
+    ``subject`` is the folder of a scan or an object, ``nominal`` the file of a model or an object. ``start``: pose of
+    ``subject``, x, y, z in mm and the rotation as axis times angle in degrees. Raises ScanError, CalibrationError,
+    NominalError, ObjectError, SurfaceMatchError, MissingLibraryError.
     """
     reference, errors, stored = _nominal_surface(root, nominal, options, progress, spacing_mm), None, None
     if isinstance(subject, StoredObject):
@@ -225,7 +226,10 @@ class NominalReference:
 
 
 def _sigma_on(sigma_mm: NDArray[np.float32], nominal: Nominal, face: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the sigma (n,) of the triangles ``face`` (n,); -1 takes that of the last, and has no deviation."""
+    """Return the sigma (n,) of the triangles ``face`` (n,).
+
+    The triangle -1 takes that of the last one, since it has no deviation.
+    """
     return np.asarray(sigma_mm[nominal.faces[face]].mean(axis=1), np.float64)
 
 
@@ -322,9 +326,10 @@ def _pose_words(pose: Rigid, best: Rigid) -> str:
 def _write(
     path: Path, comparison: Comparison, metadata: Metadata, tolerance_mm: float | None, stored: StoredObject | None
 ) -> None:
-    """Write a comparison: points with deviations (.ply .e57 .las) in the nominal surface's frame, or a page (.html).
+    """Write a comparison: points with deviations (.ply .e57 .las), or a page (.html).
 
-    ``stored``: the object of the points, for the page's scans. Raises ExportError, StorageError, MissingLibraryError.
+    Points are in the nominal surface's frame. ``stored``: the object of the points, for the page's scans. Raises
+    ExportError, StorageError, MissingLibraryError.
     """
     if path.suffix.lower() == PAGE:
         write_report(path, _report(comparison, metadata, tolerance_mm, stored))

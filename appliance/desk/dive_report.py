@@ -1,4 +1,4 @@
-"""Content of the page about a dive: each scan with its verdicts, its warnings, and an image of its cloud."""
+"""Content of the page about a dive: each scan with its verdicts, its warnings, and its image."""
 
 from __future__ import annotations
 

@@ -23,9 +23,10 @@ def run_evaluation(
     chosen: Calibration,
     progress: Progress,
 ) -> Evaluation:
-    """Reconstruct and measure every scan of the list; ``sources`` are in its order, with complete raw frames.
+    """Reconstruct and measure every scan of the list.
 
-    Raises ScanError, also for a scan in which the calibration leaves no points.
+    ``sources`` are in its order, with complete raw frames. Raises ScanError, also for a scan in which the calibration
+    leaves no points.
     """
     items = []
     for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):

@@ -36,7 +36,7 @@ MOST_NOISIER = 1.1
 
 
 def response_of_scan(rig: Rig, folder: Path, progress: Progress) -> tuple[StoredResponse, MeasuredResponse]:
-    """Return the projector's response from the raw frames of a stored scan, ready for its file, and its details.
+    """Return the projector's response from the raw frames of a stored scan, for its file, and its details.
 
     Raises ScanError, ResponseError.
     """
@@ -127,7 +127,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
 
 
 def noise_to_store(rig: Rig, folder: Path, noise_by_side: dict[str, tuple[MeasuredNoise, CameraNoise]]) -> StoredNoise:
-    """Return the results of ``noise_of_scan`` as figures of the instrument's cameras, ready for their file.
+    """Return the results of ``noise_of_scan`` as figures of the instrument's cameras, for their file.
 
     Raises ScanError, and NoiseError for figures that no camera has.
     """

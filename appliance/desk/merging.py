@@ -24,7 +24,7 @@ from appliance.store import (
 def merge_scans(
     sources: tuple[SourceScan, SourceScan], chosen: ChosenCalibration, out: Path, progress: Progress
 ) -> dict[str, Any]:
-    """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to ``out``.
+    """Make one cloud of two stored scans of one scene with different exposures, as PLY in ``out``.
 
     Raises ScanError, also for scans that show different scenes, or are the same; CalibrationError, OSError.
     """
@@ -79,9 +79,10 @@ def merge_clouds(
     calibration: Calibration,
     progress: Progress,
 ) -> tuple[Cloud, Verdict, Water]:
-    """Return the full cloud of two scans as one, in the frame of the first; the verdict ``pair``, and the water.
+    """Return the full cloud of two scans as one, with the verdict ``pair`` and the water.
 
-    Raises ScanError for scans of different patterns, of two sequences, or of different scenes.
+    The cloud is in the frame of the first. Raises ScanError for scans of different patterns, of two sequences, or of
+    different scenes.
     """
     first, second = scans
     for scan in scans:

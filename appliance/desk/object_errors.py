@@ -1,4 +1,4 @@
-"""Uncertainty of a stored object: its joint errors in their stored form, the sigma of its surface, and that of a length."""
+"""Uncertainty of a stored object: its joint errors, the sigma of its surface, and that of a length."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def errors_of(stored_object: StoredObject) -> JointErrors:
 def length_between(
     stored_object: StoredObject, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
 ) -> LengthSigma:
-    """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation.
+    """Return the distance between points of scans ``first`` and ``second``, with its standard deviation.
 
     The points are in the object's frame. Raises ObjectError for scans without a pose, and for an object that is not solved.
     """
@@ -73,7 +73,10 @@ def length_between(
 
 
 def with_sigma_in_frame(cloud: FusedCloud, errors: JointErrors) -> FusedCloud:
-    """Return an object's fused surface with sigma in the object's frame; unchanged if its points name no scan."""
+    """Return an object's fused surface with sigma in the object's frame.
+
+    The surface is unchanged if its points name no scan.
+    """
     if cloud.first_scan is None:
         return cloud
     return with_places(cloud, *errors.sigma_along(cloud.points_mm, cloud.normals, cloud.first_scan))

@@ -99,7 +99,7 @@ def _pair(pair: ComparedScans) -> ReportPair:
 
 
 def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
-    """Return the uncertainty of the distance between the middles of the first scan and of the farthest one.
+    """Return the uncertainty of the distance between the middles of the first scan and the farthest one.
 
     ``None`` for one scan.
     """

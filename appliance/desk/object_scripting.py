@@ -1,4 +1,4 @@
-"""Objects of ``kingfisher object`` for scripts at the desk: poses, placed points, surface, errors and lengths."""
+"""Objects for scripts at the desk: poses, placed points, surface, errors and lengths."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ObjectOfDive:
     def length(
         self, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
     ) -> LengthSigma:
-        """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation.
+        """Return the distance between points of scans ``first`` and ``second``, with its standard deviation.
 
         Raises ObjectError.
         """
@@ -72,7 +72,7 @@ class ObjectOfDive:
         limit_mm: float = LIMIT_MM,
         start: Rigid | None = None,
     ) -> Comparison:
-        """Align its surface to ``nominal`` and return the deviations, with the object's own errors in their sigma.
+        """Register its surface to ``nominal`` and return the deviations, with all errors in their sigma.
 
         Raises SurfaceMatchError, and the errors of ``surface``.
         """

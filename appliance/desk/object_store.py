@@ -200,7 +200,10 @@ class StoredObject:
 
 
 def _refuse_names(stored: StoredObject) -> None:
-    """Raise ValueError for a name that is no valid part of a path: clouds are kept under the names of scans."""
+    """Raise ValueError for a name that is no valid part of a path.
+
+    Clouds are kept under the names of scans.
+    """
     for scan in stored.scans:
         component(scan.name, "a scan's name")
         if ".." in PurePosixPath(scan.folder).parts or "\0" in scan.folder:
@@ -271,14 +274,17 @@ def solved_object(root: Path, name: str) -> StoredObject:
 
 
 def object_exists(root: Path, name: str) -> bool:
-    """Return whether there is an object of that name, also a damaged one. Raises ObjectError for an invalid name."""
+    """Return whether there is an object of that name, also a damaged one.
+
+    Raises ObjectError for an invalid name.
+    """
     return (folder_of(root, name) / FILE).exists()
 
 
 def update_object(root: Path, name: str, change: Callable[[StoredObject | None], StoredObject]) -> StoredObject:
-    """Replace an object by ``change`` of the stored one (``None``: there is none), under its lock; return it, durable.
+    """Replace an object by ``change`` of the stored one (``None``: there is none), under its lock.
 
-    Raises the errors of ``change``, StorageError, ObjectError.
+    The result is durable. Raises the errors of ``change``, StorageError, ObjectError.
     """
     fs, folder = LocalFileSystem(), folder_of(root, name)
     fs.make_folders(folder)
@@ -297,7 +303,10 @@ def write(root: Path, stored: StoredObject) -> None:
 
 
 def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObject:
-    """Return the object with scans added, without poses. Raises ObjectError for a scan that it has already."""
+    """Return the object with scans added, without poses.
+
+    Raises ObjectError for a scan that it has already.
+    """
     name_by_frames = {member.frames_sha256: member.name for member in stored.scans}
     names = {member.name for member in stored.scans}
     for scan in added:
@@ -316,9 +325,10 @@ def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObj
 
 
 def merge_places(now: StoredObject | None, solved: StoredObject) -> StoredObject:
-    """Return the stored object ``now`` with the poses of ``solved``; scans that were added meanwhile have none yet.
+    """Return the stored object ``now`` with the poses of ``solved``.
 
-    Raises ObjectError if the object was made again meanwhile, or solved with more scans: then the stored poses stay.
+    Scans that were added meanwhile have none yet. Raises ObjectError if the object was made again meanwhile, or solved
+    with more scans: then the stored poses stay.
     """
     if now is None or not set(solved.scans) <= set(now.scans):
         raise ObjectError(
@@ -353,7 +363,10 @@ def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:
 
 
 def load_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[Any]] | None:
-    """Return the kept arrays of a scan; ``None`` if there are none, their key is not ``key``, or they are damaged."""
+    """Return the kept arrays of a scan.
+
+    ``None`` if there are none, their key is not ``key``, or they are damaged.
+    """
     import numpy as np
 
     path = folder_of(root, name) / CLOUDS / f"{scan}.npz"

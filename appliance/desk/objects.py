@@ -1,4 +1,4 @@
-"""Objects at the desk: clouds of their scans, made again from the frames; scan poses; and one surface of them."""
+"""Objects at the desk: clouds of their scans, scan poses, and one surface of them."""
 
 from __future__ import annotations
 
@@ -344,9 +344,10 @@ def _beside_others(places: Places, scan: str) -> float:
 def surface_of(
     root: Path, stored_object: StoredObject, options: ScanOptions, progress: Progress, spacing_mm: float
 ) -> FusedCloud:
-    """Return one surface of all placed scans, a point about every ``spacing_mm``, with sigma in the object's frame.
+    """Return one surface of all placed scans, with sigma in the object's frame.
 
-    Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
+    It has a point about every ``spacing_mm``. Raises ObjectError for an object that is not solved; ScanError,
+    CalibrationError.
     """
     errors = errors_of(stored_object)
     return with_sigma_in_frame(fuse(placed_scans(root, stored_object, options, progress), spacing_mm), errors)
@@ -368,7 +369,7 @@ def tell_health(root: Path, solved: StoredObject) -> None:
 
 
 def _overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:
-    """Return the hash of the calibration that an object's scans share, and the shared error that their overlaps show.
+    """Return the hash of the calibration of an object's scans, and the shared error by their overlaps.
 
     ``None`` if they show none.
     """

@@ -1,4 +1,4 @@
-"""Organised cloud of a stored scan, made from the raw frames as ``kingfisher cloud`` does, with its bright frame."""
+"""Organised cloud of a stored scan, made from the raw frames as ``kingfisher cloud`` does."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class OrganisedScan:
 
 
 def organised_scan(source: SourceScan, chosen: ChosenCalibration, progress: Progress) -> OrganisedScan:
-    """Return the full cloud of a stored scan, of both exposures where it has two, on the grid of its left image.
+    """Return the full organised cloud of a stored scan, of both exposures of a bracket.
 
     Raises ScanError, also where no points are left.
     """

@@ -1,4 +1,4 @@
-"""Cloud of an incomplete scan, from its first direction alone; it is unchecked, and marked so in file and report."""
+"""Cloud of an incomplete scan, from its first direction alone, unchecked and marked so."""
 
 from __future__ import annotations
 

@@ -69,9 +69,9 @@ class ScanOfDive:
 
     @property
     def time(self) -> datetime | None:
-        """Time of the capture by the instrument's clock (``manifest.record.clock_trusted``); ``None``: it had none.
+        """Time of the capture by the instrument's clock (``manifest.record.clock_trusted``).
 
-        Raises ScanError.
+        ``None``: it had none. Raises ScanError.
         """
         wall_time = self.manifest.record.wall_time
         return None if wall_time is None else datetime.fromisoformat(wall_time)
@@ -112,11 +112,10 @@ class ScanOfDive:
 
     @refuse_wrong_types
     def frames(self, side: Literal["left", "right"] = "left", *, second: bool = False) -> NDArray[np.uint8]:
-        """Return the raw frames of one camera, (n, h, w) uint8, packed or not; ``manifest.record.sequence.patterns``
-        names them.
+        """Return the raw frames of one camera, (n, h, w) uint8, packed or not.
 
-        Every byte is compared with its checksum first. ``second``: of the second exposure. Raises ScanError,
-        MissingLibraryError.
+        ``manifest.record.sequence.patterns`` names them. Every byte is compared with its checksum first. ``second``:
+        of the second exposure. Raises ScanError, MissingLibraryError.
         """
         StoredScan.refuse_damage(self.folder)
         scan = StoredScan.load(self.folder, only_raw=True)
@@ -189,7 +188,10 @@ class Dive:
 
     @refuse_wrong_types
     def scan(self, number: int | str) -> ScanOfDive:
-        """Return a scan by its number from any folder under the root; ``dive[7]`` is the same. Raises UnknownScan."""
+        """Return a scan by its number from any folder under the root; ``dive[7]`` is the same.
+
+        Raises UnknownScan.
+        """
         return ScanOfDive(Library(self.root).entry(str(number)).folder, self.wish)
 
     __getitem__ = scan
@@ -254,7 +256,7 @@ def export(
     notes: tuple[str, ...] = (),
     frame: str | None = None,
 ) -> None:
-    """Write points or a mesh for other programs, in the format of the suffix, as ``kingfisher cloud`` does.
+    """Write points or a mesh for other programs in the format of the suffix, as ``kingfisher cloud`` does.
 
     ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's.
     Raises ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.

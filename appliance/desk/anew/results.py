@@ -1,4 +1,4 @@
-"""Results of reprocessing on the disk: one complete result a scan, for any number of processes that make the same one.
+"""Results of reprocessing on the disk: one complete result a scan, for any number of processes.
 
     <out>/<key>/settings.json           the settings of the key
     <out>/<key>/results/<name>/         row.json, and cloud.ply where clouds were asked for; published by one rename
@@ -150,16 +150,19 @@ def program_digits(top: Path = Path(appliance.__file__).parent) -> str:
 
 
 def name_of(folder: Path) -> str:
-    """Return the name of a scan's result, which follows from its manifest. Raises OSError if that cannot be read."""
+    """Return the name of a scan's result, which follows from its manifest.
+
+    Raises OSError if that cannot be read.
+    """
     if not (folder / MANIFEST_FILE).exists():
         return f"{folder.name}-unreadable"
     return f"{folder.name}-{hashlib.sha256((folder / MANIFEST_FILE).read_bytes()).hexdigest()[:NAME_DIGITS]}"
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a table in the order of the scans' numbers, each a text by column; missing columns are empty.
+    """Return the rows of a table in the order of the scans' numbers, each a text by column.
 
-    Raises ResultsError.
+    Missing columns are empty. Raises ResultsError.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:

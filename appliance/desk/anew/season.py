@@ -1,4 +1,4 @@
-"""Page about a season: lengths over time, health of the calibration, water, and refused scans with reasons.
+"""Page about a season: lengths over time, calibration health, water, and refused scans with reasons.
 
 It is made from a table of ``kingfisher archive reprocess`` alone, and loads no other file, on a screen and on paper.
 """
@@ -87,7 +87,10 @@ def _tiles(rows: Sequence[Cells]) -> list[tuple[str, str, str]]:
 
 
 def _chart(rows: Sequence[Cells], column: str, quantity: str, group: Callable[[Cells], str]) -> str:
-    """Return dots over the scans' order, coloured by their group, with round numbers beside them; empty without points."""
+    """Return dots over the scans' order, coloured by their group, with round numbers beside them.
+
+    The text is empty without points.
+    """
     scale = 1000.0 if column.endswith("_mm") else 1.0
     # In the order of scan numbers, which is that of capture, since clocks may be wrong.
     points = [(scale * value, index) for index, row in enumerate(rows) if (value := _number(row[column])) is not None]
@@ -175,7 +178,7 @@ def _reason_text(row: Cells) -> str:
 
 
 def _kind(row: Cells) -> str:
-    """Return a reason's kind, without the numbers of that scan: the first fault's name, or the start of an error."""
+    """Return a reason's kind: the first fault's name, or the start of an error, without numbers of the scan."""
     return _reason_text(row).partition(";" if row["reason"] else ":")[0].partition(" (")[0]
 
 

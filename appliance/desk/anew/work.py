@@ -1,4 +1,4 @@
-"""Reprocessing of every scan of an archive, once each, by Dask in processes of this computer or in workers on many.
+"""Reprocessing of every scan of an archive, once each, by Dask on this computer or in workers on many.
 
 * ``ArchiveWork``, ``work_through_all``: the distribution. Dask notices a worker that dies, and gives its scans to others;
   a scan that exceeds its limit ends its worker. Importing this module compiles no kernels: a worker must be told where
@@ -235,9 +235,10 @@ class ArchiveWork:
     """Time limit for one scan, after which it is started again."""
 
     def run(self, progress: Progress) -> tuple[dict[str, Any], list[str]]:
-        """Reprocess every scan without a result, and write the table; return the report, JSON-ready, and its lines.
+        """Reprocess every scan without a result, and write the table.
 
-        Raises StorageError, CalibrationError, SchedulerError, MissingLibraryError.
+        The results are the report, JSON-ready, and its lines. Raises StorageError, CalibrationError, SchedulerError,
+        MissingLibraryError.
         """
         begun_s = time.monotonic()
         results = Results.of(
@@ -290,7 +291,7 @@ class ArchiveWork:
 def work_through_all(
     jobs: Sequence[Job], scheduler: str | None, processes: int | None, limit_s: float
 ) -> Generator[Row, None, None]:
-    """Yield a row of every job, as workers of ``scheduler``, or ``processes`` of this computer, finish them.
+    """Yield a row of every job as workers of ``scheduler``, or ``processes`` here, finish them.
 
     The default of ``processes`` is the number of cores. Ends early if scan after scan is left. Raises SchedulerError,
     MissingLibraryError.

@@ -116,7 +116,10 @@ def points_of_mesh(mesh: Mesh) -> ExportedPoints:
 
 
 def single_precision(points: ExportedPoints, suffix: str) -> NDArray[np.float32]:
-    """Return the points (n, 3) in their frame as float32. Raises ExportError where that is too coarse for them."""
+    """Return the points (n, 3) in their frame as float32.
+
+    Raises ExportError where that is too coarse for them.
+    """
     if not points.origin_mm.any() or not len(points.points_mm):
         return points.points_mm
     in_frame = points.points_mm.astype(np.float64) + points.origin_mm
@@ -131,7 +134,10 @@ def single_precision(points: ExportedPoints, suffix: str) -> NDArray[np.float32]
 
 
 def finite(values: NDArray[Any]) -> NDArray[Any]:
-    """Return the values with 0 for unknown ones, since formats have no word for these and readers fail at NaN."""
+    """Return the values with 0 for unknown ones.
+
+    Formats have no word for these, and most readers fail at NaN.
+    """
     replaced: NDArray[Any] = np.nan_to_num(values, nan=0.0)
     return replaced
 

@@ -1,10 +1,10 @@
-"""E57 files: metres, one entry a scan, normals by the registered extension, sigma and further columns by our extension.
+"""E57 files: metres, one entry a scan, with normals, sigma and further columns by extensions.
 
-Places are single-precision floats: 0.06 µm at 1 m. Each scan is written about an origin of its own, with the transform
-into the file's frame as its pose in double: the scan's pose in its object, or the middle of points far from their
-frame's origin. Readers without the extensions ignore them. The file's GUID is made of its content, so that the same
-points give the same file. Sources: ASTM E2807-11; the extension for surface normals is that of libe57.org. Written by
-libE57Format, which pye57 (MIT) brings.
+Normals are in the registered extension, the others in our own. Places are single-precision floats: 0.06 µm at 1 m. Each
+scan is written about an origin of its own, with the transform into the file's frame as its pose in double: the scan's
+pose in its object, or the middle of points far from their frame's origin. Readers without the extensions ignore them.
+The file's GUID is made of its content, so that the same points give the same file. Sources: ASTM E2807-11; the extension
+for surface normals is that of libe57.org. Written by libE57Format, which pye57 (MIT) brings.
 """
 
 from __future__ import annotations

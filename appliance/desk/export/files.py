@@ -44,7 +44,7 @@ def write_surface(
     deviation_mm: NDArray[np.float32] | None = None,
     origin_mm: NDArray[np.float64] | None = None,
 ) -> None:
-    """Write the points of a fused surface (``SURFACE_SUFFIXES``), with ``deviation_mm`` (n,) as a further column.
+    """Write the points of a fused surface (``SURFACE_SUFFIXES``), with ``deviation_mm`` (n,) as a column.
 
     ``origin_mm`` (3,): place of their (0, 0, 0) in the frame of the file. Raises ExportError, StorageError, ValueError, and
     MissingLibraryError where the format's library is absent.

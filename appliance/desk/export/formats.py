@@ -1,4 +1,7 @@
-"""Table of file formats, one row each, and checks of a suffix: light, so that a wrong suffix is reported at once."""
+"""Table of file formats, one row each, and checks of a suffix.
+
+The module is light, so that a wrong suffix is reported at once.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NumPy archives of scans on their pixel grids: arrays (h, w) with units in their names, and metadata as JSON.
+"""NumPy archives of scans on their pixel grids: arrays (h, w) named with units, and metadata as JSON.
 
     x_mm y_mm z_mm sigma_mm ray_gap_mm modulation_dn   float32, NaN where a pixel has no point
     grey                                               uint8, the left camera's bright image, also without points

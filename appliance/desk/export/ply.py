@@ -48,9 +48,9 @@ def write_mesh(path: Path, mesh: Mesh, metadata: Metadata) -> None:
 def encode_surface(
     points: ExportedPoints, metadata: Metadata, faces: NDArray[np.int32] | None = None
 ) -> Iterator[bytes]:
-    """Return header, vertices and faces ((m, 3) int32; ``None``: points alone). Unknown normals are (0, 0, 0).
+    """Return header, vertices and faces ((m, 3) int32; ``None``: points alone).
 
-    Vertices are encoded on demand: all of a large cloud need much memory.
+    Unknown normals are (0, 0, 0). Vertices are encoded on demand: all of a large cloud need much memory.
     """
     n, coordinates_mm = len(points.grey), single_precision(points, "PLY")
     columns = [*_FIXED, *((name, "<f4", "float") for name in points.more)]

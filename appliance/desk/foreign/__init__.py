@@ -1,1 +1,1 @@
-"""Import of foreign frames: the image set description, decoding by it, and tests of the description on the images."""
+"""Import of foreign frames: the image set description, decoding by it, and tests of it on the images."""

@@ -55,10 +55,10 @@ class Looks:
 
 
 def share_of_range(images: NDArray[Any]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the ``images`` (n, h, w), 0 where a pixel is darkest and 1 where it is brightest, and the pixels (h, w) that
-    change.
+    """Return the ``images`` (n, h, w), scaled to the range of each pixel, and the pixels that change.
 
-    Raises ForeignError if hardly any does.
+    A pixel is 0 where it is darkest and 1 where it is brightest; the second result is (h, w). Raises ForeignError if hardly
+    any pixel changes.
     """
     low, high = images.min(axis=0).astype(np.float32), images.max(axis=0).astype(np.float32)
     swing = high - low

@@ -1,4 +1,4 @@
-"""Tests of an image set description against the images of one camera, with the correction where a test fails.
+"""Tests of an image set description against the images of one camera, with corrections.
 
 *Code*: from one pixel to the next a stripe number changes by one, or not at all; in another order of the bits it leaps.
 *Phase against code*: over two whole stripes the mean of their numbers is the coordinate to a fraction of a period. The phase
@@ -160,7 +160,10 @@ def _wide_enough(bits: NDArray[np.bool_], both_usable: NDArray[np.bool_]) -> NDA
 def _check_code(
     all_bits: NDArray[np.bool_], both_usable: NDArray[np.bool_], axis: AxisConvention
 ) -> list[ExaminedAssumption]:
-    """Test the order of the bits on lines; ``both_usable`` marks pixels that are usable and whose next one is."""
+    """Test the order of the bits on lines.
+
+    ``both_usable`` marks pixels that are usable and whose next one is.
+    """
     names = [f"{axis.name}.{word_for(word, True)[0]}" for word in CODE]
     described = tuple(getattr(axis, word) for word in CODE)
     bits, changes = _wide_enough(all_bits, both_usable), 0
@@ -306,7 +309,7 @@ def _sample_places(usable: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def misfit(stack: NDArray[np.float64], steps_deg: tuple[float, ...]) -> float:
-    """Return the root mean square that the best sines leave of images (n, pixels), as a share of their modulation."""
+    """Return the root mean square residual of the best sines in images (n, pixels), over their modulation."""
     columns = step_columns(steps_deg)
     values = np.linalg.pinv(columns) @ stack
     residual = np.sqrt(np.square(stack - columns @ values).sum(axis=0) / max(1, len(columns) - 3))

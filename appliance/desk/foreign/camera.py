@@ -1,4 +1,4 @@
-"""One camera of a foreign set after decoding: coordinates with their noise, masked edges, and its image in even light."""
+"""One camera of a foreign set after decoding: coordinates with noise, masked edges, and an image."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def clean_camera(camera: DecodedCamera) -> CleanCamera:
 
 
 def clean(placed: AxisCoordinates) -> CoordinateMap:
-    """Mask the edges of one direction, and estimate its noise from neighbours: that of the light, over the modulation."""
+    """Mask the edges of one direction, and estimate its noise, which follows from light and modulation."""
     coordinate = placed.coordinate_px
     typical_px, step_px = _noise(coordinate), _usual_step(coordinate)
     jump_px, bend_px = JUMP_STEPS * step_px + EDGE_SIGMAS * typical_px, BEND_STEPS * step_px + EDGE_SIGMAS * typical_px
@@ -144,13 +144,16 @@ def _fourth_differences(values: Floats, lag: int) -> Floats:
 
 
 def _noise(coordinate: Floats) -> float:
-    """Return the typical standard deviation of a coordinate, by its differences along the rows; 0 without any."""
+    """Return the typical standard deviation of a coordinate, by its differences along the rows.
+
+    It is 0 without any differences.
+    """
     differences = _fourth_differences(coordinate[:: 1 + coordinate.size // MOST_SAMPLES], 1)
     return float(MAD_TO_SIGMA * np.median(differences) * _OF_DIFFERENCE**0.5) if differences.size else 0.0
 
 
 def _ripple(coordinate: Floats, width: float) -> float:
-    """Return the typical standard deviation of coordinates that are interpolated between stripe borders ``width`` px apart.
+    """Return the typical standard deviation of coordinates between stripe borders ``width`` px apart.
 
     A line from border to border has no fourth difference from pixel to pixel, however wrong the borders are; over whole
     stripes it has.

@@ -1,4 +1,4 @@
-"""Meaning of the names in camera files: OpenCV's and those of other programs, with the file of each number.
+"""Meaning of the names in camera files, OpenCV's and those of other programs.
 
 Two cameras are ``1`` and ``2``, left and right, or counted from 0; a projector takes the place of the right one, or is a
 third. Their poses are given by R and T between them (x_right = R x_left + T), by R and T of the world into each, by

@@ -119,9 +119,9 @@ _BREAKS = re.compile(r"[\[\](){},;]")
 
 
 def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumbers:
-    """Return the numbers in ``cameras.files``, relative to ``folder``, of two cameras, or of one and a projector.
+    """Return the numbers in ``cameras.files`` of two cameras, or of one and a projector.
 
-    Raises ForeignError.
+    Files are relative to ``folder``. Raises ForeignError.
     """
     value = table.content["files"]
     names = [value] if isinstance(value, str) else value
@@ -132,7 +132,7 @@ def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumb
 
 
 def cameras_in(folder: Path) -> dict[str, Any]:
-    """Return the table [cameras] for the files of a folder: our own calibration, else files with known numbers."""
+    """Return the table [cameras] of a folder: our calibration, else the files with known numbers."""
     files: dict[str, NumbersOf] = {}
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in FORMATS and path.is_file():

@@ -1,4 +1,4 @@
-"""Cameras of a foreign rig: from OpenCV's files, from our calibration files, or from matrices in the description.
+"""Cameras of a foreign rig: from OpenCV's files, our calibrations, or matrices in the description.
 
 OpenCV's R and T map a point of the left camera into the right one: x_right = R x_left + T. Ours is the inverse, the
 right camera's pose in the left camera frame. Lengths become mm by ``cameras.unit``.
@@ -175,7 +175,10 @@ def _check_baseline(length: float, unit: str) -> None:
 
 
 def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: str) -> Lens:
-    """Return the lens with OpenCV's camera matrix and 0, 4, 5, 8, 12 or 14 distortion values. Raises ForeignError."""
+    """Return the lens with OpenCV's camera matrix and 0, 4, 5, 8, 12 or 14 distortion values.
+
+    Raises ForeignError.
+    """
     f_px, c_px = (float(matrix[0, 0]), float(matrix[1, 1])), (float(matrix[0, 2]), float(matrix[1, 2]))
     if abs(matrix[0, 1]) > 1e-3 * f_px[0] or min(f_px) <= 1.0:
         raise ForeignError(
@@ -200,7 +203,7 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
 
 
 def _own_calibration(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig | None:
-    """Return the cameras of our calibration file that ``cameras.calibration``, or ``cameras.files`` alone, names.
+    """Return the cameras of our calibration file, if the table of the cameras names one.
 
     ``None`` if none is named.
     """

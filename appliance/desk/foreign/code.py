@@ -68,7 +68,10 @@ class CodeBits:
 
 
 def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) -> CodeBits:
-    """Return the bits of a direction; ``sine_mean`` (h, w) is the mean of its sine frames, ``None`` without."""
+    """Return the bits of a direction.
+
+    ``sine_mean`` (h, w) is the mean of its sine frames, ``None`` without.
+    """
     gray, inverse = (images.all_of(shows, axis.name) for shows in (Shows.GRAY, Shows.INVERSE))
     bright, dark = images.image(Shows.BRIGHT), images.image(Shows.DARK)
     references = [reference for reference in (dark, bright) if reference is not None]
@@ -124,9 +127,10 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
 
 
 def _windows(signed: Floats) -> tuple[Floats, Floats]:
-    """Return the share of pixels with distinct stripes by image and window, and the mean largest difference of each window.
+    """Return the share of pixels with distinct stripes by image and window, and the mean swing by window.
 
-    ``signed`` are differences (n, lines, length); the second result has a first dimension of 1.
+    ``signed`` are differences (n, lines, length); the swing is the largest absolute difference over the images, and has a
+    first dimension of 1.
     """
     size = np.abs(signed)
     largest = size.max(axis=0)
@@ -137,7 +141,7 @@ def _windows(signed: Floats) -> tuple[Floats, Floats]:
 
 
 def _unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
-    """Return how many images at the beginning and at the end have stripes that the camera does not resolve.
+    """Return how many images at the beginning and at the end have stripes that are not resolved.
 
     ``shares`` are from ``_windows``. A window counts if stripes four times as wide modulate it: coarse ones light the room
     as well, which is no evidence for finer ones.
@@ -159,12 +163,12 @@ def _unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
 
 
 def _borders(signed: Floats) -> Floats:
-    """Return where bits change between neighbours, from signed differences (n, lines, length), as mean over the bits.
+    """Return where bits change between neighbours, as mean over the bits.
 
-    A pixel is the mean over its area: with t the difference over the full one, 1 before the border and −1 behind it,
-    the sum of t over pixels on both sides is twice the distance of the border from their middle. Two pixels count, and
-    four where two on either side are nearly full: then light that a lens blurs beyond two of them counts, and another
-    border does not.
+    ``signed`` are differences (n, lines, length). A pixel is the mean over its area: with t the difference over the full
+    one, 1 before the border and −1 behind it, the sum of t over pixels on both sides is twice the distance of the border
+    from their middle. Two pixels count, and four where two on either side are nearly full: then light that a lens blurs
+    beyond two of them counts, and another border does not.
     """
     full = np.maximum(np.abs(signed).max(axis=0), np.float32(1e-3))
     lines = signed / full
@@ -187,7 +191,7 @@ def _borders(signed: Floats) -> Floats:
 
 
 def stripe_numbers(bits: NDArray[np.bool_], axis: AxisConvention) -> NDArray[np.int32]:
-    """Return the stripe number (h, w) int32 of each pixel, from ``bits`` (n, h, w) by the convention of ``axis``."""
+    """Return the stripe number (h, w) int32 of each pixel, from ``bits`` (n, h, w) by the convention."""
     ordered = bits[::-1] if axis.fine_first else bits
     number = np.zeros(bits.shape[1:], np.int32)
     last = np.zeros(bits.shape[1:], np.bool_)

@@ -140,9 +140,10 @@ class _Evidence:
 def examine(
     description: Description, cameras: Mapping[str, DecodedCamera], rig: ForeignRig | None
 ) -> tuple[ExaminedAssumption, ...]:
-    """Test a description on decoded images, and on ``rig`` where it is known; images may be thinned by a whole number.
+    """Test a description on decoded images, and on ``rig`` where it is known.
 
-    A statement that one test leaves open does not fit because of another test.
+    Images may be thinned by a whole number. A statement that one test leaves open does not fit because of another
+    test.
     """
     tested = [
         assumption for side, camera in cameras.items() for assumption in examine_images(side, camera, description)
@@ -441,7 +442,7 @@ def _offset_by_other_direction(
 
 
 def _slopes(coordinate_px: Floats) -> tuple[float, float]:
-    """Return the median change of a coordinate from one pixel to the next along the rows and along the columns."""
+    """Return the median change of a coordinate between neighbouring pixels along the rows and the columns."""
     along, down = (np.abs(np.diff(coordinate_px, axis=axis)) for axis in (1, 0))
     return float(np.nanmedian(along)), float(np.nanmedian(down))
 

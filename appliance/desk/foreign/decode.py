@@ -1,4 +1,4 @@
-"""Decoding by a description: from one camera's images to pattern coordinates, modulation, and mask reasons.
+"""Decoding by a description: from one camera's images to pattern coordinates and mask reasons.
 
 Two steps, so that other conventions can be tried on the same images: ``measure`` reads from the images all that no
 convention changes but the phase steps, ``place`` makes coordinates of it.
@@ -71,7 +71,7 @@ _SIGMA = (
 
 
 class Reason(IntEnum):
-    """Mask reason: the first that applies to a left pixel without a point, with its colour in red, green, blue."""
+    """Mask reason: the first that applies to a left pixel without a point, with its colour."""
 
     text: str
     """Meaning, with the remedy."""
@@ -288,7 +288,10 @@ def _place_by_code(measured: AxisMeasurement, axis: AxisConvention) -> tuple[Flo
 def _corrected_by_neighbours(
     coordinate_px: Floats, sure: NDArray[np.bool_], axis: AxisConvention
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the coordinates, with unsure ones moved by whole periods to the mean of sure neighbours, and the ambiguous ones."""
+    """Return the coordinates, with unsure ones moved by whole periods towards sure neighbours.
+
+    The second result is true where neighbours leave a pixel ambiguous.
+    """
     period = np.float32(axis.periods_px[axis.numbered])
     # The median width of a period in the camera's image.
     along = 1 if axis.name == "x" else 0

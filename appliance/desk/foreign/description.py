@@ -1,4 +1,4 @@
-"""Description of a set of foreign images: the role of each image, and the conventions by which they are read.
+"""Description of a foreign image set: the role of each image, and the conventions of reading.
 
 Symbols of a direction: e = p + ½ is the distance of pattern coordinate p from the edge of the pattern, in px; its phase
 is φ = 2π e / period + begin. Step k shows A + B cos(φ + sign · step_k). Stripe number i of the code covers e from
@@ -103,7 +103,7 @@ class AxisConvention:
 
     @property
     def numbered(self) -> int:
-        """Index of the period whose fringes the code numbers: the finest, or the coarsest if stripes are wider."""
+        """Index of the period whose fringes the code numbers: the finest, or the coarsest for wider stripes."""
         return self.finest if self.stripe_px <= 1.01 * self.period_px else self.periods_px.index(max(self.periods_px))
 
     @property
@@ -119,7 +119,7 @@ class AxisConvention:
 
     @property
     def period_px(self) -> float:
-        """The period that makes the coordinate: the finest, or the only one with several steps; else the stripe."""
+        """The period that makes the coordinate: the finest, the only one with several steps, or the stripe."""
         return self.periods_px[0] if self.micro else min(self.periods_px, default=self.stripe_px)
 
     @property
@@ -409,7 +409,7 @@ def _periods(table: Table, size_px: float) -> tuple[float, ...]:
 def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], ...]:
     """Return the steps of each period: one list is that of all.
 
-    Of micro phase shifting it is that of the first period, and the others have one step.
+    With micro phase shifting it is that of the first period, and the others have one step.
     """
     if "steps" in table.content and "steps_deg" in table.content:
         raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both there; give one of them")
@@ -472,7 +472,7 @@ def _ports(top: Table) -> tuple[Port, Port] | None:
 
 
 def with_counts(description: Description, images: tuple[ShownImage, ...]) -> Description:
-    """Return the description with the numbers of bits and carrier steps of ``images``, the images that exist.
+    """Return the description with the numbers of bits and carrier steps in ``images``.
 
     Raises ForeignError where a direction has other numbers of steps, bits or inverses than its convention allows.
     """

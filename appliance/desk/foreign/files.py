@@ -27,7 +27,10 @@ _ASIDE = re.compile(r"calib|chess|board|checker|charuco|result|output|depth|mask
 
 
 def camera_files(folder: Path) -> dict[str, ImageFiles]:
-    """Return the images of the one or two cameras below ``folder``, the left one first. Raises ForeignError."""
+    """Return the images of the one or two cameras below ``folder``, the left one first.
+
+    Raises ForeignError.
+    """
     if not folder.is_dir():
         raise ForeignError(f"{folder}: is no folder; give the one with the images")
     stacks = _stacks(folder)
@@ -83,7 +86,7 @@ def _stacks(folder: Path) -> dict[str, ImageFiles] | None:
 
 
 def in_halves(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
-    """Yield two cameras that share each picture, side by side or one above the other, if its shape allows it."""
+    """Yield two cameras as halves of each picture, side by side or one above the other, if its shape fits."""
     head = frame_head(camera.frames[0])
     if head is not None:
         height_px, width_px = head.shape
@@ -128,7 +131,10 @@ def _best(names: list[str]) -> dict[str, list[str]] | None:
 
 
 def _patterns(name: str) -> Iterator[str]:
-    """Yield the patterns that a name may share with others of its camera, the likeliest first; empty for a missing part."""
+    """Yield the patterns that a name may share with others of its camera, the likeliest first.
+
+    A pattern is empty where the name has no such part.
+    """
     path = Path(name)
     yield str(path.with_name(f"*{path.suffix}"))
     # One of the numbers in a name counts the images: the last, or the one before it, …

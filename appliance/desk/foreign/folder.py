@@ -1,4 +1,4 @@
-"""Import of a folder of images without a description: guess, description, contact sheet, points and an image of them.
+"""Import of a folder of images without a description: guess, description, contact sheet and points.
 
 Each guessed line of the description says how it was checked; below each image of the sheet stand its role and the share
 that the description explains.
@@ -36,7 +36,7 @@ def beside_cloud(out: Path) -> tuple[Path, Path, Path]:
 
 
 def import_folder(folder: Path, out: Path, progress: Progress, reasons: Path | None = None) -> dict[str, Any]:
-    """Guess the roles of the images below ``folder``, and write the cloud ``out`` with its description, sheet and picture.
+    """Guess the roles of the images below ``folder``, and write the cloud ``out`` with its files.
 
     Raises ForeignError if no guess stands out or the cameras are unknown: description and contact sheet are written then.
     Raises also as ``import_described``.
@@ -181,7 +181,10 @@ def _keys_of(axis: AxisConvention) -> Iterator[tuple[str, Any]]:
 
 
 def contact_sheet(images: Sequence[NDArray[Any]], roles: Sequence[str], explained: Sequence[float]) -> bytes:
-    """Return a PNG of ``images`` (h, w), with role and explained share (NaN: none) below each; poor shares are orange."""
+    """Return a PNG of ``images`` (h, w), with role and explained share (NaN: none) below each.
+
+    Texts of poor shares are orange.
+    """
     height_px = round(WIDTH_PX * images[0].shape[0] / images[0].shape[1])
     columns = min(MOST_COLUMNS, len(images))
     rows = -(-len(images) // columns)

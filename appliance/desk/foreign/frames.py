@@ -38,9 +38,9 @@ _SUFFIX = ".npy"
 
 
 def array_heads(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` by name, or the one of an ``.npy``, whose name is empty. Raises ValueError.
+    """Return the arrays of an ``.npz`` by name, or the one of an ``.npy``, whose name is empty.
 
-    They have shape and type, but no numbers and no memory of their own.
+    Raises ValueError. They have shape and type, but no numbers and no memory of their own.
     """
     with _as_value_error(path):
         if path.suffix.lower() != ZIPPED:
@@ -145,7 +145,10 @@ def split_name(pattern: str) -> tuple[str, str]:
 
 
 def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
-    """Return the images of one file, in order. Raises ForeignError for a stack that cannot be read or has too many."""
+    """Return the images of one file, in order.
+
+    Raises ForeignError for a stack that cannot be read or has too many.
+    """
     count: int | None = None
     suffix = path.suffix.lower()
     if suffix in PAGED:
@@ -238,9 +241,9 @@ def _refuse_other_files(path: Path) -> None:
 
 
 def _stack(path: Path, array: str, head: bool = False) -> NDArray[Any]:
-    """Return the array of a file, its images along the first dimension, or its ``head`` alone; one image is (h, w).
+    """Return the array of a file, its images along the first dimension, or its ``head`` alone.
 
-    Raises ForeignError.
+    One image is (h, w). Raises ForeignError.
     """
     try:
         heads = array_heads(path)

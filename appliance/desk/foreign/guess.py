@@ -1,4 +1,4 @@
-"""Guess at images without a description: hypotheses are tried on reduced images until one of them stands out.
+"""Guess at images without a description: hypotheses are tried until one of them stands out.
 
 * ``guess_sequence``: the guess. Hypotheses are data: the sequences of known programs (``SEQUENCES``), and the appearance
   of each image by itself. Appearance selects a few of them. Each of these is decoded, the corrections of its tests are
@@ -257,7 +257,7 @@ class TriedSequence:
 
     @property
     def standing(self) -> tuple[int, int, bool]:
-        """Order of sequences with equal shares: by contradictions, by confirmed words, by whether the program is known."""
+        """Order of sequences with equal shares: by contradictions, confirmed words, and a known program."""
         # Words that could have been contradicted and were not, less those that no test covers.
         evidence = self._count(Outcome.FITS) - self._count(Outcome.UNCHECKED)
         return -self.contradictions - bool(self.notes), evidence, self.program != BY_LOOKS
@@ -273,13 +273,19 @@ class TriedSequence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ReducedPictures:
-    """Pictures of a folder, each read once and reduced by whole numbers to ``MOST_PIXELS``: each pixel is a mean."""
+    """Pictures of a folder, each read once and reduced by whole numbers to ``MOST_PIXELS``.
+
+    Each pixel is a mean.
+    """
 
     progress: Progress
     _read: dict[tuple[Frame, str], NDArray[Any]] = field(default_factory=dict)
 
     def of(self, frames: Sequence[Frame], channel: str) -> tuple[NDArray[Any], tuple[int, int]]:
-        """Return the images (n, h, w) of one camera, and the width and height before reduction. Raises ForeignError."""
+        """Return the images (n, h, w) of one camera, and the width and height before reduction.
+
+        Raises ForeignError.
+        """
         pictures = Pictures.of(frames, channel)
         height_px, width_px = pictures.shape[1:]
         factor = math.ceil(math.sqrt(height_px * width_px / MOST_PIXELS))
@@ -486,7 +492,10 @@ def _steps(images: NDArray[Any]) -> tuple[float, ...]:
 
 
 def _explained(candidate: TriedSequence, places: Sequence[int], pictures: _ReducedPictures) -> TriedSequence:
-    """Return a candidate corrected by its tests, with the explained share of the images at ``places``. Raises ForeignError."""
+    """Return a candidate corrected by its tests, with the explained share of the images at ``places``.
+
+    Raises ForeignError.
+    """
     candidate, decoded = _fitted(candidate, pictures)
     shares, weights = explained_shares(candidate.description, decoded["left"])
     used = [k for k, word in enumerate(candidate.words) if word != "-"]

@@ -1,4 +1,4 @@
-"""Import of foreign images with a description: a file of points or a scan folder like our own, and the report of either.
+"""Import of foreign images with a description: a file of points or a scan folder, and the report.
 
 * ``import_described``: the import.
 * ``draw_reasons``: an image of the left camera with the mask reason of each pixel without a point as its colour.
@@ -51,9 +51,9 @@ def import_described(
     reasons: Path | None = None,
     picture: Path | None = None,
 ) -> dict[str, Any]:
-    """Write the points of the images that the description at ``path`` describes, in the format of the suffix of ``out``.
+    """Write the points of the images that the description at ``path`` describes to ``out``.
 
-    Without a suffix, a scan folder is made of images that have our own form. ``reasons``: a PNG of why pixels have no point,
+    The suffix of ``out`` gives the format. Without one, a scan folder is made of images that have our own form. ``reasons``: a PNG of why pixels have no point,
     also if hardly any points are left; ``picture``: one of the points.
 
     Raises ForeignError, also where the images contradict the description (unless ``as_described``), where hardly any
@@ -171,7 +171,10 @@ def _median(values: NDArray[np.float32], has_point: NDArray[np.bool_]) -> float 
 
 
 def draw_reasons(cloud: ForeignCloud, path: Path) -> None:
-    """Write the picture as PNG, with the reasons and their numbers of pixels below it. Raises StorageError."""
+    """Write the picture as PNG, with the reasons and their numbers of pixels below it.
+
+    Raises StorageError.
+    """
     grey = cloud.cloud.grey
     picture = np.repeat(grey[..., None], 3, axis=-1)
     counts = cloud.reasons

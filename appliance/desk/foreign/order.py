@@ -226,7 +226,7 @@ SEQUENCES = (
 
 
 def hypotheses(count: int) -> Iterator[ProjectedSequence]:
-    """Yield the sequences of ``count`` images that the rows of the table allow, with bright and dark in both orders."""
+    """Yield the sequences of ``count`` images by the rows of the table, bright and dark in both orders."""
     for row in SEQUENCES:
         names = [name for name in NUMBERS if f"{{{name}}}" in row.order]
         least_numbers = dict.fromkeys(NUMBERS, 1)

@@ -106,7 +106,10 @@ def misfit_samples(fit: SineFit) -> tuple[Floats, Floats] | None:
 
 
 def misfit_share(samples: tuple[Floats, Floats] | None, usable: NDArray[np.bool_]) -> float | None:
-    """Return the misfit of the steps over the modulation; ``None`` if they always fit, or no pixel is usable."""
+    """Return the misfit of the steps over the modulation.
+
+    ``None`` if they always fit, or no pixel is usable.
+    """
     usable_samples = some_pixels(usable)
     if samples is None or not usable_samples.any():
         return None
@@ -114,7 +117,7 @@ def misfit_share(samples: tuple[Floats, Floats] | None, usable: NDArray[np.bool_
 
 
 def correct_response(turns: Floats, usable: NDArray[np.bool_], steps: int, share: float | None) -> float:
-    """Subtract the ripple of a non-linear response from the phases ``turns`` in place, where it is clearly seen.
+    """Subtract the ripple of a non-linear response from the phases ``turns`` in place, if it is clear.
 
     Returns the standard deviation of the remaining ripple, in turns; ``share`` is the misfit of the steps.
     """

@@ -95,7 +95,10 @@ class ForeignCloud:
         return {reason: counts[reason] for reason in sorted(counts, key=lambda k: -counts[k]) if counts[reason]}
 
     def largest_reasons(self, *, of_decoded: bool = False) -> list[str]:
-        """Return the two most frequent mask reasons, as a line each; ``of_decoded``: of pixels with coordinates only."""
+        """Return the two most frequent mask reasons, as a line each.
+
+        ``of_decoded``: of pixels with coordinates only.
+        """
         counts = {
             reason: count for reason, count in self.reasons.items() if not (of_decoded and reason < Reason.NO_RAY)
         }

@@ -1,4 +1,4 @@
-"""Test by texture: patches of the left image must lie in the right image where their points are projected.
+"""Test by texture: patches of the left image must lie in the right one where points are projected.
 
 Along the disparity the fringes have placed each point, for any cameras in the description; across it they
 have not, and cameras in another pose move the patches. Texture does not see a turn about the axis across the disparity,
@@ -84,7 +84,10 @@ def textures_of(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Textures:
 
 
 def texture_offset(textures: Textures, left_px: NDArray[Any], right_px: NDArray[np.float64], down: bool) -> Offset:
-    """Return the offset of patches about ``left_px`` (n, 2) from ``right_px``: ``down`` the image, or along it."""
+    """Return the offset of patches about ``left_px`` (n, 2) from ``right_px``.
+
+    It is ``down`` the image, or along it.
+    """
     reduced = textures[2]
     finite = np.isfinite(right_px).all(axis=1)
     places = (np.stack([left_px[finite], right_px[finite]]) + 0.5) / reduced - 0.5

@@ -1,1 +1,1 @@
-"""Registration of many scans into one object: scan poses with their uncertainties, or reasons why there are none."""
+"""Registration of many scans into one object: scan poses with uncertainties, or reasons for none."""

@@ -39,10 +39,11 @@ def prior_covariance(stated_mm2: Array | None) -> Array:
 
 
 def bow_score(estimate_mm: Array, prior_mm2: Array, posterior_mm2: Array) -> float | None:
-    """Return the distance of an estimate (k,) from its prior mean, in standard deviations; about 1 if the prior is right.
+    """Return the distance of an estimate (k,) from its prior mean, in standard deviations.
 
-    ``prior_mm2`` and ``posterior_mm2``: covariances (k, k) before and after. If the prior is right, the estimate scatters by
-    their difference. Directions in which the overlaps tell little do not count; ``None`` if all are so.
+    It is about 1 if the prior is right. ``prior_mm2`` and ``posterior_mm2``: covariances (k, k) before and after. If the
+    prior is right, the estimate scatters by their difference. Directions in which the overlaps tell little do not
+    count; ``None`` if all are so.
     """
     removed_mm2 = prior_mm2 - posterior_mm2
     # In units of the prior an eigenvalue is the share of variance that the overlaps have removed.

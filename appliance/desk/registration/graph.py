@@ -1,4 +1,4 @@
-"""Pose graph: the poses of many scans from their scan pairs, with closed loops, wrong pairs found by them, and covariances.
+"""Pose graph: scan poses and covariances from scan pairs, closed loops, and wrong pairs.
 
 Every pair gives the pose of one scan in another's frame, with a covariance. All poses are adjusted at once by least
 squares (Gauss-Newton on small motions), together with the depth error that all scans share (``bow``). A pair that
@@ -78,11 +78,12 @@ def place(
     with_bow: bool = True,
     prior_mm2: Array = PRIOR_MM2,
 ) -> ScanPoses:
-    """Place ``count`` scans by ``edges``; ``middles_mm``: the middle (3,) of each scan's points in its own frame.
+    """Place ``count`` scans by ``edges``.
 
-    ``with_bow``: the shared depth error is estimated, too; else it is taken for zero, and its full prior is in the budget.
-    ``prior_mm2``: that prior, the covariance (k, k) of its coefficients. The largest set of connected scans is placed, in
-    the frame of its first scan.
+    ``middles_mm``: the middle (3,) of each scan's points in its own frame. ``with_bow``: the shared depth error is
+    estimated, too; else it is taken for zero, and its full prior is in the budget. ``prior_mm2``: that prior, the
+    covariance (k, k) of its coefficients. The largest set of connected scans is placed, in the frame of its first
+    scan.
     """
     remaining = list(edges)
     wrong: list[Edge] = []
@@ -186,7 +187,7 @@ def _initial_poses(members: Sequence[int], edges: Sequence[Edge]) -> dict[int, R
 
 
 def _discrepancy(poses: Mapping[int, Rigid], edge: Edge) -> Array:
-    """Return δ (6,): the pose of ``second`` by its place relative to that by the pair, in the first's frame."""
+    """Return δ (6,): the displacement of ``second`` between the poses and the pair, in the first's frame."""
     fit = edge.fit
     placed = poses[edge.second].then(poses[edge.first].inverse)
     difference = fit.pose.inverse.then(placed)

@@ -1,4 +1,4 @@
-"""Joint errors of all scan poses of an object, and the uncertainty that they give to a point, and to a length between scans.
+"""Joint errors of all scan poses of an object, and the uncertainty of points and lengths by them.
 
 A point of scan s that is at x in the object's frame has the error
 
@@ -52,7 +52,10 @@ class LengthSigma:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointErrors:
-    """Joint errors of all scan poses of an object, in its frame; scans are numbered in the order of ``poses``."""
+    """Joint errors of all scan poses of an object, in its frame.
+
+    Scans are numbered in the order of ``poses``.
+    """
 
     poses: tuple[Rigid, ...]
     """Transforms from each scan's frame into the object's, n of them."""
@@ -70,7 +73,7 @@ class JointErrors:
     def sigma_along(
         self, points_mm: NDArray[np.floating], directions: NDArray[np.floating], scan: NDArray[np.integer]
     ) -> tuple[Array, Array]:
-        """Return standard deviations (n,), mm, of points along unit vectors: by the poses, and by the shared depth error.
+        """Return standard deviations (n,), mm, of points along unit vectors, by poses and by the depth error.
 
         ``points_mm`` (n, 3) in the object's frame, ``directions`` (n, 3), ``scan`` (n,): the scan of each point.
         """
@@ -88,7 +91,7 @@ class JointErrors:
         return places, bending
 
     def of_length(self, first: int, at_first_mm: Array, second: int, at_second_mm: Array) -> LengthSigma:
-        """Return the standard deviation of the distance between a point of scan ``first`` and one of ``second``.
+        """Return the standard deviation of the distance between points of scans ``first`` and ``second``.
 
         The points are (3,) in the object's frame.
         """
@@ -139,7 +142,7 @@ class JointErrors:
         return self.own_root[6 * scan : 6 * scan + 6]
 
     def _by_shared(self, x: Array, directions: Array, motion: Array, scan: int) -> Array:
-        """Return (n, k): displacement along ``directions`` per mm of each coefficient, by the pose and in the scan itself."""
+        """Return (n, k): displacement along ``directions`` by each coefficient, per mm."""
         pose = self.poses[scan]
         # The shapes belong to the scan's own view.
         scan_points = pose.inverse.of(x)
@@ -162,12 +165,12 @@ def joint_errors(placed: ScanPoses, volume: WorkingVolume = STANDARD) -> JointEr
 
 
 def _motion_along(x: Array, directions: Array) -> Array:
-    """Return (n, 6): displacement of points along ``directions`` by a rotation about the origin (rad) and a shift."""
+    """Return (n, 6): displacement of points along ``directions`` by a rotation (rad) and a shift."""
     return np.concatenate([np.cross(x, directions), directions], axis=1)
 
 
 def _cross(vector: Array) -> Array:
-    """Return the matrix (3, 3) with M ω = vector × ω: the shift of the origin by a rotation about ``vector``."""
+    """Return the matrix (3, 3) with M ω = vector × ω: the shift of the origin by a rotation about a point."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 

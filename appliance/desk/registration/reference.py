@@ -1,7 +1,6 @@
-"""Registration of a measured surface to a reference by shape alone: to the triangles of a CAD model, or to an object that
-was measured before.
+"""Registration of a measured surface to a reference by shape alone.
 
-First guesses come from pairs of oriented points (B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match
+A reference is the triangles of a CAD model, or an object that was measured before. First guesses come from pairs of oriented points (B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match
 locally", 2010): two points with normals have four numbers that no motion changes, and every pair of one surface votes
 for the motions that lay it on a pair of the other with the same numbers. So a part of a surface is found on the
 complete surface, wherever both are. The best guesses are refined by planes (``equations.py``), and the resistance to a
@@ -220,7 +219,7 @@ def _result(
 
 
 def _differs_by_sliding(pose: Rigid, best: _Fit, held: Array, used: OrientedPoints) -> bool:
-    """Return whether ``pose`` differs from the best one only along loose directions, and so adds no new place."""
+    """Return whether ``pose`` differs from the best one only along loose directions."""
     if held.shape[1] == 6:
         return False
     rotation, shift = best.pose.inverse.then(pose).screw(best.system.middle)
@@ -266,7 +265,7 @@ def _slide_all(
 ) -> list[_Fit | None]:
     """Return the best place of each fit along its loose directions.
 
-    Of fits that differ only by sliding, the first is slid.
+    Fits that differ only by sliding count as one, the first.
     """
     slid_fits: list[tuple[_Fit, Array]] = []
     for fit in fits:
@@ -474,7 +473,7 @@ def _refine(
 def _equations(
     measured: OrientedPoints, reference: _Sampled | ReferenceSurface, pose: Rigid, gate_mm: float
 ) -> tuple[System | None, Array]:
-    """Return the equations of each point on the plane of its nearest place, and the distances (n,) of all points.
+    """Return the equations of points on the planes of their nearest places, and all distances (n,).
 
     The equations are ``None`` for too few points; distances are infinite without a place of like normal.
     """

@@ -1,4 +1,4 @@
-"""Scan poses of an object from its scans: which scan pairs are compared, with which result, and which scans are left out.
+"""Scan poses of an object from its scans: choice and comparison of scan pairs, and omitted scans.
 
 ``by_time``, ``by_features`` and ``by_place`` choose the scan pairs that are worth comparing, so that forty scans need
 not be compared 780 times; ``solve`` does it all.
@@ -35,10 +35,10 @@ def by_time(count: int) -> list[tuple[int, int]]:
 
 
 def by_features(descriptors: Sequence[NDArray[np.float32]]) -> list[tuple[int, int]]:
-    """Return the scan pairs, ascending, whose keypoints vote for each other, at most ``PER_SCAN`` of each scan.
+    """Return the scan pairs, ascending, whose keypoints vote for each other.
 
-    ``descriptors`` are (n, 128) of each scan, the strongest first. Every keypoint finds its best match in each other scan; a
-    match counts for the scan in which it is best.
+    There are at most ``PER_SCAN`` of each scan. ``descriptors`` are (n, 128) of each scan, the strongest first. Every
+    keypoint finds its best match in each other scan; a match counts for the scan in which it is best.
     """
     votes = _votes([descriptors_of_scan[:VOTERS] for descriptors_of_scan in descriptors])
     chosen = set()
@@ -68,7 +68,7 @@ def _votes(descriptors: Sequence[NDArray[np.float32]]) -> NDArray[np.int64]:
 def by_place(
     scans: Sequence[ReadyScan], poses: Mapping[int, Rigid], compared: set[tuple[int, int]]
 ) -> list[tuple[int, int, Rigid]]:
-    """Return untried scan pairs that should overlap, with the pose of the second in the frame of the first."""
+    """Return untried scan pairs that should overlap, with the pose of the second in the first's frame."""
     overlapping = []
     placed = sorted(poses)
     for number, first in enumerate(placed):
@@ -150,11 +150,12 @@ def solve(
     with_bow: bool = False,
     stated_mm2: Array | None = None,
 ) -> Solved:
-    """Place ``scans``, in the order in which they were taken; ``progress`` gets the step and the finished share (0..1).
+    """Place ``scans``, in the order in which they were taken.
 
-    ``with_bow``: the depth error that all scans share is estimated and applied; ``stated_mm2``: its covariance as the
-    calibration states it (``Calibration.depth_error_mm2``). Scan pairs: each scan with the next, with those for which its
-    keypoints vote, then with those that overlap by the poses found so far.
+    ``progress`` gets the step and the finished share (0..1). ``with_bow``: the depth error that all scans share is
+    estimated and applied; ``stated_mm2``: its covariance as the calibration states it
+    (``Calibration.depth_error_mm2``). Scan pairs: each scan with the next, with those for which its keypoints vote,
+    then with those that overlap by the poses found so far.
     """
     first_pairs: dict[tuple[int, int], Rigid | None] = dict.fromkeys(by_time(len(scans)))
     first_pairs |= dict.fromkeys(by_features([scan.features.descriptors for scan in scans]))
@@ -201,7 +202,10 @@ def edges_of(compared: Sequence[ComparedPair]) -> list[Edge]:
 
 
 def _most_useful(pairs: Sequence[tuple[int, int, Rigid]]) -> dict[tuple[int, int], Rigid | None]:
-    """Return at most ``PLACES`` pairs of each scan, those farthest apart in time first, as they close the longest loops."""
+    """Return at most ``PLACES`` pairs of each scan, those farthest apart in time first.
+
+    They close the longest loops.
+    """
     count: dict[int, int] = {}
     chosen: dict[tuple[int, int], Rigid | None] = {}
     for first, second, pose in sorted(pairs, key=lambda pair: pair[0] - pair[1]):

@@ -1,4 +1,4 @@
-"""Surface as it is drawn: few enough points for a browser, each with the values by which it can be coloured."""
+"""Surface as it is drawn: few enough points for a browser, each with the values for its colour."""
 
 from __future__ import annotations
 
@@ -75,7 +75,10 @@ def surface_to_draw(report: Report) -> DrawnSurface | None:
 
 
 def thin_out(full: DrawnSurface, max_points: int = MAX_DRAWN_POINTS) -> DrawnSurface:
-    """Return at most about ``max_points`` of its points, evenly over the surface: one for each cell of a grid."""
+    """Return at most about ``max_points`` of its points, evenly over the surface.
+
+    It takes one point for each cell of a grid.
+    """
     if len(full.points_mm) <= max_points:
         return full
     low, high = full.points_mm.min(axis=0), full.points_mm.max(axis=0)

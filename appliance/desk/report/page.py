@@ -181,7 +181,10 @@ _SMALL_MM = 1.0
 
 
 def write_report(path: Path | str, report: Report) -> None:
-    """Write the page, complete or not at all. Raises StorageError, MissingLibraryError where plotly is absent."""
+    """Write the page, complete or not at all.
+
+    Raises StorageError, MissingLibraryError where plotly is absent.
+    """
     LocalFileSystem().replace_file(Path(path), page(report).encode())
 
 
@@ -415,7 +418,7 @@ def _count(number: float) -> str:
 
 
 def _mm(value: float | None) -> str:
-    """Return a length as text: in µm below a millimetre, with a decimal only below a tenth of a millimetre."""
+    """Return a length as text: in µm below a millimetre, with a decimal below a tenth of a millimetre."""
     if value is None:
         return "–"
     if abs(value) < _SMALL_MM:
@@ -444,7 +447,7 @@ def colour_bar(colouring: Colouring) -> str:
 def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
     """Return the graph of the scans and their pairs, seen from the side where it is widest.
 
-    Empty if fewer than two scans have a pose.
+    The text is empty if fewer than two scans have a pose.
     """
     placed = {scan.name: scan for scan in scans if scan.position_mm is not None}
     if len(placed) < 2:

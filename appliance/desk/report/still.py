@@ -1,4 +1,4 @@
-"""Still picture of a surface, for paper and for browsers without WebGL: an orthographic view with light and a scale."""
+"""Still picture of a surface, for paper and for browsers without WebGL, with light and a scale."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _AMBIENT = 0.45
 
 
 def view_direction(drawn: DrawnSurface, up: Vector) -> NDArray[np.float64]:
-    """Return the unit vector from the object to the viewer: along its mean normal, a little from above and from the side."""
+    """Return the unit vector to the viewer: along the mean normal, a little from above and from the side."""
     mean = np.nanmean(drawn.normals.astype(np.float64), axis=0)
     top = np.asarray(up, np.float64) / np.linalg.norm(up)
     # An object with normals in all directions is seen from the front.

@@ -1,1 +1,1 @@
-"""Surfaces from organised clouds: normals, meshes, fusion of many placed scans, and deviations from a nominal surface."""
+"""Surfaces from organised clouds: normals, meshes, fusion, and deviations from a nominal surface."""

@@ -1,4 +1,4 @@
-"""Deviations of points from a nominal surface, along its normals, positive outside, each with its sigma.
+"""Deviations of points from a nominal surface along its normals, positive outside, with sigma.
 
 The nearest triangle is libigl's (MPL-2.0, a tree of boxes around the triangles). Where the points' own normals are
 given, triangles that face away by more than a right angle do not count: the far side of a thin plate is not what was
@@ -160,7 +160,7 @@ class NominalTree:
     def _at(
         self, points: NDArray[np.float64], face: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-        """Return nearest places (n, 3) on given triangles (n,), signed distances, border flags, and pseudonormals there.
+        """Return nearest places (n, 3) on triangles (n,), signed distances, border flags, and pseudonormals.
 
         The triangle -1 stands for the last one.
         """
@@ -188,11 +188,11 @@ def deviations(
     normals: NDArray[Any] | None = None,
     limit_mm: float = LIMIT_MM,
 ) -> Deviation:
-    """Return the deviations of points (n, 3) in the frame of ``nominal``; ``sigma_mm`` (n,) is along the normal.
+    """Return the deviations of points (n, 3) in the frame of ``nominal``.
 
-    ``normals``: (n, 3), those of the points; NaN where unknown. Points beyond ``limit_mm`` or beside an open border are
-    counted and have no deviation. Raises ValueError for a limit that is not above 0, MissingLibraryError where libigl
-    is absent.
+    ``sigma_mm`` (n,) is along the normal. ``normals``: (n, 3), those of the points; NaN where unknown. Points beyond
+    ``limit_mm`` or beside an open border are counted and have no deviation. Raises ValueError for a limit that is not
+    above 0, MissingLibraryError where libigl is absent.
     """
     if not limit_mm > 0.0:
         raise ValueError(f"limit_mm is {limit_mm}; it must be above 0")
@@ -210,7 +210,7 @@ def deviations(
 
 
 def spread_over(nominal: Nominal, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return ``count`` places (n, 3) spread evenly over the surface, for triangles of any size, and the triangle of each.
+    """Return ``count`` places (n, 3) spread evenly over the surface, and the triangle of each.
 
     Each stands for the same area; within a triangle they follow the sequence R2 (M. Roberts, 2018), which leaves no
     large gaps.
@@ -242,7 +242,7 @@ def _on_faces(
     beside: NDArray[np.bool_],
     out: NDArray[np.float64],
 ) -> None:
-    """Write the nearest place of each point on its triangle, its signed distance, a border flag, and a pseudonormal.
+    """Write nearest place of each point on its triangle, signed distance, border flag and pseudonormal.
 
     The flag is true beside an open border; the pseudonormal is that of the place, common to the neighbours of an edge.
     """
@@ -285,9 +285,9 @@ def _on_triangle(
     corners: NDArray[np.float64],
     q: NDArray[np.float64],
 ) -> int:
-    """Write the nearest place on the triangle to ``q``, where pa, pb and pc are p less the corners; return its kind.
+    """Write the nearest place on the triangle to ``q``, where pa, pb and pc are p less the corners.
 
-    It is 0 on the face, 1 to 3 on the edges ab, bc, ca, 4 to 6 at the corners.
+    The result is the kind of place: 0 on the face, 1 to 3 on the edges ab, bc, ca, 4 to 6 at the corners.
     """
     a, b, c = corners[0], corners[1], corners[2]
     ab, ac = b - a, c - a

@@ -1,4 +1,4 @@
-"""Reading of CAD models: triangles of STL, OBJ and PLY files, accepted only if sizes, counts and numbers agree.
+"""Reading of CAD models: triangles of STL, OBJ and PLY files, if sizes, counts and numbers agree.
 
 STL is read here, since programs write it in ways that no library sorts out: names in any encoding, `end solid` in two
 words, CR alone as the end of a line, bytes behind the last triangle, a binary file that begins with ``solid``.
@@ -118,7 +118,10 @@ def _ascii_stl(data: bytes) -> NDArray[np.float64]:
 
 
 def _with_line_feeds(data: bytes) -> bytes:
-    """Return a PLY file with LF as line end of its head, as the library needs; some programs write CR alone."""
+    """Return a PLY file with LF as line end of its head, as the library needs.
+
+    Some programs write CR alone.
+    """
     end = data.find(b"end_header")
     head = data[:end]
     if b"\n" in head or b"\r" not in head:
@@ -130,7 +133,10 @@ def _with_line_feeds(data: bytes) -> bytes:
 
 
 def _check_ply(data: bytes) -> bool:
-    """Return whether a PLY file has its corners in single precision. Raises ValueError if head and bytes disagree."""
+    """Return whether a PLY file has its corners in single precision.
+
+    Raises ValueError if head and bytes disagree.
+    """
     end = data.find(b"end_header")
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("holds no triangles: it has no PLY head")

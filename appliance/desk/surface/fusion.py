@@ -225,7 +225,7 @@ def assign(
 def absorb(
     points: PointsOfScan, owner: NDArray[np.int32], discs: Discs, sums: NDArray[np.float64], touched: NDArray[np.int32]
 ) -> None:
-    """Move each disc with points of one scan along its normal to the weighted mean of its past and these points.
+    """Move each disc along its normal to the weighted mean of its past and of its points of one scan.
 
     ``sums`` is (n, 7) zeros, ``touched`` (n,): room for a row a point. A scan counts as one observation of the disc,
     for any number of pixels: averaging does not remove their common errors (the pose, ripple, half of their noise).

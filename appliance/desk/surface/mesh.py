@@ -1,4 +1,4 @@
-"""Mesh of triangles, and the mesh of one scan from its own pixel grid: two triangles a cell, none across a step."""
+"""Mesh of triangles, and the mesh of one scan from its own pixel grid."""
 
 from __future__ import annotations
 

@@ -50,10 +50,10 @@ class Nominal:
 
 
 def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any], origin_mm: NDArray[np.float64] | None = None) -> Nominal:
-    """Return the nominal surface of triangles: (v, 3) mm and (m, 3) rows of them, without triangles of no area.
+    """Return the nominal surface of triangles: (v, 3) mm and (m, 3) rows of them.
 
-    Vertices at exactly the same place become one, since STL files have no neighbours. Raises ValueError if no triangle
-    remains.
+    Triangles without area are left out. Vertices at exactly the same place become one, since STL files have no neighbours.
+    Raises ValueError if no triangle remains.
     """
     places, place_of = np.unique(np.asarray(vertices_mm, np.float64), axis=0, return_inverse=True)
     corners_of = place_of.reshape(-1)[np.asarray(faces, np.int64)]

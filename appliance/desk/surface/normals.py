@@ -26,11 +26,11 @@ rotate."""
 
 
 def normals(cloud: OrganisedCloud, same: Connected | None = None, radius_px: int = RADIUS_PX) -> NDArray[np.float32]:
-    """Return the unit normals (h, w, 3) float32 of a cloud, in its frame, towards the camera; NaN where unknown.
+    """Return the unit normals (h, w, 3) float32 of a cloud, in its frame, towards the camera.
 
-    ``same``: the result of ``connected``, if it is known. Unknown are pixels without a point, and those with less than
-    ``LEAST_POINTS`` around them or with all of them in a line. Raises ValueError for a window of less than 3
-    x 3 or more than 15 x 15 pixels.
+    NaN where unknown. ``same``: the result of ``connected``, if it is known. Unknown are pixels without a point, and
+    those with less than ``LEAST_POINTS`` around them or with all of them in a line. Raises ValueError for a window of
+    less than 3 x 3 or more than 15 x 15 pixels.
     """
     if not 1 <= radius_px <= 7:
         raise ValueError(f"radius_px is {radius_px}; allowed are 1..7")
@@ -77,7 +77,10 @@ def _planes(
     radius: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Write the normal of every pixel whose plane is determined to ``out``; symbols as at the module's head."""
+    """Write the normal of every pixel whose plane is determined to ``out``.
+
+    Symbols as at the module's head.
+    """
     h, w = points.shape[0], points.shape[1]
     reached = np.zeros((2 * radius + 1, 2 * radius + 1), np.bool_)
     for y in range(h):

@@ -41,7 +41,7 @@ _NEIGHBOURS = 4
 
 
 def mesh_of_surface(cloud: FusedCloud, voxel_mm: float = VOXEL_MM, close_holes_mm: float = 0.0) -> Mesh:
-    """Return the mesh of a fused surface, whose points should be about half a voxel apart, and at most one.
+    """Return the mesh of a fused surface, whose points should be half a voxel apart, and at most one.
 
     ``close_holes_mm``: holes that are no wider are closed with triangles about their middle, which have no sigma (NaN); the outer border is
     no hole. Sigma, grey and normals of the other vertices are those of the nearest points. Raises ValueError for a voxel outside of
@@ -149,7 +149,7 @@ def _blocks(cloud: FusedCloud, voxel_mm: float) -> Iterator[_Block]:
 def _field(
     points: NDArray[np.float64], normals: NDArray[np.float32], weight: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the signed distance and the distance of the nearest point, both in voxels, at a block's corners.
+    """Return the signed distance and the distance of the nearest point, in voxels, at a block's corners.
 
     Far away they are 9 and infinite.
     """
@@ -166,7 +166,7 @@ def _field(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _find_nearest(points: NDArray[np.float64], near: NDArray[np.float32], nearest: NDArray[np.int32]) -> None:
-    """Write the squared distance of the nearest point, and its index, for each voxel within reach of a point."""
+    """Write the squared distance of the nearest point, and its index, for each voxel within reach."""
     side = near.shape[0]
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
@@ -188,7 +188,10 @@ def _add_distances(
     total: NDArray[np.float64],
     sum_of_weights: NDArray[np.float64],
 ) -> None:
-    """Add the weighted distances of all points to the voxels in reach whose nearest point faces the same way."""
+    """Add the weighted distances of all points to the voxels in reach.
+
+    Only voxels whose nearest point faces the same way count.
+    """
     side = total.shape[0]
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
@@ -248,7 +251,7 @@ def _join(parts: list[NDArray[_Kind]]) -> NDArray[_Kind]:
 
 
 def _on_borders(grid: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return which vertices of a block lie on its sides, where another block has them too, and their edges of the grid.
+    """Return the vertices on the sides of a block, where another block has them too, and their grid edges.
 
     An edge is one number: that of its lower corner and of its direction. Places of the vertices would differ between two
     blocks, as they are float32 from either block's corner.
@@ -267,7 +270,10 @@ def _weld(
     shared: NDArray[np.int64],
     edges: NDArray[np.int64],
 ) -> _Parts:
-    """Return the mesh with one vertex for all ``shared`` vertices on an edge, and without vertices in no triangle."""
+    """Return the mesh with one vertex for all ``shared`` vertices on an edge.
+
+    Vertices in no triangle are removed.
+    """
     _, first, edge_index = np.unique(edges, return_index=True, return_inverse=True)
     replacement = np.arange(len(places), dtype=np.int32)
     replacement[shared] = shared[first[edge_index.reshape(-1)]]

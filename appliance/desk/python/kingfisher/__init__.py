@@ -1,4 +1,4 @@
-"""Python interface to stored dives: points in mm as NumPy arrays, objects, meshes, deviations, and files.
+"""Python interface to stored dives: points in mm as NumPy arrays, objects, meshes and deviations.
 
     dive = kingfisher.open_dive("ROOT")           the folder that holds scans/
     scan = dive[7]                                <scan 000007: 282,679 points, 21 µm, good>
