@@ -39,7 +39,7 @@ class SourceScan:
 
     @classmethod
     def open(
-        cls, folder: Path, wish: ScanOptions, scan: StoredScan | None = None, *, whole: bool = False
+        cls, folder: Path, options: ScanOptions, scan: StoredScan | None = None, *, whole: bool = False
     ) -> SourceScan:
         """Open a scan and the rig it was taken with: ``--rig``, else its own.
 
@@ -49,13 +49,13 @@ class SourceScan:
         if whole:
             StoredScan.refuse_damage(folder)
         scan = scan or StoredScan.load(folder, only_raw=True)
-        root = wish.root or root_of(folder)
-        if wish.rig is not None:
-            for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
+        root = options.root or root_of(folder)
+        if options.rig is not None:
+            for side, camera in (("left", options.rig.camera.left), ("right", options.rig.camera.right)):
                 _same_size(
-                    scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig"
+                    scan, side, (camera.width_px, camera.height_px), f"the rig file ({options.rig.rig.name})", "--rig"
                 )
-            return cls(scan, wish.rig, root)
+            return cls(scan, options.rig, root)
         remedy = "give the rig file of the instrument with --rig PATH"
         problem = scan.problem_of(RIG_FILE)
         if problem is not None:
@@ -66,12 +66,12 @@ class SourceScan:
             raise ScanError(f"{folder / RIG_FILE}: {error}; {remedy}") from error
 
     @staticmethod
-    def instrument_of(scans: Sequence[SourceScan], wish: ScanOptions) -> Rig:
+    def instrument_of(scans: Sequence[SourceScan], options: ScanOptions) -> Rig:
         """Return the instrument that all ``scans`` (one or more) are of, with its storage root.
 
         Raises ScanError for scans of several instruments.
         """
-        rig = wish.rig or scans[0].rig
+        rig = options.rig or scans[0].rig
         for source in scans:
             # Not `rig_hash`: exposures and folders may differ between scans, cameras and raster may not.
             if source.rig.optical_hash != rig.optical_hash:
@@ -79,28 +79,28 @@ class SourceScan:
                     f"{source.scan.folder}: is of {_cameras(source.rig)}, not of {_cameras(rig)} as the others; "
                     "take scans of one instrument"
                 )
-        root = wish.root or next((source.root for source in scans if source.root is not None), None)
+        root = options.root or next((source.root for source in scans if source.root is not None), None)
         return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
 
-    def calibration_for(self, wish: ScanOptions) -> ChosenCalibration:
+    def calibration_for(self, options: ScanOptions) -> ChosenCalibration:
         """Return the calibration for this scan: the one in the options, else its own.
 
         Raises CalibrationError for one that is missing or does not fit; the text has the remedy.
         """
-        if wish.calibration is not None:
-            chosen = ChosenCalibration(load_calibration(wish.calibration), f"--calibration {wish.calibration}")
-        elif wish.current:
+        if options.calibration is not None:
+            chosen = ChosenCalibration(load_calibration(options.calibration), f"--calibration {options.calibration}")
+        elif options.current:
             path = self.storage_root / CALIBRATION_FILE
             chosen = ChosenCalibration(load_calibration(path), str(path))
         else:
             chosen = _of_the_scan(self.scan)
-        self.refuse_misfit(chosen.calibration, chosen.whose, foreign=wish.foreign)
+        self.refuse_misfit(chosen.calibration, chosen.whose, foreign=options.foreign)
         return chosen
 
     @staticmethod
-    def one_calibration(scans: Sequence[SourceScan], wish: ScanOptions) -> ChosenCalibration:
+    def one_calibration(scans: Sequence[SourceScan], options: ScanOptions) -> ChosenCalibration:
         """Return one calibration for several scans. Raises CalibrationError also where their own ones differ."""
-        chosen = [scan.calibration_for(wish) for scan in scans]
+        chosen = [scan.calibration_for(options) for scan in scans]
         k_other = next((k for k, choice in enumerate(chosen) if choice.calibration != chosen[0].calibration), None)
         if k_other is None:
             return chosen[0]
