@@ -11,7 +11,7 @@ from time import process_time
 import numpy as np
 
 from appliance.base import silent
-from appliance.desk.foreign.folder import guessed_text
+from appliance.desk.foreign.folder import describe_guess
 from appliance.desk.foreign.guess import guess_sequence
 from appliance.desk.foreign.importing import read_foreign
 from appliance.desk.foreign.points import ForeignScan, find_points
@@ -84,7 +84,7 @@ def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
     yield Measured(f"{one.name}: CPU, tests and points", cpu_s, "s")
     guess = made.description.with_name("guess.toml")
     best = guess_sequence(made.description.parent, silent)[0]
-    guess.write_text(guessed_text(best, guess.parent), encoding="utf-8")
+    guess.write_text(describe_guess(best, guess.parent), encoding="utf-8")
     guessed = _judged(made, read_foreign(guess, silent))
     yield Measured(f"{one.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
 

@@ -44,10 +44,10 @@ class WithObjects(WithCalibration):
 
         Raises ObjectError for one that is not solved, before anything that computes is loaded.
         """
-        from appliance.desk import ADDED_SINCE, solved_object
+        from appliance.desk import ADDED_SINCE, read_solved_object
 
         root = library_root(options)
-        stored = solved_object(root, name)
+        stored = read_solved_object(root, name)
         if stored.added_since:
             complain(
                 f"object '{stored.name}': without {', '.join(stored.added_since)}, {ADDED_SINCE}", as_json=self.json

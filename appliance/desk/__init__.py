@@ -51,7 +51,7 @@ if TYPE_CHECKING:
         object_exists,  # Return whether there is an object of that name
         object_names,  # Return the names of all objects under a storage root, in order
         read_object,  # Read an object. Raises ObjectError if it is missing or damaged
-        solved_object,  # Read a solved object. Raises ObjectError for any other
+        read_solved_object,  # Read a solved object. Raises ObjectError for any other
     )
     from .objects import (
         add_to_object,  # Add scans, by their folders, to an object, which is created if needed

@@ -79,7 +79,7 @@ class Comparison:
     @property
     def in_nominal_frame(self) -> FusedCloud:
         """The points in the nominal surface's frame, less ``origin_mm``, with the sigma of their deviations."""
-        pose = _moved(self.laid.pose, -self.origin_mm)
+        pose = _translate(self.laid.pose, -self.origin_mm)
         return replace(
             self.surface,
             points_mm=pose.of(self.surface.points_mm.astype(np.float64)).astype(np.float32),
@@ -110,7 +110,7 @@ def compare(
             surface.beside_mm.astype(np.float64),
         ),
         NominalReference(tree, nominal.sigma_mm),
-        None if start is None else _moved(start, -nominal.triangles.origin_mm),
+        None if start is None else _translate(start, -nominal.triangles.origin_mm),
     )
     points = laid.pose.of(surface.points_mm.astype(np.float64))
     normals = surface.normals.astype(np.float64) @ laid.pose.rotation.T
@@ -120,7 +120,9 @@ def compare(
     if nominal.sigma_mm is not None:
         variance += _sigma_on(nominal.sigma_mm, nominal.triangles, deviation.face) ** 2
     deviation = deviation.with_sigma(np.sqrt(variance).astype(np.float32))
-    pose, *elsewhere = (_moved(other_pose, nominal.triangles.origin_mm) for other_pose in (laid.pose, *laid.elsewhere))
+    pose, *elsewhere = (
+        _translate(other_pose, nominal.triangles.origin_mm) for other_pose in (laid.pose, *laid.elsewhere)
+    )
     laid = replace(laid, pose=pose, elsewhere=tuple(elsewhere))
     warnings = (*_warnings(laid), *_beside(deviation), *_bent(surface, deviation))
     return Comparison(surface, laid, nominal.name, nominal.triangles.origin_mm, deviation, warnings)
@@ -233,7 +235,7 @@ def _sigma_on(sigma_mm: NDArray[np.float32], nominal: Nominal, face: NDArray[np.
     return np.asarray(sigma_mm[nominal.faces[face]].mean(axis=1), np.float64)
 
 
-def _moved(pose: Rigid, by_mm: NDArray[np.float64]) -> Rigid:
+def _translate(pose: Rigid, by_mm: NDArray[np.float64]) -> Rigid:
     return Rigid(pose.rotation, pose.translation_mm + by_mm)
 
 

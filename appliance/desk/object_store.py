@@ -261,7 +261,7 @@ def read_object(root: Path, name: str) -> StoredObject:
     return replace(stored, name=name)
 
 
-def solved_object(root: Path, name: str) -> StoredObject:
+def read_solved_object(root: Path, name: str) -> StoredObject:
     """Read a solved object. Raises ObjectError for any other.
 
     The error comes before modules that compute are loaded.

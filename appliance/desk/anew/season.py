@@ -63,7 +63,7 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
         else:
             page.note("Nothing in the table.")
     page.heading("Refused scans, and why")
-    _add_refused(page, [row for row in rows if _is_refused(row)])
+    _add_refusals(page, [row for row in rows if _is_refused(row)])
     return page.as_html()
 
 
@@ -154,7 +154,7 @@ def _is_refused(row: Cells) -> bool:
     return row["state"] != "done" or row["spoilt"] == "True"
 
 
-def _add_refused(page: Page, refused: Sequence[Cells]) -> None:
+def _add_refusals(page: Page, refused: Sequence[Cells]) -> None:
     if not refused:
         page.note("None.")
         return

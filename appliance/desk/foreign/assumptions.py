@@ -281,7 +281,7 @@ def _check_steps(measured: AxisMeasurement, axis: AxisConvention) -> list[Examin
             results.append(fits_or_unchecked(subject, True, residual_text))
         if residual <= BENT:
             continue
-        count, own_steps_deg = len(images) - 1, measured_steps(stack)
+        count, own_steps_deg = len(images) - 1, estimate_steps(stack)
         for end, part in (("first", stack[1:]), ("last", stack[:-1])) if count > 3 else ():
             if (residual_share := misfit(part, equal_steps(count))) < 0.5 * residual:
                 text = f"{residual_text}; without the {end} of its images, steps = {count} leaves {100 * residual_share:.0f} %"
@@ -316,7 +316,7 @@ def misfit(stack: NDArray[np.float64], steps_deg: tuple[float, ...]) -> float:
     return float(np.median(residual / np.maximum(np.hypot(values[1], values[2]), 1e-6)))
 
 
-def measured_steps(stack: NDArray[np.float64]) -> tuple[float, ...]:
+def estimate_steps(stack: NDArray[np.float64]) -> tuple[float, ...]:
     """Return the steps of images (n, pixels) by their principal components, beginning with 0.
 
     Their sign cannot be told.
@@ -361,7 +361,7 @@ def _check_periods(measured: AxisMeasurement, axis: AxisConvention, coordinate_p
         return float(np.median(place_with(**changed)[1]))
 
     chance, described = chance_misfit(axis), disagreement({})
-    unrepeated_px, apart = place_with(size_px=_unrepeated_px(axis))
+    unrepeated_px, apart = place_with(size_px=_unambiguous_px(axis))
     if np.median(apart) < GOOD_OF_CHANCE * chance and (results := check_extent(axis, unrepeated_px)):
         return results
     text = f"their phases are {360 * described:.1f}° apart"
@@ -391,7 +391,7 @@ def _check_periods(measured: AxisMeasurement, axis: AxisConvention, coordinate_p
     return [fits_or_unchecked(subject, continuous >= GOES_ON, text)]
 
 
-def _unrepeated_px(axis: AxisConvention) -> float:
+def _unambiguous_px(axis: AxisConvention) -> float:
     """Return the length, at least the pattern's, within which the phases never repeat together.
 
     Lengths beyond twice the pattern's count as that.

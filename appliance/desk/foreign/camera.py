@@ -47,7 +47,7 @@ class DecodedCamera:
 def decode_camera(images: ImageSet, description: Description) -> DecodedCamera:
     """Decode one camera's images. Raises ForeignError."""
     measured = {axis.name: measure(images, axis) for axis in description.axes}
-    return DecodedCamera(images, measured, _placed(measured, description), _picture(images, measured))
+    return DecodedCamera(images, measured, _place_axes(measured, description), _picture(images, measured))
 
 
 def place_again(camera: DecodedCamera, description: Description) -> DecodedCamera:
@@ -55,10 +55,10 @@ def place_again(camera: DecodedCamera, description: Description) -> DecodedCamer
 
     Phase steps are turned, not fitted again.
     """
-    return replace(camera, placed=_placed(camera.measured, description))
+    return replace(camera, placed=_place_axes(camera.measured, description))
 
 
-def _placed(measured: Mapping[str, AxisMeasurement], description: Description) -> dict[str, AxisCoordinates]:
+def _place_axes(measured: Mapping[str, AxisMeasurement], description: Description) -> dict[str, AxisCoordinates]:
     return {axis.name: place(measured[axis.name], axis, description.extent_px(axis)) for axis in description.axes}
 
 

@@ -221,7 +221,7 @@ def interpret_numbers(files: Mapping[str, NumbersOf], names: Table, of_projector
     names.only(*REQUIRED)
     facts: Facts = {}
     for key_name in names.content:
-        _add_fact(facts, _named(files, names, key_name))
+        _add_fact(facts, _read_named(files, names, key_name))
     fixed, named = set(facts), {(fact.file, fact.name) for fact in facts.values()}
     unnamed = [fact for fact in facts_of(files, of_projector) if (fact.file, fact.name) not in named]
     cameras = {fact.side: fact for fact in unnamed if fact.kind in CAMERA_KINDS}
@@ -266,7 +266,7 @@ def interpret_numbers(files: Mapping[str, NumbersOf], names: Table, of_projector
     )
 
 
-def _named(files: Mapping[str, NumbersOf], names: Table, key: str) -> Fact:
+def _read_named(files: Mapping[str, NumbersOf], names: Table, key: str) -> Fact:
     """Return the numbers that an entry of [cameras.names] names."""
     text, (side, kind) = names.text(key), REQUIRED[key]
     counts = KINDS[kind][0]

@@ -103,7 +103,7 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
     shares, largest = (
         np.concatenate([share.reshape(len(share), -1) for share in kind], axis=1) for kind in zip(*windows, strict=True)
     )
-    left_out = _unresolved(shares[:, largest[0] > LEAST_SWING * np.quantile(largest, 0.95)], axis.fine_first)
+    left_out = _count_unresolved(shares[:, largest[0] > LEAST_SWING * np.quantile(largest, 0.95)], axis.fine_first)
     resolved = slice(left_out[0], len(gray) - left_out[1])
     packed = np.empty((-(-(resolved.stop - resolved.start) // 8), count, length), np.uint8)
     contrast = np.empty((count, length), np.float32)
@@ -140,7 +140,7 @@ def _windows(signed: Floats) -> tuple[Floats, Floats]:
     return np.stack(means[:-1]), np.stack(means[-1:])
 
 
-def _unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
+def _count_unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
     """Return how many images at the beginning and at the end have stripes that are not resolved.
 
     ``shares`` are from ``_windows``. A window counts if stripes four times as wide modulate it: coarse ones light the room

@@ -274,7 +274,7 @@ def _place_by_code(measured: AxisMeasurement, axis: AxisConvention) -> tuple[Flo
         # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period
         # apart.
         sure &= measured.usable
-        coordinate_px, contradicted = _corrected_by_neighbours(coordinate_px, sure, axis)
+        coordinate_px, contradicted = _correct_by_neighbours(coordinate_px, sure, axis)
     finer = zip(axis.periods_px, measured.turns, axis.begins_deg, strict=False)
     for finer_px, turns, begin_deg in sorted(finer, key=lambda period_: -period_[0]):
         if finer_px < period:
@@ -285,7 +285,7 @@ def _place_by_code(measured: AxisMeasurement, axis: AxisConvention) -> tuple[Flo
     return coordinate_px, contradicted
 
 
-def _corrected_by_neighbours(
+def _correct_by_neighbours(
     coordinate_px: Floats, sure: NDArray[np.bool_], axis: AxisConvention
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the coordinates, with unsure ones moved by whole periods towards sure neighbours.

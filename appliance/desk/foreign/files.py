@@ -91,20 +91,20 @@ def in_halves(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
     if head is not None:
         height_px, width_px = head.shape
         if width_px >= WIDE * height_px:
-            yield _shared(camera, "left beside right")
+            yield _share(camera, "left beside right")
         elif height_px > HIGH * width_px:
-            yield _shared(camera, "left above right")
+            yield _share(camera, "left above right")
 
 
 def in_turns(camera: ImageFiles) -> Iterator[dict[str, ImageFiles]]:
     """Yield the ways in which two cameras may share one sequence: in turns, or one after the other."""
     count = len(camera.frames)
     if count % 2 == 0 and count >= 2 * LEAST_IMAGES:
-        yield _shared(camera, "left right")
-        yield _shared(camera, f"left*{count // 2} right*{count // 2}")
+        yield _share(camera, "left right")
+        yield _share(camera, f"left*{count // 2} right*{count // 2}")
 
 
-def _shared(camera: ImageFiles, sides: str) -> dict[str, ImageFiles]:
+def _share(camera: ImageFiles, sides: str) -> dict[str, ImageFiles]:
     return {side: replace(camera, sides=sides, frames=tuple(of_side(camera.frames, sides, side))) for side in SIDES}
 
 

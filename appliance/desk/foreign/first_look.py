@@ -52,9 +52,9 @@ def check_import(path: Path, out: Path) -> None:
             raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")
         if not out.absolute().parent.is_dir():
             raise ForeignError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
-        from appliance.desk.foreign.own_form import required_sequence
+        from appliance.desk.foreign.own_form import require_sequence
 
-        required_sequence(path, out, description, images["left"])
+        require_sequence(path, out, description, images["left"])
 
 
 def import_images(

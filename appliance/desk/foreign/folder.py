@@ -68,7 +68,7 @@ def import_folder(folder: Path, out: Path, progress: Progress, reasons: Path | N
 
 
 def _write(candidate: TriedSequence, path: Path) -> None:
-    LocalFileSystem().replace_file(path, guessed_text(candidate, path.parent).encode())
+    LocalFileSystem().replace_file(path, describe_guess(candidate, path.parent).encode())
 
 
 def _question(folder: Path, out: Path, candidates: Sequence[TriedSequence]) -> str:
@@ -96,7 +96,7 @@ def _question(folder: Path, out: Path, candidates: Sequence[TriedSequence]) -> s
 # ------------------------------------------------------------ description
 
 
-def guessed_text(candidate: TriedSequence, beside: Path) -> str:
+def describe_guess(candidate: TriedSequence, beside: Path) -> str:
     """Return the description of a candidate as the text of a file in the folder ``beside``."""
     description, tested = candidate.description, candidate.tested
     explained = f"{candidate.program}: {100 * candidate.explained:.0f} % of the images' variation is explained."

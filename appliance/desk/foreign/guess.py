@@ -36,7 +36,7 @@ from appliance.desk.foreign.assumptions import (
     MOST_MISFIT,
     ExaminedAssumption,
     Outcome,
-    measured_steps,
+    estimate_steps,
     misfit,
 )
 from appliance.desk.foreign.camera import DecodedCamera, decode_camera
@@ -70,7 +70,7 @@ def explained_shares(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return for each image the explained share of its variation, 1 at most, and its weight (n,)."""
     shares, illuminated = share_of_range(np.stack(list(camera.images.images)))
-    smooth = {axis.name: _smoothed(camera.placed[axis.name].coordinate_px, illuminated) for axis in description.axes}
+    smooth = {axis.name: _smooth(camera.placed[axis.name].coordinate_px, illuminated) for axis in description.axes}
     explained, weights = np.zeros(len(shares)), np.zeros(len(shares))
     for k, shown in enumerate(camera.images.shown):
         axis = description.axis(shown.axis)
@@ -113,7 +113,7 @@ def expected_values(axis: AxisConvention, shown: ShownImage, edge_px: NDArray[An
     return np.asarray(0.5 * np.cos(2.0 * np.pi * phase_turns))
 
 
-def _smoothed(coordinate_px: Floats, illuminated: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+def _smooth(coordinate_px: Floats, illuminated: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
     finite = np.isfinite(coordinate_px)
     # A median needs all of its neighbours, or the border of the object would count as an error.
     has_neighbours = cv2.erode(finite.astype(np.uint8), np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8)) > 0
@@ -376,7 +376,7 @@ def _candidates(folder: Path, cameras: Mapping[str, ImageFiles], pictures: _Redu
             description = Description(
                 folder.name, folder, files, tuple(order), channel, None, (size_px[0], size_px[1]), axes, Table("cameras.", {})
             )  # fmt: skip
-            candidate = _explained(TriedSequence(sequence.program, images, description), places, pictures)
+            candidate = _with_explained_share(TriedSequence(sequence.program, images, description), places, pictures)
             if sequence.shown not in best or candidate.rank > best[sequence.shown].rank:
                 best[sequence.shown] = candidate
     return list(best.values())
@@ -485,18 +485,18 @@ def _steps(images: NDArray[Any]) -> tuple[float, ...]:
     swing = np.ptp(stack, axis=0)
     stack = stack[:, swing > 0.5 * float(np.quantile(swing, 0.9))]
     if misfit(stack, steps) >= MOST_MISFIT:
-        steps = measured_steps(stack)
+        steps = estimate_steps(stack)
         if misfit(stack, steps) > MOST_MISFIT:
             raise ForeignError(f"{len(images)} images are no steps of one sine")
     return steps
 
 
-def _explained(candidate: TriedSequence, places: Sequence[int], pictures: _ReducedPictures) -> TriedSequence:
+def _with_explained_share(candidate: TriedSequence, places: Sequence[int], pictures: _ReducedPictures) -> TriedSequence:
     """Return a candidate corrected by its tests, with the explained share of the images at ``places``.
 
     Raises ForeignError.
     """
-    candidate, decoded = _fitted(candidate, pictures)
+    candidate, decoded = _fit(candidate, pictures)
     shares, weights = explained_shares(candidate.description, decoded["left"])
     used = [k for k, word in enumerate(candidate.words) if word != "-"]
     # Images without a role count as unexplained. Images that vary little have little weight: stripes finer than pixels
@@ -507,7 +507,7 @@ def _explained(candidate: TriedSequence, places: Sequence[int], pictures: _Reduc
     return replace(candidate, explained=total, by_image=tuple(by_image.tolist()))
 
 
-def _fitted(candidate: TriedSequence, pictures: _ReducedPictures) -> tuple[TriedSequence, dict[str, DecodedCamera]]:
+def _fit(candidate: TriedSequence, pictures: _ReducedPictures) -> tuple[TriedSequence, dict[str, DecodedCamera]]:
     """Return the candidate with the corrections of its tests, and its decoded cameras.
 
     Without camera numbers the left camera alone is decoded. Raises ForeignError.
@@ -564,7 +564,7 @@ def _on_rig(candidate: TriedSequence, table: Mapping[str, Any], pictures: _Reduc
     try:
         left_px = pictures.of(described.files["left"].frames, described.channel)[1]
         for description in _on_projectors(described, left_px) if len(described.files) == 1 else [described]:
-            fitted.append(_fitted(replace(candidate, description=description), pictures)[0])
+            fitted.append(_fit(replace(candidate, description=description), pictures)[0])
             if not fitted[-1].contradictions:
                 break
     except ForeignError as error:

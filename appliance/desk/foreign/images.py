@@ -136,7 +136,7 @@ def first_of_side(description: Description, side: str) -> ImageSet:
     """
     used = [
         (file, role)
-        for file, role in zip(*named_files(description, side), strict=True)
+        for file, role in zip(*files_of_side(description, side), strict=True)
         if role.shows is not Shows.OTHER
     ]
     if not used:
@@ -174,7 +174,7 @@ def _grey(frame: Frame, image: NDArray[Any], channel: str) -> NDArray[Any]:
     return np.ascontiguousarray(image[..., CHANNEL_NUMBER[channel]])
 
 
-def named_files(description: Description, side: str) -> tuple[list[Frame], tuple[ShownImage, ...]]:
+def files_of_side(description: Description, side: str) -> tuple[list[Frame], tuple[ShownImage, ...]]:
     """Return the files of one camera and their roles.
 
     Raises ForeignError for files that are missing, too few or too many.

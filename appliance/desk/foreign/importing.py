@@ -26,7 +26,7 @@ from appliance.desk.foreign.decode import Reason
 from appliance.desk.foreign.description import load_description
 from appliance.desk.foreign.first_look import check_images
 from appliance.desk.foreign.images import read_side
-from appliance.desk.foreign.own_form import own_sequence, settled_sequence, write_own
+from appliance.desk.foreign.own_form import own_sequence, require_folder_sequence, write_own
 from appliance.desk.foreign.points import ForeignCloud, ForeignScan, find_points
 from appliance.desk.foreign.problem import ForeignError
 from appliance.desk.report.still import picture_of_scan
@@ -68,8 +68,8 @@ def import_described(
         raise ForeignError(
             f"{path}: the images contradict it: {contradictions}; correct it, or import it all the same with --as-described"
         )
-    sequence = None if suffix else settled_sequence(path, out, scan)
-    cloud = _find_points_checked(path, scan, progress, reasons)
+    sequence = None if suffix else require_folder_sequence(path, out, scan)
+    cloud = _find_enough_points(path, scan, progress, reasons)
     progress("writing")
     report = _report(scan, cloud)
     if sequence is not None:
@@ -112,7 +112,7 @@ def read_foreign(path: Path, progress: Progress) -> ForeignScan:
     return ForeignScan(description, rig, cleaned, all_tested)
 
 
-def _find_points_checked(path: Path, scan: ForeignScan, progress: Progress, reasons: Path | None) -> ForeignCloud:
+def _find_enough_points(path: Path, scan: ForeignScan, progress: Progress, reasons: Path | None) -> ForeignCloud:
     progress("finding points")
     cloud = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras.get("right"))
     if reasons is not None:

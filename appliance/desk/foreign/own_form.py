@@ -112,7 +112,7 @@ def _reason_against(axis: AxisConvention) -> str | None:
     return None
 
 
-def required_sequence(path: Path, out: Path, description: Description, images: ImageSet) -> PatternSequence:
+def require_sequence(path: Path, out: Path, description: Description, images: ImageSet) -> PatternSequence:
     """Return the sequence of a set that has our form. Raises ForeignError for any other set."""
     sequence = own_sequence(description, images)
     if isinstance(sequence, str):
@@ -120,9 +120,9 @@ def required_sequence(path: Path, out: Path, description: Description, images: I
     return sequence
 
 
-def settled_sequence(path: Path, out: Path, scan: ForeignScan) -> PatternSequence:
+def require_folder_sequence(path: Path, out: Path, scan: ForeignScan) -> PatternSequence:
     """Return the sequence of a scan folder. Raises ForeignError if none can be made."""
-    sequence = required_sequence(path, out, scan.description, scan.cameras["left"].images)
+    sequence = require_sequence(path, out, scan.description, scan.cameras["left"].images)
     if not scan.rig.scale_known:
         raise ForeignError(
             f"{path}: no scan folder can be made: the calibration has no scale; give the translation's length in mm"

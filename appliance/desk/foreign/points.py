@@ -157,7 +157,7 @@ def find_points(
         name = description.axes[0].name
         ends = (description.near_mm, description.far_mm)
         for share in NARROWER[: 1 if None not in ends else None]:
-            depths_mm = _narrowed(depths_of(description, lenient, rig.index), share)
+            depths_mm = _narrow(depths_of(description, lenient, rig.index), share)
             try:
                 cloud = _one_direction(lenient, rig.index, left, right_maps[name], depths_mm)
             except CurveError as error:
@@ -256,7 +256,7 @@ def _lenient(camera: HousedCamera) -> HousedCamera:
     return replace(camera, lens=FoldingLens(lens.f_px, lens.c_px, lens.distortion))
 
 
-def _narrowed(depths_mm: tuple[float, float], share: float) -> tuple[float, float]:
+def _narrow(depths_mm: tuple[float, float], share: float) -> tuple[float, float]:
     """Return a part of the range about its middle."""
     middle_mm = math.sqrt(depths_mm[0] * depths_mm[1])
     return middle_mm * (depths_mm[0] / middle_mm) ** share, middle_mm * (depths_mm[1] / middle_mm) ** share

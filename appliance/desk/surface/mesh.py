@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from appliance.base import one_line
 from appliance.desk.surface.normals import normals
-from appliance.desk.surface.steps import connected
+from appliance.desk.surface.steps import connect_neighbours
 from appliance.measure import OrganisedCloud
 
 
@@ -41,7 +41,7 @@ def mesh_of_scan(cloud: OrganisedCloud) -> Mesh:
     triangle along the grid join pixels that see one surface (``steps.py``). The diagonal is taken that gives more triangles,
     else the shorter one. The points are those of the scan, unmoved.
     """
-    same = connected(cloud)
+    same = connect_neighbours(cloud)
     top, bottom, left, right = same.right[:-1], same.right[1:], same.down[:, :-1], same.down[:, 1:]
     falling = (top & right).astype(np.uint8) + (left & bottom)
     rising = (top & left).astype(np.uint8) + (right & bottom)

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.surface.steps import Connected, connected
+from appliance.desk.surface.steps import Connections, connect_neighbours
 from appliance.measure import OrganisedCloud
 
 RADIUS_PX = 2
@@ -25,16 +25,16 @@ LEAST_SPREAD = 0.05
 rotate."""
 
 
-def normals(cloud: OrganisedCloud, same: Connected | None = None, radius_px: int = RADIUS_PX) -> NDArray[np.float32]:
+def normals(cloud: OrganisedCloud, same: Connections | None = None, radius_px: int = RADIUS_PX) -> NDArray[np.float32]:
     """Return the unit normals (h, w, 3) float32 of a cloud, in its frame, towards the camera.
 
-    NaN where unknown. ``same``: the result of ``connected``, if it is known. Unknown are pixels without a point, and
+    NaN where unknown. ``same``: the result of ``connect_neighbours``, if it is known. Unknown are pixels without a point, and
     those with less than ``LEAST_POINTS`` around them or with all of them in a line. Raises ValueError for a window of
     less than 3 x 3 or more than 15 x 15 pixels.
     """
     if not 1 <= radius_px <= 7:
         raise ValueError(f"radius_px is {radius_px}; allowed are 1..7")
-    same = connected(cloud) if same is None else same
+    same = connect_neighbours(cloud) if same is None else same
     out = np.full(cloud.points_mm.shape, np.nan, np.float32)
     _planes(cloud.points_mm, same.right, same.down, radius_px, out)
     return out

@@ -33,7 +33,7 @@ LINES_AT_ONCE = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Connected:
+class Connections:
     """Pairs of neighbouring pixels that see one surface; ``False`` also where one of the two has no point."""
 
     right: NDArray[np.bool_]
@@ -42,7 +42,7 @@ class Connected:
     """(h - 1, w) bool: the pixel and the one below."""
 
 
-def connected(cloud: OrganisedCloud) -> Connected:
+def connect_neighbours(cloud: OrganisedCloud) -> Connections:
     """Return which neighbours see one surface, by the limits above."""
     h, w = cloud.shape
     right, down = np.empty((h, w - 1), np.bool_), np.empty((h - 1, w), np.bool_)
@@ -54,7 +54,7 @@ def connected(cloud: OrganisedCloud) -> Connected:
         for begin in range(0, len(same), LINES_AT_ONCE):
             some = slice(begin, begin + LINES_AT_ONCE)
             same[some] = _along_rows(points[some], sigma[some])
-    return Connected(right, down)
+    return Connections(right, down)
 
 
 def _along_rows(points_mm: NDArray[np.float32], sigma_mm: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from appliance.base import silent
-from appliance.desk.foreign.folder import guessed_text
+from appliance.desk.foreign.folder import describe_guess
 from appliance.desk.foreign.guess import guess_sequence
 from appliance.desk.foreign.importing import import_described
 from tests.support.imported import import_folder
@@ -190,7 +190,7 @@ def test_a_strangers_folder_needs_no_more_than_a_guess(tmp_path: Path, case: Cas
     case.make(folder)
     candidates = guess_sequence(folder, silent)
     assert len(candidates) == 1, [one.program for one in candidates]
-    text = guessed_text(candidates[0], folder)
+    text = describe_guess(candidates[0], folder)
     (folder / "description.toml").write_text(text)
     said = re.sub(r" +# .*", "", text)
     for one in case.said:

@@ -7,7 +7,7 @@ import pytest
 
 from appliance.desk.surface.mesh import mesh_of_scan
 from appliance.desk.surface.normals import normals
-from appliance.desk.surface.steps import connected
+from appliance.desk.surface.steps import connect_neighbours
 from appliance.measure.points.organised import OrganisedCloud
 from tests.support.solids import Ball, Box, looking, seen
 
@@ -73,7 +73,7 @@ def in_a_row(*depths_mm: float, sigma_mm: float = 0.02) -> list[bool]:
     points = np.stack([0.2 * np.arange(len(z)) * z / 500.0, 0.0 * z, z], axis=-1)[None].astype(np.float32)
     column = np.full((1, len(z)), sigma_mm, np.float32)
     cloud = OrganisedCloud(points, column, column, column, np.zeros((1, len(z)), np.uint8))
-    found: list[bool] = connected(cloud).right[0].tolist()
+    found: list[bool] = connect_neighbours(cloud).right[0].tolist()
     return found
 
 
