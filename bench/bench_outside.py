@@ -92,7 +92,7 @@ def run(
             found, data = measure_part(name, count, seed, say, keep, noise)
         finally:
             progress.close()
-        sys.stdout.write(f"{name}: {PARTS[name].about}\n")
+        sys.stdout.write(f"{name}: {PARTS[name].subject}\n")
         sys.stdout.writelines(number.line() + "\n" for number in found)
         sys.stdout.flush()
         kept = kept and all(number.kept for number in found)

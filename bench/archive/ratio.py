@@ -1,4 +1,4 @@
-"""Owns how much smaller packed scans are, by world and by object, and how fast they are packed and had again."""
+"""Size of packed scans relative to raw ones, by world and object, and the time of packing and opening them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GB = 1e9
 
 @dataclass(frozen=True, slots=True)
 class PackedScan:
-    """One scan's room, and the processor time of packing it with everything that is compared, and of opening it."""
+    """Sizes of one scan, and the CPU time of packing it with all comparisons, and of opening it."""
 
     drawn: Drawn
     raw_bytes: int
@@ -32,7 +32,7 @@ class PackedScan:
     pack_cpu_s: float
     open_cpu_s: float
     frame_cpu_s: float
-    """Of one frame had alone, median."""
+    """Median for one frame read by itself."""
 
     @property
     def ratio(self) -> float:
@@ -42,49 +42,53 @@ class PackedScan:
 
 def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], None]) -> list[PackedScan]:
     """Pack each scan into ``archive``, which is made anew."""
-    found = []
+    results = []
     shutil.rmtree(archive, ignore_errors=True)  # of a call that was interrupted
     archive.mkdir(parents=True, exist_ok=True)
-    for one in drawn:
-        target = archive / one.folder.name
+    for scan in drawn:
+        target = archive / scan.folder.name
         begun_s = time.process_time()
-        if pack_scan(LocalFileSystem(), one.folder, target) is not CopyOutcome.WRITTEN:
+        if pack_scan(LocalFileSystem(), scan.folder, target) is not CopyOutcome.WRITTEN:
             raise RuntimeError(f"{target} was not written")
         pack_s = time.process_time() - begun_s
         begun_s = time.process_time()
         StoredScan.load(target)
         open_s = time.process_time() - begun_s
         frame_s = median(_frame_cpu_s(target, side, k) for side in SIDES for k in range(0, 24, 4))
-        sizes = [sum(path.stat().st_size for path in folder.glob("frames_*")) for folder in (one.folder, target)]
-        found.append(PackedScan(one, sizes[0], sizes[1], pack_s, open_s, frame_s))
-        say(f"{one.world} {one.folder.name} {one.object}: {found[-1].ratio:.2f}")
-    return found
+        sizes = [sum(path.stat().st_size for path in folder.glob("frames_*")) for folder in (scan.folder, target)]
+        results.append(PackedScan(scan, sizes[0], sizes[1], pack_s, open_s, frame_s))
+        say(f"{scan.world} {scan.folder.name} {scan.object}: {results[-1].ratio:.2f}")
+    return results
 
 
 def _frame_cpu_s(folder: Path, side: str, k: int) -> float:
-    """Return the processor time of one frame of a packed scan: its manifest, index, stream and checksum, and nothing else."""
+    """Return the CPU time of reading one frame of a packed scan: manifest, index, stream and checksum."""
     begun_s = time.process_time()
     StoredScan.read_frame(folder, side, k)
     return time.process_time() - begun_s
 
 
 def figures(scans: Sequence[PackedScan], *, bound: bool) -> Iterator[Measured]:
-    """Yield the figures of one world's scans; ``bound``: the promise is held against them."""
+    """Yield the figures of one world's scans; ``bound``: the ratio has its lower limit."""
     world = scans[0].drawn.world
-    raw, held = sum(one.raw_bytes for one in scans), sum(one.packed_bytes for one in scans)
-    least = LEAST_RATIO if bound else None
-    yield Measured(f"{world}: packed how many times smaller", raw / held, f"all {len(scans)} scans", at_least=least)
-    ratios = sorted(one.ratio for one in scans)
+    raw, held = sum(scan.raw_bytes for scan in scans), sum(scan.packed_bytes for scan in scans)
+    limit = LEAST_RATIO if bound else None
+    yield Measured(f"{world}: packed how many times smaller", raw / held, f"all {len(scans)} scans", at_least=limit)
+    ratios = sorted(scan.ratio for scan in scans)
     yield Measured(f"{world}: of one scan at least", ratios[0], "times")
     yield Measured(f"{world}: of one scan at most", ratios[-1], "times")
-    for name in sorted({one.drawn.object for one in scans}):
-        some = [one for one in scans if one.drawn.object == name]
-        ratio = sum(one.raw_bytes for one in some) / sum(one.packed_bytes for one in some)
+    for name in sorted({scan.drawn.object for scan in scans}):
+        some = [scan for scan in scans if scan.drawn.object == name]
+        ratio = sum(scan.raw_bytes for scan in some) / sum(scan.packed_bytes for scan in some)
         yield Measured(f"{world}: {name}", ratio, f"times, {len(some)} scans")
     each = DIVE_SCANS / len(scans) / GB
     yield Measured(f"{world}: {DIVE_SCANS} scans, raw", raw * each, "GB")
     yield Measured(f"{world}: {DIVE_SCANS} scans, packed", held * each, "GB")
-    yield Measured(f"{world}: packing and comparing", sum(one.pack_cpu_s for one in scans) / len(scans), "CPU s a scan")
-    yield Measured(f"{world}: opening a packed scan", sum(one.open_cpu_s for one in scans) / len(scans), "CPU s a scan")
-    frame_ms = 1000.0 * median(one.frame_cpu_s for one in scans)
+    yield Measured(
+        f"{world}: packing and comparing", sum(scan.pack_cpu_s for scan in scans) / len(scans), "CPU s a scan"
+    )
+    yield Measured(
+        f"{world}: opening a packed scan", sum(scan.open_cpu_s for scan in scans) / len(scans), "CPU s a scan"
+    )
+    frame_ms = 1000.0 * median(scan.frame_cpu_s for scan in scans)
     yield Measured(f"{world}: one frame of a packed scan", frame_ms, "CPU ms")

@@ -1,6 +1,6 @@
-"""Owns the stored scans that the archive is measured on: drawn scenes of both simulated worlds, as folders an instrument could have left.
+"""Stored scans for measuring the archive: random scenes of both simulated worlds, as folders of an instrument.
 
-A scan's folder is drawn once and kept, whole or not at all, so that an interrupted drawing goes on where it was.
+A folder is made once and kept, as a whole or not at all, so that an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from hw_sim.outside import ALL
 FULL_PX = (1600, 1200)
 FAMILIES = {"ordinary": (), "outside": ALL}
 SEED = 4711
-"""Seed of the draws; nothing in the product was chosen on them."""
+"""Seed of the scenes; no constant of the product was chosen with them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """One drawn scan and what it shows."""
+    """One random scan and its scene."""
 
     folder: Path
     world: str
@@ -52,16 +52,17 @@ class _Taken:
 def drawn_scans(
     root: Path, world: str, count: int, size_px: tuple[int, int], say: Callable[[str], None]
 ) -> list[Drawn]:
-    """Return ``count`` stored scans of ``world`` (``ordinary`` or ``outside``) below ``root``/scans, drawn where they are not there."""
-    found = []
+    """Return ``count`` stored scans of ``world`` (``ordinary`` or ``outside``) below ``root``/scans; missing ones are
+    made."""
+    scans = []
     for number in range(count):
         folder = root / "scans" / f"{number + 1:06d}"
         drawn = scene_world(SEED, number, FAMILIES[world], (8, 6)).scene
         if not folder.exists():
             say(f"{world} {number + 1} of {count}")
             _store(folder, _take(world, number, size_px))
-        found.append(Drawn(folder, world, drawn.object, drawn.texture, drawn.water.attenuation_per_m))
-    return found
+        scans.append(Drawn(folder, world, drawn.object, drawn.texture, drawn.water.attenuation_per_m))
+    return scans
 
 
 def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:
@@ -86,28 +87,28 @@ def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:
     )
 
 
-def _store(folder: Path, taken: _Taken) -> None:
+def _store(folder: Path, scan: _Taken) -> None:
     record = ScanRecord(
         sequence=SequenceInfo.of(SEQUENCE),
         rig_hash="ab" * 32,
-        calibration_hash=taken.calibration_hash,
+        calibration_hash=scan.calibration_hash,
         software_version="0.1.0",
         wall_time=f"2031-05-06T07:{int(folder.name) // 60 % 60:02d}:{int(folder.name) % 60:02d}+00:00",
         clock_trusted=True,
         recorded_ns=int(folder.name) * 5_000_000_000,
-        exposure=taken.exposure,
-        water=taken.water,
+        exposure=scan.exposure,
+        water=scan.water,
     )
     draft = folder.with_name(f".{folder.name}")
     shutil.rmtree(draft, ignore_errors=True)
     draft.parent.mkdir(parents=True, exist_ok=True)
-    write_raw(LocalFileSystem(), draft, folder.name, taken.frames, record, taken.origin)
+    write_raw(LocalFileSystem(), draft, folder.name, scan.frames, record, scan.origin)
     draft.rename(folder)
 
 
 def rig_text(size_px: tuple[int, int]) -> str:
-    """Return the packaged rig file with cameras of that size."""
+    """Return the packaged rig file with cameras of another size."""
     text = default_rig_path().read_text(encoding="utf-8")
-    for name, full, wanted in zip(("width_px", "height_px"), FULL_PX, size_px, strict=True):
-        text = re.sub(rf"(?m)^{name} = {full}\b", f"{name} = {wanted}", text)
+    for name, full, size in zip(("width_px", "height_px"), FULL_PX, size_px, strict=True):
+        text = re.sub(rf"(?m)^{name} = {full}\b", f"{name} = {size}", text)
     return text

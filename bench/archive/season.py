@@ -69,9 +69,18 @@ def draw_season(folder: Path) -> Season:
 
 
 def season_page(season: Season, folder: Path) -> Path:
-    """Return the page that the two verbs make of it, below ``folder``."""
-    words = ("archive", "reprocess", season.root, season.artefacts, "--out", folder / "out", "--table-only", "--json")
-    table = Path(_said(folder, *words)["table"]).relative_to(folder)
+    """Return the page that the two verbs make of the season, below ``folder``."""
+    arguments = (
+        "archive",
+        "reprocess",
+        season.root,
+        season.artefacts,
+        "--out",
+        folder / "out",
+        "--table-only",
+        "--json",
+    )
+    table = Path(_said(folder, *arguments)["table"]).relative_to(folder)
     _said(folder, "report", table, "--out", "season.html", "--json")
     return folder / "season.html"
 
@@ -120,11 +129,11 @@ def _damage(path: Path) -> None:
     path.write_bytes(data)
 
 
-def _said(folder: Path, *words: object) -> Any:
-    done = kingfisher(*words, cwd=folder, most_s=MOST_S)
-    if not done.out:
-        raise RuntimeError(f"kingfisher {words[0]}: {done.err}")
-    return done.document
+def _said(folder: Path, *arguments: object) -> Any:
+    result = kingfisher(*arguments, cwd=folder, most_s=MOST_S)
+    if not result.out:
+        raise RuntimeError(f"kingfisher {arguments[0]}: {result.err}")
+    return result.document
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""What compiling the kernels costs."""
+"""Cost of compiling the kernels."""

@@ -1,9 +1,9 @@
-"""Owns one process of a first run: compiles the pieces that it is told, as ``./dev`` does, and says what each kernel cost.
+"""One process of a first run: compile pieces as ``./dev`` does, and report the cost of each kernel.
 
     python -m bench.compiling.pieces        with an empty folder in NUMBA_CACHE_DIR
 
-Reads ``package.module:function`` line by line and answers in JSON: the processor time of the piece, importing included, and of each kernel
-and each stage without that of the functions it calls, which numba compiles in between.
+Reads ``package.module:function`` line by line and answers in JSON: the CPU time of the piece with its imports, and of
+each kernel and each stage without that of the functions it calls, which numba compiles within it.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from numba.core import event
 
 @dataclass
 class Kernels(event.Listener):
-    """Hears when numba begins and ends a function."""
+    """Listener to the begin and end of compiling a function."""
 
     own_s: list[tuple[str, float]] = field(default_factory=list)
-    """Module and name of each function that was compiled, and its own processor time."""
+    """Module and name of each compiled function, and its own CPU time."""
     _open: list[tuple[float, float]] = field(default_factory=list)
-    """Of each function under way: when it began, and what those within it have taken, s."""
+    """Start of each function that is being compiled, and the time of those within it, s."""
 
     def on_start(self, event: Any) -> None:
         """Note that a function is begun, perhaps within another."""
         self._open.append((time.thread_time(), 0.0))
 
     def on_end(self, event: Any) -> None:
-        """Note what it took."""
+        """Add the time of a function."""
         begun_s, inner_s = self._open.pop()
         taken_s = time.thread_time() - begun_s
         if self._open:
@@ -54,7 +54,7 @@ class Stages(event.Listener):
         self._open.append((time.thread_time(), 0.0))
 
     def on_end(self, event: Any) -> None:
-        """Note what it took."""
+        """Add the time of a stage."""
         begun_s, inner_s = self._open.pop()
         taken_s = time.thread_time() - begun_s
         if self._open:
@@ -65,7 +65,7 @@ class Stages(event.Listener):
 
 
 def main() -> None:
-    """Answer until nothing more is asked."""
+    """Answer each line of stdin until its end."""
     for line in sys.stdin:
         begun_s = time.process_time()
         module, _, function = line.strip().partition(":")

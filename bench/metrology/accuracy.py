@@ -1,4 +1,4 @@
-"""The tables and the picture of ``docs/accuracy.md``, written from the runs' files, never by hand."""
+"""Generator of tables and picture of ``docs/accuracy.md`` from the files of runs."""
 
 from __future__ import annotations
 
@@ -45,28 +45,29 @@ TITLES = {
 
 
 def collected(folder: Path) -> dict[str, dict[str, Any]]:
-    """The runs of each set, those in several files ``metrology-SET*.json`` as one; sets without a file are left out.
+    """Return the runs of each set, with several files ``metrology-SET*.json`` of a set as one; missing sets are left
+    out.
 
-    Raises ValueError where files of a set differ in how they were made, or tell of the same rig twice.
+    Raises ValueError where files of a set were made differently or contain the same rig.
     """
-    found: dict[str, dict[str, Any]] = {}
+    runs: dict[str, dict[str, Any]] = {}
     for name in SETS:
         for path in sorted(folder.glob(f"metrology-{name}*.json")):
             run = json.loads(path.read_text(encoding="utf-8"))
-            whole = found.setdefault(name, {**run, "rows": []})
-            if any(run[key] != whole[key] for key in ("set", "resolution", "unseen")):
+            combined = runs.setdefault(name, {**run, "rows": []})
+            if any(run[key] != combined[key] for key in ("set", "resolution", "unseen")):
                 raise ValueError(f"{path}: made otherwise than the other files of set {name}; measure or remove one")
-            twice = {(row["rung"], row["seed"]) for row in whole["rows"]} & {
+            repeated = {(row["rung"], row["seed"]) for row in combined["rows"]} & {
                 (row["rung"], row["seed"]) for row in run["rows"]
             }
-            if twice:
-                raise ValueError(f"{path}: rig {min(twice)[1]} of set {name} is in two files; remove one")
-            whole["rows"] += run["rows"]
-    return found
+            if repeated:
+                raise ValueError(f"{path}: rig {min(repeated)[1]} of set {name} is in two files; remove one")
+            combined["rows"] += run["rows"]
+    return runs
 
 
 def write_accuracy(folder: Path, document: Path, picture: Path) -> None:
-    """Replace what lies between the marks of ``document``, and draw ``picture``.
+    """Replace the text between the marks of ``document``, and draw ``picture``.
 
     Raises OSError, and ValueError for a document without marks or for runs that do not fit together.
     """
@@ -127,8 +128,8 @@ def beside_the_paper(rows: Sequence[JsonRow]) -> str:
 
 
 def panels(runs: Mapping[str, Mapping[str, Any]]) -> list[Panel]:
-    """Lengths of ball bars per set: bars to the median, whiskers from the best to the worst rig."""
-    found = []
+    """Return the length errors of ball bars per set: bars to the median, whiskers from the best to the worst rig."""
+    panels_of_sets = []
     for name, run in runs.items():
         values: dict[str, list[float]] = {}
         for row in run["rows"]:
@@ -139,8 +140,8 @@ def panels(runs: Mapping[str, Mapping[str, Any]]) -> list[Panel]:
             Bar(rung, medians[rung]["E_Lb"]["median"], (min(each), max(each)), TARGETS.get((name, rung, "E_Lb")))
             for rung, each in values.items()
         ]
-        found.append(Panel(f"E_Lb in percent, set {name}", bars))
-    return found
+        panels_of_sets.append(Panel(f"E_Lb in percent, set {name}", bars))
+    return panels_of_sets
 
 
 def _cell(value: Mapping[str, float] | None, target: float | None) -> str:

@@ -1,6 +1,6 @@
-"""Owns what is known of a hidden rig before anything was scanned: its calibration in air, and the drawing of its ports.
+"""Air calibration and nominal ports of a hidden rig, as known before any scan.
 
-Boards are found in pictures that the simulated cameras take of them, as ``kingfisher calibration air`` finds them.
+Boards are found in pictures by the simulated cameras, as by ``kingfisher calibration air``.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ def boards_in_water(truth: TrueRig) -> list[BoardView]:
 
 
 def _views(rig: TrueRig, poses: Sequence[Pose], water: Water) -> list[BoardView]:
-    """The boards that were found; a picture that shows too little of one is not used, as with a real board."""
+    """Return the boards that were found; a picture with too little of one is left out, as with a real board."""
     renderer = Renderer(rig, Scene(object="board"))
-    found = []
+    views = []
     for k, pose in enumerate(poses):
         pictures = picture(renderer, pose, water, 1000 * rig.seed + k)
         view, reasons = find_board(f"board {k}", {"left": pictures.left, "right": pictures.right}, BOARD, strict=True)
         if not reasons:
-            found.append(view.without(~(view.has("left") & view.has("right"))))
-    return found
+            views.append(view.without(~(view.has("left") & view.has("right"))))
+    return views

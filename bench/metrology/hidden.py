@@ -1,6 +1,6 @@
-"""Owns the examination of one hidden rig: it is calibrated from scans, and judged by scans it has not seen.
+"""Examination of one hidden rig: it is calibrated from scans, and judged by other scans.
 
-All scans go through drivers, capture and reconstruction as on the instrument. Frames are forgotten with the next scan.
+All scans go through drivers, capture and reconstruction as on the instrument. Frames are dropped with the next scan.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ class NotCalibratedError(Exception):
 def examine(
     truth_set: str, seed: int, width_px: int, height_px: int, effort: Effort, step: Callable[[str], None]
 ) -> list[Row]:
-    """All rungs of the rig ``seed`` of a set. ``step(what)`` is called after each scan.
+    """Return the rows of all rungs for rig ``seed`` of a set. ``step(text)`` is called after each scan.
 
-    Raises ScanFailedError, NotCalibratedError and what the solvers raise.
+    Raises ScanFailedError, NotCalibratedError and the errors of the solvers.
     """
     options = WorldOptions(truth=truth_set, seed=seed, width_px=width_px, height_px=height_px)
     name = f"{truth_set} {seed}"
@@ -84,12 +84,12 @@ def examine(
         truth = instrument.world.truth
         start = start_of(air_of(truth, effort.boards))
         recordings = _recorded(instrument, needed(effort.rungs), start, lambda what: step(f"{name}: {what}"))
-        made = climb(Known(start, recordings, truth), effort.rungs)
+        results = climb(Known(start, recordings, truth), effort.rungs)
         poses = unseen(truth, effort.bars, effort.planes, effort.frustums)
-        rows = _judged(instrument, poses, made, seed, lambda what: step(f"{name}: {what}"))
+        rows = _judged(instrument, poses, results, seed, lambda what: step(f"{name}: {what}"))
     if not effort.salt:
         return rows
-    fresh = next(one for one in made if one.rung == LATER)
+    fresh = next(result for result in results if result.rung == LATER)
     later = [
         Made(rung, fresh.calibration, water, fresh.recordings, fresh.seconds)
         for rung, water in zip(IN_SALT, (SALT, WATER), strict=True)
@@ -105,7 +105,7 @@ def examine(
 def _recorded(
     instrument: Instrument, names: Sequence[str], start: Calibration, step: Callable[[str], None]
 ) -> dict[str, Recording]:
-    found = {}
+    recordings = {}
     certificate = BarCertificate(BALL_DISTANCE_MM, radius_mm=BALL_RADIUS_MM)
     with Pipeline(start, WATER, instrument.sequence, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM)) as pipeline:
         for name in names:
@@ -116,32 +116,32 @@ def _recorded(
             recording = extract(name, stated, pipeline.full(), *maps, start, WATER)
             if isinstance(recording, NotFound):
                 raise NotCalibratedError(f"{name} at {pose}: {recording.reason}")
-            found[name] = recording
+            recordings[name] = recording
             step(name)
-    return found
+    return recordings
 
 
 def _judged(
     instrument: Instrument,
     poses: Sequence[tuple[str, Pose]],
-    made: Sequence[Made],
+    results: Sequence[Made],
     seed: int,
     step: Callable[[str], None],
 ) -> list[Row]:
-    seen: list[list[Seen]] = [[] for _ in made]
-    first = made[0]
+    measurements: list[list[Seen]] = [[] for _ in results]
+    first = results[0]
     with Pipeline(
         first.calibration, first.water, instrument.sequence, QualityLimits(max_gap_mm=JUDGING_GAP_MM)
     ) as pipeline:
         for thing, pose in poses:
             _decoded(instrument, pipeline, thing, pose)
-            for one, list_ in zip(made, seen, strict=True):
-                pipeline.recalibrate(one.calibration, one.water)
+            for result, list_ in zip(results, measurements, strict=True):
+                pipeline.recalibrate(result.calibration, result.water)
                 list_.append(look_at(pipeline.full(), thing, instrument.world.truth))
             step(thing)
     return [
-        Row(one.rung, seed, summed_up(what), one.recordings, one.seconds)
-        for one, what in zip(made, seen, strict=True)
+        Row(result.rung, seed, summed_up(measured), result.recordings, result.seconds)
+        for result, measured in zip(results, measurements, strict=True)
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Owns what one calibration makes of scans it has not seen: the errors of lengths and of flatness, and the noise."""
+"""Errors of lengths and flatness, and noise, of scans that a calibration has not seen."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ was tried with all of its points, E_F changed by 0.1 % of itself and E_F,sys by 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What one scan of one artefact said; errors are fractions."""
+    """Errors of one scan of one artefact, as fractions."""
 
     artefact: Artefact
     e_l: tuple[float, ...]
@@ -31,12 +31,12 @@ class Seen:
     noise_mm: float | None
     gap_mm: float | None
     missing: str | None
-    """Why the artefact was not found."""
+    """Reason why the artefact was not found; ``None`` if it was."""
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Of all scans: the largest error of each kind in percent, mean noise, median gap. ``None``: nothing to tell."""
+    """Largest error of each kind in percent, mean noise and median ray gap over all scans; ``None`` without scans."""
 
     e_lb: float | None
     """E_L of ball bars."""
@@ -57,7 +57,7 @@ class _Points:
 
 
 def look_at(cloud: Cloud, name: str, truth: TrueRig) -> Seen:
-    """Measure the object ``name`` in its cloud against what was truly made."""
+    """Measure object ``name`` in its cloud against its true dimensions."""
     artefact = ARTEFACTS[name]
     points = cloud if artefact is Artefact.BALL_BAR else _thinned(cloud, truth.left.width_px)
     result = evaluate(points, artefact, true_lengths_mm(name, truth))
@@ -73,7 +73,7 @@ def look_at(cloud: Cloud, name: str, truth: TrueRig) -> Seen:
 
 
 def true_lengths_mm(name: str, truth: TrueRig) -> Mapping[str, float]:
-    """What the artefact truly measures, which its certificate states to a few micrometres."""
+    """Return the true lengths of the artefact, which its certificate states to a few micrometres."""
     match name:
         case "ballbar":
             return {"length": truth.artefacts.ball_distance_mm}
@@ -89,23 +89,23 @@ def true_lengths_mm(name: str, truth: TrueRig) -> Mapping[str, float]:
             return {}
 
 
-def summed_up(seen: Sequence[Seen]) -> Errors:
-    """The largest errors over scans."""
+def summed_up(measured: Sequence[Seen]) -> Errors:
+    """Return the largest errors over scans."""
 
     def worst(artefact: Artefact) -> float | None:
-        return max((100.0 * abs(e) for one in seen if one.artefact is artefact for e in one.e_l), default=None)
+        return max((100.0 * abs(e) for scan in measured if scan.artefact is artefact for e in scan.e_l), default=None)
 
-    flat = [one for one in seen if one.artefact is Artefact.PLANE]
-    noises = [one.noise_mm for one in seen if one.noise_mm is not None]
-    gaps = [one.gap_mm for one in seen if one.gap_mm is not None]
+    flat = [scan for scan in measured if scan.artefact is Artefact.PLANE]
+    noises = [scan.noise_mm for scan in measured if scan.noise_mm is not None]
+    gaps = [scan.gap_mm for scan in measured if scan.gap_mm is not None]
     return Errors(
         e_lb=worst(Artefact.BALL_BAR),
         e_lp=worst(Artefact.FRUSTUM),
-        e_f=max((100.0 * one.e_f for one in flat if one.e_f is not None), default=None),
-        e_f_sys=max((100.0 * one.e_f_sys for one in flat if one.e_f_sys is not None), default=None),
+        e_f=max((100.0 * scan.e_f for scan in flat if scan.e_f is not None), default=None),
+        e_f_sys=max((100.0 * scan.e_f_sys for scan in flat if scan.e_f_sys is not None), default=None),
         noise_mm=float(np.mean(noises)) if noises else None,
         gap_mm=float(np.median(gaps)) if gaps else None,
-        missing=tuple(one.missing for one in seen if one.missing is not None),
+        missing=tuple(scan.missing for scan in measured if scan.missing is not None),
     )
 
 

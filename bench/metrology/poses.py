@@ -1,4 +1,4 @@
-"""Owns where artefacts stand: a fixed handful of poses to calibrate with, and unseen ones to be judged by."""
+"""Poses of artefacts: a fixed set for calibration, and others for the judgement."""
 
 from __future__ import annotations
 
@@ -38,18 +38,21 @@ CALIBRATION_PLANES: tuple[Pose, ...] = (
 )
 EYES = ("left", "right", "projector")
 EDGE_SHARE = 0.005
-"""What must be seen whole stays this share of the picture's width away from its edges."""
+"""Least distance from the edges, as a share of the image's width, of objects that must be entirely visible."""
 MOST_DRAWS = 10_000
 
 
 def unseen(truth: TrueRig, bars: int, planes: int, frustums: int) -> list[tuple[str, Pose]]:
-    """Objects and poses for judging, the same for each seed of a rig; bars and frustums whole in every picture."""
+    """Return objects and poses for judging, the same for each seed of a rig.
+
+    Bars and frustums are entirely in every image.
+    """
     rng = np.random.default_rng([truth.seed, 77])
-    found: list[tuple[str, Pose]] = []
-    found += [("ballbar", _drawn(truth, _bar, _ends_of_balls(), rng)) for _ in range(bars)]
-    found += [("plane", _plane(rng)) for _ in range(planes)]
-    found += [("frustum", _drawn(truth, _frustum, _corners(), rng)) for _ in range(frustums)]
-    return found
+    poses: list[tuple[str, Pose]] = []
+    poses += [("ballbar", _drawn(truth, _bar, _ends_of_balls(), rng)) for _ in range(bars)]
+    poses += [("plane", _plane(rng)) for _ in range(planes)]
+    poses += [("frustum", _drawn(truth, _frustum, _corners(), rng)) for _ in range(frustums)]
+    return poses
 
 
 def _drawn(

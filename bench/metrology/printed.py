@@ -1,7 +1,7 @@
-"""Owns the ray model exactly as it was printed in 2015, misprints and all: only to show what they cost.
+"""The ray model exactly as printed in 2015, with its misprints, to show their effect.
 
-Bräuer-Burchardt et al. 2015, Eqs. 1–4. Eq. 1 writes arctan where Snell's law has arcsin, and r/c where the glass term needs
-c'/r; its d is the distance to the outer face. ``HousedCamera`` with a perpendicular port is the model that was meant.
+Bräuer-Burchardt et al. 2015, Eqs. 1–4. Eq. 1 has arctan where Snell's law has arcsin, and r/c where the glass term
+needs c'/r; its d is the distance to the outer face. ``HousedCamera`` with a perpendicular port is the intended model.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Owns the free field of rays about the refractive model, the published outlook: what the spline adjusts, and a shift of every ray."""
+"""Free field of rays about the refractive model, the published outlook: the method SPLINE with a shift of every ray."""
 
 from __future__ import annotations
 

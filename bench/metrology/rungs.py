@@ -1,4 +1,4 @@
-"""Owns the rungs that are compared: how each makes a calibration of what is known about a hidden rig."""
+"""Rungs of the model ladder: how each calibrates a hidden rig from its recordings."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ ALL = tuple(PLACES)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What calibrating a rig may use."""
+    """Input of a rung: start, recordings and, for simulated recordings, the truth."""
 
     start: Calibration
-    """Air's lenses and pose, the drawing's ports."""
+    """Lenses and extrinsics from air, nominal ports."""
     recordings: Mapping[str, Recording]
-    """From images, by name."""
+    """Recordings from images, by name."""
     truth: TrueRig
-    """Only for pictures of boards in water and for recordings made point by point; no rung reads it."""
+    """Used only to make pictures of boards in water and recordings point by point; no rung reads it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
-    """A calibration, the water it is used in, and what it cost."""
+    """A calibration, the water in which it is used, and its cost."""
 
     rung: str
     calibration: Calibration
@@ -68,11 +68,11 @@ class Made:
 @dataclass(frozen=True, slots=True)
 class _Way:
     calibrate: Callable[[Sequence[Any], Calibration], Calibration]
-    """Calibrate from recordings, or from what ``others`` makes, and from the start."""
+    """Function from recordings, or the result of ``make_inputs``, and the start to a calibration."""
     needs: tuple[str, ...] = ()
-    """Names of recordings."""
-    others: Callable[[TrueRig], Sequence[Any]] | None = None
-    """Pictures of boards, or recordings that are made point by point, in their place."""
+    """Names of the recordings that it uses."""
+    make_inputs: Callable[[TrueRig], Sequence[Any]] | None = None
+    """Maker of pictures of boards, or of recordings point by point, instead of recordings."""
 
 
 def _by(method: Method) -> Callable[[Sequence[Recording], Calibration], Calibration]:
@@ -88,21 +88,21 @@ def _noise_free(points_mm: Array) -> float:
 
 
 def _pinhole(views: Sequence[BoardView], start: Calibration) -> Calibration:
-    """Calibrate as in air, as if no window were there: principal distance and distortion swallow the refraction as well as they can."""
-    found = calibrate_air(views, start.rig.left.width_px, start.rig.left.height_px, with_field=False).rig
-    left, right = (replace(camera, lens_in_water=True) for camera in (found.left, found.right))
+    """Calibrate as in air, as if there were no port: principal distance and distortion absorb the refraction."""
+    rig = calibrate_air(views, start.rig.left.width_px, start.rig.left.height_px, with_field=False).rig
+    left, right = (replace(camera, lens_in_water=True) for camera in (rig.left, rig.right))
     return replace(start, method="pinhole in water", rig=replace(start.rig, left=left, right=right))
 
 
 def _points(truth: TrueRig) -> list[Recording]:
-    """The published four as if images added nothing but noise."""
+    """Return the four published recordings with noise as the only error of the images."""
     bars, planes = ([Pose(pose[:3], pose[3:]) for pose in p[:2]] for p in (CALIBRATION_BARS, CALIBRATION_PLANES))
     return calibration_recordings(truth, bars, planes)
 
 
 WAYS: Mapping[str, _Way] = {
     "pm_mapped": _Way(lambda _, start: mapped_through_ports(start, start.water)),
-    "pm_water": _Way(_pinhole, others=boards_in_water),
+    "pm_water": _Way(_pinhole, make_inputs=boards_in_water),
     "paper_rm_printed": _Way(calibrate_as_printed, FOUR),
     "rm": _Way(lambda recordings, start: search_distances(recordings, start).calibration, FOUR),
     "rm_noise_free": _Way(lambda recordings, start: search_distances(recordings, start, _noise_free).calibration, FOUR),
@@ -113,7 +113,7 @@ WAYS: Mapping[str, _Way] = {
         FOUR,
     ),
     "ba_spline_4": _Way(_by(Method.SPLINE), FOUR),
-    "ba_spline_4_points": _Way(_by(Method.SPLINE), others=_points),
+    "ba_spline_4_points": _Way(_by(Method.SPLINE), make_inputs=_points),
     "ba_spline_10": _Way(_by(Method.SPLINE), ALL),
     "ray_field": _Way(calibrate_ray_field, ALL),
 }
@@ -125,18 +125,22 @@ IN_SALT = ("salt_updated", "salt_not_updated")
 
 
 def needed(rungs: Sequence[str]) -> tuple[str, ...]:
-    """The recordings that some of ``rungs`` ask for, in order. Raises KeyError for an unknown rung."""
-    wanted = {name for rung in rungs for name in WAYS[rung].needs}
-    return tuple(name for name in ALL if name in wanted)
+    """Return the recordings that ``rungs`` need, in order. Raises KeyError for an unknown rung."""
+    names = {name for rung in rungs for name in WAYS[rung].needs}
+    return tuple(name for name in ALL if name in names)
 
 
-def climb(known: Known, rungs: Sequence[str]) -> list[Made]:
-    """The calibrations of ``rungs``. Raises what the solvers raise."""
-    made = []
+def climb(rig_inputs: Known, rungs: Sequence[str]) -> list[Made]:
+    """Return the calibrations of ``rungs``. Raises the errors of the solvers."""
+    results = []
     for name in rungs:
-        way = WAYS[name]
-        given = [known.recordings[need] for need in way.needs] if way.others is None else way.others(known.truth)
-        begun = time.process_time()
-        calibration = way.calibrate(given, known.start)
-        made.append(Made(name, calibration, WATER, len(given), time.process_time() - begun))
-    return made
+        recipe = WAYS[name]
+        inputs = (
+            [rig_inputs.recordings[need] for need in recipe.needs]
+            if recipe.make_inputs is None
+            else recipe.make_inputs(rig_inputs.truth)
+        )
+        start_s = time.process_time()
+        calibration = recipe.calibrate(inputs, rig_inputs.start)
+        results.append(Made(name, calibration, WATER, len(inputs), time.process_time() - start_s))
+    return results

@@ -1,4 +1,4 @@
-"""Owns the rows of a metrology run as files and tables: per rung and rig, and median and worst over the rigs."""
+"""Rows of a metrology run as files and tables: per rung and rig, and median and worst over the rigs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from bench.metrology.hidden import Row
 
 KEYS = ("E_Lb", "E_Lp", "E_F", "E_F_sys", "noise_mm", "gap_mm")
-"""What is summed up over rigs; the errors are percent."""
+"""Values that are combined over rigs; errors are in percent."""
 PAPER: Mapping[str, Mapping[str, float]] = {
     "PM": {"E_Lb": 1.0, "E_Lp": 1.45, "E_F": 1.7, "noise_mm": 0.05},
     "RM": {"E_Lb": 0.4, "E_Lp": 0.6, "E_F": 0.65, "noise_mm": 0.04},
@@ -20,13 +20,13 @@ PAPER: Mapping[str, Mapping[str, float]] = {
 }
 """Table 2 of Bräuer-Burchardt et al. 2015, in water."""
 SAME_AS = {"PM": "pm_mapped", "RM": "rm", "RMD": "rmd"}
-"""Which of our rungs does what the paper did."""
+"""Our rung for each model of the paper."""
 
 JsonRow = dict[str, Any]
 
 
 def as_json(row: Row) -> JsonRow:
-    """One row, ready for JSON; what could not be measured is null."""
+    """Return a row, JSON-ready; values that could not be measured are null."""
     errors = row.errors
     values = (errors.e_lb, errors.e_lp, errors.e_f, errors.e_f_sys, errors.noise_mm, errors.gap_mm)
     return {
@@ -40,24 +40,24 @@ def as_json(row: Row) -> JsonRow:
 
 
 def summary(rows: Iterable[JsonRow]) -> dict[str, dict[str, Any]]:
-    """Median and worst over rigs per rung and key; ``rigs``, and how many artefacts were not found."""
+    """Return median and worst over rigs per rung and key, the number of rigs, and of artefacts that were not found."""
     per_rung: dict[str, list[JsonRow]] = {}
     for row in rows:
         per_rung.setdefault(row["rung"], []).append(row)
-    found: dict[str, dict[str, Any]] = {}
-    for rung, mine in per_rung.items():
-        found[rung] = {"rigs": len(mine), "missing": sum(len(row["missing"]) for row in mine)}
+    combined: dict[str, dict[str, Any]] = {}
+    for rung, rung_rows in per_rung.items():
+        combined[rung] = {"rigs": len(rung_rows), "missing": sum(len(row["missing"]) for row in rung_rows)}
         for key in (*KEYS, "seconds"):
-            values = [row[key] for row in mine if row[key] is not None]
-            found[rung][key] = {"median": float(np.median(values)), "worst": max(values)} if values else None
-        found[rung]["recordings"] = mine[0]["recordings"]
-    return found
+            values = [row[key] for row in rung_rows if row[key] is not None]
+            combined[rung][key] = {"median": float(np.median(values)), "worst": max(values)} if values else None
+        combined[rung]["recordings"] = rung_rows[0]["recordings"]
+    return combined
 
 
-def write(path: Path, about: Mapping[str, Any], rows: Sequence[JsonRow]) -> None:
-    """The file of a run, whole or not at all."""
-    content = {**about, "rows": list(rows), "summary": summary(rows)}
-    if about["set"] == "paper":
+def write(path: Path, settings: Mapping[str, Any], rows: Sequence[JsonRow]) -> None:
+    """Write the file of a run, as a whole or not at all."""
+    content = {**settings, "rows": list(rows), "summary": summary(rows)}
+    if settings["set"] == "paper":
         content["paper"] = {name: dict(values) for name, values in PAPER.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".part")
@@ -65,8 +65,8 @@ def write(path: Path, about: Mapping[str, Any], rows: Sequence[JsonRow]) -> None
     part.replace(path)
 
 
-def text(about: Mapping[str, Any], rows: Sequence[JsonRow]) -> str:
-    """Tables for a terminal."""
+def text(settings: Mapping[str, Any], rows: Sequence[JsonRow]) -> str:
+    """Return tables for a terminal."""
     lines = [f"{'rung':<20} {'seed':>5} {'E_Lb':>8} {'E_Lp':>8} {'E_F':>8} {'E_F,sys':>8} {'noise':>8} {'gap':>8}"]
     for row in rows:
         numbers = " ".join(_number(row[key]) for key in KEYS)
@@ -79,14 +79,14 @@ def text(about: Mapping[str, Any], rows: Sequence[JsonRow]) -> str:
             " " * 17 if (v := values[key]) is None else f"{_number(v['median'])} ({v['worst']:6.4f})" for key in KEYS
         )
         lines.append(f"{rung:<20} {numbers}")
-    if about["set"] == "paper":
+    if settings["set"] == "paper":
         lines += ["", "Table 2 of the paper, and ours (median, worst)"]
         for name, theirs in PAPER.items():
             ours = summed.get(SAME_AS[name], {})
             for key, value in theirs.items():
                 mine = ours.get(key)
-                said = "not measured" if mine is None else f"{mine['median']:.3f}  {mine['worst']:.3f}"
-                lines.append(f"{name:<4} {key:<9} {value:5.2f}   {said}")
+                value_text = "not measured" if mine is None else f"{mine['median']:.3f}  {mine['worst']:.3f}"
+                lines.append(f"{name:<4} {key:<9} {value:5.2f}   {value_text}")
     return "\n".join(lines) + "\n"
 
 

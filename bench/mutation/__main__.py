@@ -1,7 +1,7 @@
 """``./dev mutate draw | run``: does a test notice when a line is broken?
 
-``draw`` writes a list of mutants, chosen by a seed. ``run`` breaks one line at a time in a copy of the project, lets the tests of
-its file and its room run until one fails, and writes the verdict below each mutant of the list.
+``draw`` writes a list of mutants, chosen by a seed. ``run`` breaks one line at a time in a copy of the project, runs
+the tests of its file and its room until one fails, and writes the verdict below each mutant of the list.
 """
 
 from __future__ import annotations
@@ -55,15 +55,17 @@ def write(file: Path, head: str, mutants: list[Listed]) -> None:
 
 
 def run(list_: Path, verdicts: Path, tests: list[str] | None) -> int:
-    """Try what has no verdict and print the figures; 1 when a mutant survived that died before. What is found is written
-    at once, so that a run may be ended and goes on where it was."""
-    before = {one.key: one for one in read(list_)}
-    known = {one.key: one.verdict for one in (read(verdicts) if verdicts.exists() else ())}
-    now = {key: replace(one, verdict=known.get(key, "")) for key, one in before.items()}
-    tree, arguments = Tree(ROOT, HOME / verdicts.stem), {one.key: one.verdict for one in read(EQUIVALENT)}
+    """Judge the mutants without a verdict and print the figures; return 1 if one survived that died before.
+
+    Each verdict is written at once, so that an interrupted run continues.
+    """
+    before = {entry.key: entry for entry in read(list_)}
+    old_verdicts = {entry.key: entry.verdict for entry in (read(verdicts) if verdicts.exists() else ())}
+    entries = {key: replace(entry, verdict=old_verdicts.get(key, "")) for key, entry in before.items()}
+    tree, arguments = Tree(ROOT, HOME / verdicts.stem), {entry.key: entry.verdict for entry in read(EQUIVALENT)}
     names = Names(tree.path)
-    for key in [key for key, one in now.items() if not one.verdict]:
-        mutant = find(tree.path, now[key])
+    for key in [key for key, entry in entries.items() if not entry.verdict]:
+        mutant = find(tree.path, entries[key])
         if mutant is None:
             verdict = "gone"
         elif key in arguments:
@@ -71,13 +73,13 @@ def run(list_: Path, verdicts: Path, tests: list[str] | None) -> int:
         else:
             chosen = tests or names.tests_of(mutant.listed.path)
             verdict = tree.judge(mutant, names, chosen, LIMIT_S) if chosen else "not reached"
-        now[key] = replace(now[key], verdict=verdict)
-        write(verdicts, list_.read_text(encoding="utf-8").partition("\n")[0], list(now.values()))
-        print(now[key], flush=True)
-    kinds = [one.verdict.split()[0].strip(":") for one in now.values()]
+        entries[key] = replace(entries[key], verdict=verdict)
+        write(verdicts, list_.read_text(encoding="utf-8").partition("\n")[0], list(entries.values()))
+        print(entries[key], flush=True)
+    kinds = [entry.verdict.split()[0].strip(":") for entry in entries.values()]
     print(", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds))))
-    died = [key for key, one in before.items() if one.verdict.startswith("died")]
-    worse = [now[key] for key in died if now[key].verdict.startswith(("survived", "not reached"))]
+    died = [key for key, entry in before.items() if entry.verdict.startswith("died")]
+    worse = [entries[key] for key in died if entries[key].verdict.startswith(("survived", "not reached"))]
     print("\n".join(["died before and survived:", *map(str, worse)] if worse else []))
     return 1 if worse else 0
 

@@ -1,4 +1,4 @@
-"""Owns which mutants a source file has: one small change of its text, told by the lines before and after it."""
+"""Mutants of a source file: small changes of its text, identified by the line before and after the change."""
 
 from __future__ import annotations
 
@@ -28,18 +28,19 @@ _OPERATORS = {**dict(_PAIRS), **{right: left for left, right in _PAIRS}, "//": "
 _FUNCTIONS = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum"}
 _WORD = re.compile(r"is\s+not|not\s+in|is|in|and|or|[<>=!]=|//|\*\*|[-+*/%<>]")
 _FOR_PEOPLE = {"debug", "info", "warning", "error", "exception", "log", "assert_never"}
-"""Calls of a logger, which no test of behaviour judges, and of what never runs."""
+"""Calls that no test of behaviour notices: those of a logger, and those that never run."""
 _NOT_CODE = {"annotation", "returns", "target", "targets", "pattern", "type", "decorator_list", "bases"}
 Span = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A mutant by its text alone, which lasts when its line moves, and what became of it or why nothing can notice it."""
+    """A mutant by its text, which stays valid when its line moves, with its verdict or the reason why no test can
+    notice it."""
 
     path: str
     within: str
-    """The qualified name of its function or class, or nothing."""
+    """Qualified name of its function or class, or empty."""
     before: str
     after: str
     verdict: str = ""
@@ -67,27 +68,30 @@ class Mutant:
 
 
 def read(file: Path) -> list[Listed]:
-    """Return the mutants of a file of paragraphs: path · name, - before, + after, and a verdict or an argument, indented."""
-    found = []
-    for place, within, rest in re.findall(r"^(\S+) ·(.*)\n((?:[-+ ] .*\n)*)", file.read_text(encoding="utf-8"), re.M):
-        before, after, *verdict = rest.splitlines()
-        found.append(Listed(place, within.strip(), before[2:], after[2:], " ".join(line.strip() for line in verdict)))
-    return found
+    """Return the mutants of a file of paragraphs.
+
+    A paragraph is path · name, - before, + after, and a verdict or a reason, indented.
+    """
+    mutants = []
+    for place, within, lines in re.findall(r"^(\S+) ·(.*)\n((?:[-+ ] .*\n)*)", file.read_text(encoding="utf-8"), re.M):
+        before, after, *verdict = lines.splitlines()
+        mutants.append(Listed(place, within.strip(), before[2:], after[2:], " ".join(line.strip() for line in verdict)))
+    return mutants
 
 
 def files(root: Path, globs: list[str]) -> list[str]:
-    """Return the files of the packages that a glob names and none with ``!`` before it does."""
+    """Return the files of the packages that a glob matches and no glob after ``!`` does."""
     names = [path.relative_to(root).as_posix() for package in PACKAGES for path in (root / package).rglob("*.py")]
-    unwanted = [one[1:] for one in globs if one.startswith("!")]
+    unwanted = [glob[1:] for glob in globs if glob.startswith("!")]
     return sorted(
         name
         for name in names
-        if any(fnmatch(name, one) for one in globs) and not any(fnmatch(name, one) for one in unwanted)
+        if any(fnmatch(name, glob) for glob in globs) and not any(fnmatch(name, glob) for glob in unwanted)
     )
 
 
 def draw(root: Path, globs: list[str], count: int, seed: int, without: list[Listed]) -> list[Listed]:
-    """Return ``count`` mutants: statements by chance, one mutant of each, and no file again before every file has one."""
+    """Return ``count`` random mutants, one of each statement; a file comes again only after every other file."""
     chance = random.Random(seed)
     texts = {path: (root / path).read_text(encoding="utf-8") for path in files(root, globs)}
     by_statement: dict[tuple[str, int], list[Mutant]] = {}
@@ -98,31 +102,34 @@ def draw(root: Path, globs: list[str], count: int, seed: int, without: list[List
     for (path, _), mutants in chance.sample(list(by_statement.items()), len(by_statement)):
         of_file[path] += 1
         drawn.append((of_file[path], chance.choice(mutants)))
-    drawn.sort(key=lambda one: one[0])
-    left_out = {one.key for one in without}
-    return [one.listed for _, one in drawn if one.listed.key not in left_out][:count]
+    drawn.sort(key=lambda pair: pair[0])
+    left_out = {entry.key for entry in without}
+    return [pair.listed for _, pair in drawn if pair.listed.key not in left_out][:count]
 
 
 def find(root: Path, listed: Listed) -> Mutant | None:
-    """Return the mutant where its lines stand now: in its file, else in the only other one that has them in that function."""
+    """Return the mutant where its lines are now.
+
+    It is in its file, else in the only other file that has the lines in that function.
+    """
     for paths in ([listed.path] if (root / listed.path).exists() else [], files(root, ["*"])):
-        found = []
+        matches = []
         for path in paths:
             text = (root / path).read_text(encoding="utf-8")
             if listed.before in " ".join(text.split()):
                 moved = Listed(path, listed.within, listed.before, listed.after)
-                found += [one for one in mutants_of(path, text) if one.listed == moved]
-        if len(found) == 1:
-            return found[0]
+                matches += [mutant for mutant in mutants_of(path, text) if mutant.listed == moved]
+        if len(matches) == 1:
+            return matches[0]
     return None
 
 
 def mutants_of(path: str, text: str) -> list[Mutant]:
-    """Return every mutant of a file that its name and its lines tell from all others."""
+    """Return every mutant of a file that is identified by its name and its lines."""
     source = Source(path, text)
     source.visit(ast.parse(text, path), "", in_function=False)
-    many = Counter(one.listed for one in source.found)
-    return [one for one in source.found if many[one.listed] == 1]
+    many = Counter(mutant.listed for mutant in source.found)
+    return [mutant for mutant in source.found if many[mutant.listed] == 1]
 
 
 class Source:
@@ -212,14 +219,14 @@ class Source:
         return (start, end), pattern.format(self.text[start:end])
 
     def _operators(self, operands: list[ast.expr]) -> Iterator[tuple[Span, str]]:
-        """The words between operands; comments and brackets may stand there too."""
+        """Yield the words between operands; comments and brackets may stand there, too."""
         for left, right in itertools.pairwise(operands):
             start, end = self.span(left)[1], self.span(right)[0]
-            gap = re.sub(r"#[^\n]*", lambda found: " " * len(found.group()), self.text[start:end])
-            found = _WORD.search(gap)
-            other = _OPERATORS.get(" ".join(found.group().split())) if found else None
-            if found and other:
-                yield (start + found.start(), start + found.end()), other
+            gap = re.sub(r"#[^\n]*", lambda match: " " * len(match.group()), self.text[start:end])
+            match = _WORD.search(gap)
+            replacement = _OPERATORS.get(" ".join(match.group().split())) if match else None
+            if match and replacement:
+                yield (start + match.start(), start + match.end()), replacement
 
 
 def _expressions(node: ast.AST) -> Iterator[ast.AST]:

@@ -1,4 +1,4 @@
-"""Owns who uses a name: which compiled kernels a change makes stale, and which tests are to notice it.
+"""Users of a name: the compiled kernels that a change makes stale, and the tests that should notice it.
 
 A compiled kernel keeps the callees and constants that it was compiled with, also those of other files.
 """
@@ -19,7 +19,7 @@ FROZEN = "tests/behaviour/test_behaviour.py"
 
 @dataclass(slots=True, eq=False)
 class Definition:
-    """A name at the top level of a file, and who uses it."""
+    """A name at the top level of a file, and its users."""
 
     path: str
     name: str
@@ -29,7 +29,7 @@ class Definition:
     @property
     def is_kernel(self) -> bool:
         decorators = getattr(self.node, "decorator_list", [])
-        return any(word in ast.unparse(one) for one in decorators for word in ("njit", "vectorize"))
+        return any(word in ast.unparse(decorator) for decorator in decorators for word in ("njit", "vectorize"))
 
 
 class Names:
@@ -47,44 +47,46 @@ class Names:
             self._link(path, tree)
 
     def stale_kernels(self, mutant: Mutant) -> list[Definition]:
-        """Every kernel that may have been compiled with what the mutant changes, itself among them."""
+        """Return every kernel that may have been compiled with the changed statement, its own among them."""
         line, every = mutant.statement.lineno, self._of_file[mutant.listed.path].values()
-        found = [one for one in every if one.node.lineno <= line <= (one.node.end_lineno or 0)]
-        for one in found:
-            found += [user for user in dict.fromkeys(one.users) if user not in found]
-        return [one for one in found if one.is_kernel]
+        definitions = [
+            definition for definition in every if definition.node.lineno <= line <= (definition.node.end_lineno or 0)
+        ]
+        for definition in definitions:
+            definitions += [user for user in dict.fromkeys(definition.users) if user not in definitions]
+        return [definition for definition in definitions if definition.is_kernel]
 
     def tests_of(self, path: str) -> list[str]:
-        """The files of tests for a file: those that import it, those of its room, and the frozen behaviour of the instrument."""
-        tests = [one for one in self._trees if one.startswith(UNITS) and "/test_" in one]
-        chosen = [one for one in tests if one in self._importers[path]]
+        """Return the test files for a file: those that import it, those of its room, and the frozen behaviour."""
+        tests = [file for file in self._trees if file.startswith(UNITS) and "/test_" in file]
+        chosen = [file for file in tests if file in self._importers[path]]
         folder = f"tests/{path.rpartition('/')[0]}"
-        while folder.count("/") > 1 and not any(one.startswith(f"{folder}/") for one in tests):
+        while folder.count("/") > 1 and not any(file.startswith(f"{folder}/") for file in tests):
             folder = folder.rpartition("/")[0]
         if folder.count("/") > 1 or folder == "tests/drivers":
-            chosen += [one for one in tests if one.startswith(f"{folder}/")]
+            chosen += [file for file in tests if file.startswith(f"{folder}/")]
         return [*dict.fromkeys(chosen), *([FROZEN] if path.startswith("appliance/") else [])]
 
     def _link(self, path: str, tree: ast.Module) -> None:
         modules: dict[str, str] = {}
-        known = dict(self._of_file[path])
+        definitions = dict(self._of_file[path])
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 for alias in node.names:
                     name, inner = alias.asname or alias.name, self._file(f"{node.module}.{alias.name}")
-                    whole = self._file(node.module)
-                    outer = self._of_file.get(whole or "", {}).get(alias.name)
-                    self._importers[inner or whole or ""].append(path)
+                    source_file = self._file(node.module)
+                    outer = self._of_file.get(source_file or "", {}).get(alias.name)
+                    self._importers[inner or source_file or ""].append(path)
                     if inner:
                         modules[name] = inner
                     elif outer:
-                        known[name] = outer
+                        definitions[name] = outer
         for top in tree.body:
             for user in (self._of_file[path][name] for name in _names(top)):
                 for node in ast.walk(top):
                     used = None
                     if isinstance(node, ast.Name):
-                        used = known.get(node.id)
+                        used = definitions.get(node.id)
                     elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                         used = self._of_file.get(modules.get(node.value.id, ""), {}).get(node.attr)
                     if used is not None and used is not user:
@@ -92,7 +94,9 @@ class Names:
 
     def _file(self, module: str) -> str | None:
         path = module.replace(".", "/")
-        return next((one for one in (f"{path}.py", f"{path}/__init__.py") if one in self._trees), None)
+        return next(
+            (candidate for candidate in (f"{path}.py", f"{path}/__init__.py") if candidate in self._trees), None
+        )
 
 
 def _names(node: ast.stmt) -> list[str]:
@@ -100,6 +104,6 @@ def _names(node: ast.stmt) -> list[str]:
         case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.AnnAssign(target=ast.Name(id=name)):
             return [name]
         case ast.Assign(targets=targets):
-            return [one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)]
+            return [name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
         case _:
             return []

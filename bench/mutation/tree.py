@@ -1,4 +1,4 @@
-"""Owns a private copy of the project in which mutants run: its files, its environment, its compiled kernels."""
+"""Private copy of the project in which mutants run: its files, its environment, its compiled kernels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bench.mutation.names import Names
 
 _MARK = "KINGFISHER_MUTATION_TREE"
 _LATER_NS = 10_000_000_000
-"""By so much a mutant is younger than the file it stands for: nothing compiled from one passes for the other."""
+"""Difference of the modification times of a mutant and its file, so that no compiled file counts for both."""
 
 
 class Tree:
@@ -37,10 +37,10 @@ class Tree:
                 (path / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(root / name, path / name)
         self._make_environment()
-        given = Path(os.environ["NUMBA_CACHE_DIR"])
+        kernel_cache = Path(os.environ["NUMBA_CACHE_DIR"])
         self.kernels.mkdir(0o700)
         for folder in {file.parent for file in path.rglob("*.py")}:  # numba's name for a folder is made from its path
-            source = given / _cache_name(root / folder.relative_to(path))
+            source = kernel_cache / _cache_name(root / folder.relative_to(path))
             if source.is_dir():
                 shutil.copytree(source, self.kernels / _cache_name(folder))
 
@@ -49,8 +49,8 @@ class Tree:
         venv.create(self.path / ".venv", symlinks=True)
         site = next((self.path / ".venv").glob("lib/python*/site-packages"))
         packages = next(Path(sys.prefix).glob("lib/python*/site-packages"))
-        own = (self.path, self.path / "systemd", self.path / "appliance/desk/python")
-        (site / "packages.pth").write_text("\n".join(map(str, (*own, packages))))
+        sources = (self.path, self.path / "systemd", self.path / "appliance/desk/python")
+        (site / "packages.pth").write_text("\n".join(map(str, (*sources, packages))))
         for script in (Path(sys.prefix) / "bin").iterdir():
             target = self.path / ".venv/bin" / script.name
             if script.is_file() and not target.exists():
@@ -73,15 +73,15 @@ class Tree:
                 pickle.dump((hashlib.sha256(text.encode()).digest(), overloads), opened, protocol=-1)
 
     def judge(self, mutant: Mutant, names: Names, tests: list[str], limit_s: float) -> str:
-        """Return the verdict of some tests, in their order, on a mutant; the first that fails ends it."""
+        """Return the verdict of tests, in their order, on a mutant; the first failure ends it."""
         path, kernels, stale = mutant.listed.path, self.kernels, names.stale_kernels(mutant)
         if stale:
             kernels = self.path.with_suffix(".mutant-kernels")
             shutil.rmtree(kernels, ignore_errors=True)
             shutil.copytree(self.kernels, kernels)
-        for one in stale:
-            source = self.path / one.path
-            for entry in (kernels / _cache_name(source.parent)).glob(f"{source.stem}.{one.name}-*"):
+        for kernel in stale:
+            source = self.path / kernel.path
+            for entry in (kernels / _cache_name(source.parent)).glob(f"{source.stem}.{kernel.name}-*"):
                 entry.unlink()
         text = (self.path / path).read_text(encoding="utf-8")
         self._write(path, mutant.applied(text), kernels)
@@ -89,11 +89,11 @@ class Tree:
             code = self._pytest(tests, kernels, limit_s + 90.0 * bool(stale))
         finally:
             self._write(path, text, self.kernels)
-        said = self._said.read_text(encoding="utf-8", errors="replace")
-        failed = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - |$)", said, re.M)
+        output = self._said.read_text(encoding="utf-8", errors="replace")
+        failed = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - |$)", output, re.M)
         match code:
             case 0:
-                passed = re.search(r"(\d+) passed", said)
+                passed = re.search(r"(\d+) passed", output)
                 return f"survived {passed[1] if passed else 0} tests"
             case 5:
                 return "not reached"
@@ -103,13 +103,18 @@ class Tree:
                 return f"died: the process ended with {code}"
 
     def _pytest(self, tests: list[str], kernels: Path, limit_s: float) -> int:
-        """Run tests in the copy, ``limit_s`` of processor time at most for a process; return pytest's status, or -9 when it hangs."""
-        own = {_MARK: self.path, "NUMBA_CACHE_DIR": kernels, "PATH": f"{self.path}/.venv/bin:{os.environ['PATH']}"}
+        """Run tests in the copy, with at most ``limit_s`` of CPU time a process; return pytest's status, or -9 if it
+        hangs."""
+        environment = {
+            _MARK: self.path,
+            "NUMBA_CACHE_DIR": kernels,
+            "PATH": f"{self.path}/.venv/bin:{os.environ['PATH']}",
+        }
         options = ("-x", "-q", "-n0", "--tb=no", "-rfE", "--hypothesis-seed=0", "-p", "no:cacheprovider")
         running = subprocess.Popen(
             [str(self.path / ".venv/bin/python"), "-m", "pytest", *options, *tests],
             cwd=self.path,
-            env={key: str(value) for key, value in {**os.environ, **own}.items()},
+            env={key: str(value) for key, value in {**os.environ, **environment}.items()},
             stdin=subprocess.DEVNULL,
             stdout=self._said.open("w"),
             stderr=subprocess.STDOUT,
@@ -124,7 +129,7 @@ class Tree:
             running.wait()
 
     def _end_the_rest(self) -> None:
-        """Kill what a run left behind, known by a variable of its environment."""
+        """Kill the processes that a run left behind, known by a variable of their environment."""
         for process in Path("/proc").glob("[0-9]*/environ"):
             with suppress(OSError):
                 if f"{_MARK}={self.path}\0".encode() in process.read_bytes():
@@ -132,5 +137,5 @@ class Tree:
 
 
 def _cache_name(folder: Path) -> str:
-    """What numba calls the folder, below its cache, for the files of a source folder."""
+    """Return numba's name of the cache folder for the files of a source folder."""
     return f"{folder.name}_{hashlib.sha1(str(folder).encode()).hexdigest()}"

@@ -1,1 +1,1 @@
-"""What the instrument is worth in the simulated world ``outside``: scenes, rigs and judgements, part by part."""
+"""Accuracy and verdicts of the instrument in the simulated world ``outside``, part by part."""

@@ -1,4 +1,4 @@
-"""Owns the part ``compensation``: what undoing the movement of this world's hands is worth, and whether what it spoils is refused.
+"""The part ``compensation``: effect of motion compensation on hand motion, and rejection of spoilt results.
 
 The named hands before the named objects, and drawn ones (``bench.verdict.compensation_cases``), each with all families and with the
 calibration that states the truth, against the same scan at rest; 400 × 300 px.
@@ -23,7 +23,7 @@ from bench.verdict.parts import Say
 from bench.verdict.worlds import OUTSIDE
 
 MOST_OVER_REST = 1.2
-"""What is shown compensated may err so many times as at rest."""
+"""Largest error of a compensated scan that is shown, over that at rest."""
 NAMED = 9
 """Of the named scans. A look at fewer drawn ones than these has none of them."""
 PIPE = "pipe"
@@ -42,14 +42,14 @@ def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
 
 
 def figures(named: Sequence[Row], drawn: Sequence[Row]) -> list[Measured]:
-    """Return the figures of the rows of named and of drawn scans; every rate with its interval."""
-    found = []
+    """Return the figures of the rows of named and random scans; every rate has its interval."""
+    measured = []
     for name, rows in (("named", named), ("drawn", drawn)):
         moved = [row for row in rows if row["moved"]]
         shown = [row for row in moved if row["used"]]
         if not rows:
             continue
-        found += [
+        measured += [
             tally(f"{name}, moving: shown compensated", len(shown), len(moved)),
             tally(f"{name}, moving: refused", len(moved) - len(shown), len(moved)),
             tally(f"{name}, shown: err over {MOST_OVER_REST:g} times as at rest", _beyond(shown), len(shown), at_most=0.0),
@@ -61,12 +61,14 @@ def figures(named: Sequence[Row], drawn: Sequence[Row]) -> list[Measured]:
         ]  # fmt: skip
         still = [row for row in rows if not row["moved"]]
         if still:
-            found.append(tally(f"{name}, at rest: touched", sum(row["used"] for row in still), len(still), at_most=0.0))
+            measured.append(
+                tally(f"{name}, at rest: touched", sum(row["used"] for row in still), len(still), at_most=0.0)
+            )
     pipes = [row for row in named if row["object"] == PIPE]
     if pipes:
         shown = [row for row in pipes if row["used"]]
         over = max((float(row["after"]) for row in shown), default=math.nan)
-        found += [
+        measured += [
             tally("the checkered pipe: shown compensated, the others refused", len(shown), len(pipes)),
             Measured("the checkered pipe, shown: error over that at rest, largest", over, "", at_most=MOST_OVER_REST)
             if shown
@@ -74,7 +76,7 @@ def figures(named: Sequence[Row], drawn: Sequence[Row]) -> list[Measured]:
                 "the checkered pipe, shown: error over that at rest, largest", over, "", why="all are refused"
             ),
         ]
-    return found
+    return measured
 
 
 def _beyond(shown: Sequence[Row]) -> int:

@@ -1,8 +1,7 @@
-"""Owns the scenes that are drawn at random for this measurement: objects, poses, textures, water and light, some scenes before
-each of some instruments.
+"""Random scenes of this measurement: objects, poses, textures, water and light, several for each instrument.
 
-What belongs to an instrument (lens, plates, cameras, projector, mounts, clocks) is drawn once for it; water, surfaces, hands
-and softness are each scene's own.
+The properties of an instrument (lens, plates, cameras, projector, mounts, clocks) are drawn once; water, surfaces,
+motion and softness are drawn for each scene.
 """
 
 from __future__ import annotations
@@ -53,15 +52,19 @@ def scene_world(
     )  # fmt: skip
 
 
-def joined(rig_seed: int, own_seed: int, families: Sequence[str]) -> Outside:
+def joined(rig_seed: int, scene_seed: int, families: Sequence[str]) -> Outside:
     """Return the strengths of ``families``: an instrument's drawn by ``rig_seed``, those of a scene by ``own_seed``."""
-    of_rig, of_scene = draw_outside(rig_seed, families), draw_outside(own_seed, families)
-    own = {one.name: getattr(of_scene, one.name) for one in fields(Outside) if one.name not in OF_THE_INSTRUMENT}
-    return replace(of_rig, **own)
+    of_rig, of_scene = draw_outside(rig_seed, families), draw_outside(scene_seed, families)
+    scene_strengths = {
+        strength.name: getattr(of_scene, strength.name)
+        for strength in fields(Outside)
+        if strength.name not in OF_THE_INSTRUMENT
+    }
+    return replace(of_rig, **scene_strengths)
 
 
 def drawn_scene(seed: int, number: int) -> Scene:
-    """Return what is before the instrument, without families: objects take turns, everything else is drawn by ``seed``."""
+    """Return a scene without families: objects take turns, all else is drawn by ``seed``."""
     rng = np.random.default_rng([seed, 30])
     thing = OBJECTS[number % len(OBJECTS)]
     x, y, z, rx, ry, rz = (float(v) for v in np.array(DEFAULT_POSE[thing]) + rng.uniform(-1.0, 1.0, 6) * AWAY)

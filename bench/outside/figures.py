@@ -1,4 +1,4 @@
-"""Owns what is counted over the rows of scans: completeness, outliers, error over sigma, false alarms."""
+"""Figures over the rows of scans: completeness, outliers, error over sigma, false alarms."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.result import Measured
 from bench.verdict.binomial import tally
 
 HONEST = 1.5
-"""A scan whose errors are more than so many times what is expected needs a verdict that says why."""
+"""Ratio of errors to expected errors above which a scan needs a verdict with the cause."""
 MEDIAN_LEAST, MEDIAN_MOST = 0.9, 1.1
 MOST_PPM = 100.0
 FALSE_ALARMS = {
@@ -25,7 +25,7 @@ FALSE_ALARMS = {
 }
 """Faults that no drawn scene has: each frame shows the pattern it should, light is steady, windows are clean."""
 CALIBRATION = "the calibration's health"
-"""What no scan with a true calibration may raise an alarm of, followed from scan to scan of one instrument."""
+"""Name of the false alarm of calibration health, over the scans of one instrument with a true calibration."""
 SOFT = "soft scenes"
 
 
@@ -35,10 +35,10 @@ def is_soft(row: Row) -> bool:
 
 
 def of_scenes(rows: Sequence[Row]) -> list[Measured]:
-    """Return the figures of drawn scenes with their bounds; soft ones are counted apart and bound nothing."""
+    """Return the figures of random scenes with their limits; soft ones are counted separately and have none."""
     rigid, soft = [row for row in rows if not is_soft(row)], [row for row in rows if is_soft(row)]
     accepted = [row for row in rigid if row["accepted"]]
-    found = [
+    measured = [
         Measured("scenes that are rigid", len(rigid), ""),
         tally("accepted", len(accepted), len(rigid)),
         Measured("completeness, median of accepted", median(rows_of(accepted, "complete_percent")), "%"),
@@ -52,23 +52,25 @@ def of_scenes(rows: Sequence[Row]) -> list[Measured]:
         tally("of these above 1.5 and nothing said", len(unsaid(accepted)), len(accepted), at_most=0.0),
         Measured("noise, median of accepted", median(rows_of(accepted, "rms_um")), "µm"),
     ]  # fmt: skip
-    found += false_alarms(rigid)
+    measured += false_alarms(rigid)
     if soft:
-        taken = [row for row in soft if row["accepted"]]
-        found += [
+        accepted_soft = [row for row in soft if row["accepted"]]
+        measured += [
             Measured(SOFT, len(soft), ""),
-            tally("soft scenes that are accepted", len(taken), len(soft)),
-            Measured("outliers over 1 mm in these", ppm(taken), "ppm"),
-            Measured("error over sigma in these, median", median(rows_of(taken, "error_over_sigma")), ""),
+            tally("soft scenes that are accepted", len(accepted_soft), len(soft)),
+            Measured("outliers over 1 mm in these", ppm(accepted_soft), "ppm"),
+            Measured("error over sigma in these, median", median(rows_of(accepted_soft, "error_over_sigma")), ""),
             *false_alarms(soft, f"{SOFT}: "),
         ]
-    return found
+    return measured
 
 
-def false_alarms(rows: Sequence[Row], of: str = "") -> list[Measured]:
-    """Return how many of these scans raise a fault that no drawn scene has; ``of``: what their names begin with."""
+def false_alarms(rows: Sequence[Row], prefix: str = "") -> list[Measured]:
+    """Return how many of these scans raise a fault that no drawn scene has; names begin with ``prefix``."""
     return [
-        tally(f"{of}false alarms of {name}", sum(code.value in row["faults"] for row in rows), len(rows), at_most=0.0)
+        tally(
+            f"{prefix}false alarms of {name}", sum(code.value in row["faults"] for row in rows), len(rows), at_most=0.0
+        )
         for name, code in FALSE_ALARMS.items()
     ]
 
@@ -76,8 +78,8 @@ def false_alarms(rows: Sequence[Row], of: str = "") -> list[Measured]:
 def of_families(rows: Mapping[str, Sequence[Row]], few: int) -> list[dict[str, Any]]:
     """Return one row of figures for each name, all on the same ``few`` scenes."""
     return [
-        summary(name, [row for row in found if row["number"] < few and not is_soft(row)])
-        for name, found in rows.items()
+        summary(name, [row for row in family_rows if row["number"] < few and not is_soft(row)])
+        for name, family_rows in rows.items()
     ]
 
 
@@ -101,7 +103,7 @@ def summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def unsaid(rows: Sequence[Row]) -> list[Row]:
-    """Return the scans whose errors are beyond ``HONEST`` times what is expected without a fault that would say why."""
+    """Return the scans with errors beyond ``HONEST`` times the expected ones and no fault."""
     return [row for row in rows if (row["error_over_sigma"] or 0.0) > HONEST and not row["faults"]]
 
 
@@ -117,7 +119,7 @@ def ppm(rows: Sequence[Row]) -> float:
 
 
 def median(values: Sequence[float]) -> float:
-    """Return the median, NaN of nothing."""
+    """Return the median, NaN without values."""
     return float(np.median(values)) if len(values) else math.nan
 
 

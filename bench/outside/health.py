@@ -1,11 +1,11 @@
-"""Owns the part ``health``: how often the watch over the calibration, and the judges of frames, light and windows, err on normal
-scans, and how soon they see a knock.
+"""The part ``health``: false alarms of calibration health and of the judges of frames, light and windows, and detection
+of a knock.
 
-Some instruments, each with its own lens, projector and cameras, scan whatever comes before them with a calibration that states
-the truth about them at the temperature of the case that they work at. Scans are at rest, in water up to 2 /m, some kelvins
-warmer or colder. In the end the right camera is turned by a fiftieth of a degree, about one axis before the renderer, and about
-each axis in the last normal scans: the ray gaps by the amplitudes that the model gives such a turn, the third gaps by a calibration
-that is turned.
+Some instruments, each with its own lens, projector and cameras, scan whatever comes before them with a calibration that
+states the truth about them at the temperature of the case that they work at. Scans are at rest, in water up to 2 /m,
+some kelvins warmer or colder. In the end the right camera is turned by a fiftieth of a degree, about one axis before
+the renderer, and about each axis in the last normal scans: the ray gaps by the amplitudes that the model gives such a
+turn, the third gaps by a calibration that is turned.
 """
 
 from __future__ import annotations
@@ -54,41 +54,43 @@ SEEDS_PER_SEED = 100_000
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Return false alarms of about ``count`` normal scans and how many scans of a knocked instrument it takes."""
+    """Return false alarms of about ``count`` normal scans, and the number of scans until a knock is detected."""
     each = max(1, -(-count // RIGS))
-    wanted = [(rig, number) for rig in range(RIGS) for number in range(each + KNOCKED_SCANS)]
+    jobs = [(rig, number) for rig in range(RIGS) for number in range(each + KNOCKED_SCANS)]
     rows: dict[int, list[Row]] = {rig: [] for rig in range(RIGS)}
     work = partial(_row, seed=seed, normal=each, keep=keep, noise=noise)
-    for done, ((rig, _), row) in enumerate(zip(wanted, spread(work, wanted), strict=True), 1):
-        say(f"health: {done} of {len(wanted)}", done / len(wanted))
+    for finished, ((rig, _), row) in enumerate(zip(jobs, spread(work, jobs), strict=True), 1):
+        say(f"health: {finished} of {len(jobs)}", finished / len(jobs))
         rows[rig].append(row)
-    return figures(rows, each, seed), {"rows": {str(rig): found for rig, found in rows.items()}}
+    return figures(rows, each, seed), {"rows": {str(rig): scans for rig, scans in rows.items()}}
 
 
 def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
-    """Return the figures of the rows of each rig of ``seed``, of which the first ``each`` are normal scans."""
+    """Return the figures of the rows of each rig of ``seed``; the first ``each`` scans are normal."""
     rigs = {rig: _stated(rig, seed) for rig in rows}
-    normal = [row for found in rows.values() for row in found[:each]]
-    told, doubted, judged, largest, late, unsaid = 0, 0, 0, 0.0, [], 0
-    for rig, found in rows.items():
-        said = list(followed(found, rigs[rig]))
-        judged += sum(one.point is not None for one in said[:each])
-        totals = [one.point.total for one in said[:each] if one.point is not None]
+    normal = [row for rig_rows in rows.values() for row in rig_rows[:each]]
+    doubted_rigs, doubted, judged, largest, late, unsaid = 0, 0, 0, 0.0, [], 0
+    for rig, rig_rows in rows.items():
+        judgements = list(followed(rig_rows, rigs[rig]))
+        judged += sum(judgement.point is not None for judgement in judgements[:each])
+        totals = [judgement.point.total for judgement in judgements[:each] if judgement.point is not None]
         largest = max([largest, *totals])
-        told += any(one.alarm for one in said[:each])
-        doubted += sum(bool(one.alarm) for one in said[:each])
-        if not any(one.alarm for one in said[:each]):
-            after = [one for one in said[each:] if one.point is not None][:SCANS_TO_FIND]
-            late.append(any(one.alarm for one in after))
-            unsaid += len(after) == SCANS_TO_FIND and not late[-1] and all(_sees(one, rig % 3) for one in after)
+        doubted_rigs += any(judgement.alarm for judgement in judgements[:each])
+        doubted += sum(bool(judgement.alarm) for judgement in judgements[:each])
+        if not any(judgement.alarm for judgement in judgements[:each]):
+            after = [judgement for judgement in judgements[each:] if judgement.point is not None][:SCANS_TO_FIND]
+            late.append(any(judgement.alarm for judgement in after))
+            unsaid += (
+                len(after) == SCANS_TO_FIND and not late[-1] and all(_sees(judgement, rig % 3) for judgement in after)
+            )
     measured = [
-        tally(f"rigs whose calibration is doubted, with {each} normal scans each", told, len(rows), at_most=0.0),
+        tally(f"rigs whose calibration is doubted, with {each} normal scans each", doubted_rigs, len(rows), at_most=0.0),
         tally("normal scans that are judged", judged, len(normal)),
         Measured("largest sum of a normal scan", largest, f"of {LIMIT:g}", at_most=LIMIT),
         tally(f"knocks of {KNOCK_DEG:g}° found within three judged scans", sum(late), len(late), at_least=float(len(late))),
         tally("knocks missed though each scan says that it would find them", unsaid, len(late), at_most=0.0),
     ]  # fmt: skip
-    measured += _turned_figures([(rigs[rig], list(_seen(found[:each]))) for rig, found in rows.items()])
+    measured += _turned_figures([(rigs[rig], list(_seen(rig_rows[:each]))) for rig, rig_rows in rows.items()])
     measured += false_alarms(normal)
     measured.append(tally(f"false alarms of {CALIBRATION}", doubted, len(normal), at_most=0.0))
     measured.append(tally("MOVED at rest", sum("MOVED" in row["faults"] for row in normal), len(normal), at_most=0.0))
@@ -98,11 +100,11 @@ def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
 
 
 def followed(rows: Iterable[Row], rig: StereoRig) -> Iterator[HealthJudgement]:
-    """Yield what the watch over the calibration, which states ``rig``, says after each of an instrument's scans."""
+    """Yield the judgement of the calibration ``rig`` after each of an instrument's scans."""
     trend, eye = HealthTrend(), ThirdEye()
     for number, gaps in enumerate(_seen(rows), 1):
-        trend, eye, said = judge_with_projector(trend, eye, rig, gaps, f"{number:06d}")
-        yield said
+        trend, eye, judgement = judge_with_projector(trend, eye, rig, gaps, f"{number:06d}")
+        yield judgement
 
 
 def _stated(rig: int, seed: int) -> StereoRig:
@@ -116,21 +118,23 @@ def _seen(rows: Iterable[Row]) -> Iterator[PatchGaps]:
         if gaps is None:
             continue
         # By their names: a product that knows more about a gap has more of them.
-        seen: dict[str, Any] = {
+        values: dict[str, Any] = {
             name: np.array(value) if isinstance(value, list) else value for name, value in gaps.items()
         }
-        seen["patch"] = seen["patch"].astype(np.intp)
-        seen["modes"] = seen["modes"].reshape(-1, len(MODES))
-        if seen.get("sample_px") is not None:
-            seen["sample_px"] = seen["sample_px"].reshape(-1, 6)
-            seen["pattern_size_px"] = tuple(int(px) for px in seen["pattern_size_px"])
-        yield PatchGaps(**seen)
+        values["patch"] = values["patch"].astype(np.intp)
+        values["modes"] = values["modes"].reshape(-1, len(MODES))
+        if values.get("sample_px") is not None:
+            values["sample_px"] = values["sample_px"].reshape(-1, 6)
+            values["pattern_size_px"] = tuple(int(px) for px in values["pattern_size_px"])
+        yield PatchGaps(**values)
 
 
 def _turned_figures(instruments: Sequence[tuple[StereoRig, Sequence[PatchGaps]]]) -> list[Measured]:
-    """Return how many turns about each axis, either way, are found where the last three judged normal scans are looked at with a
-    calibration that is turned by them, and how many are not though each of these scans says that such a turn would be."""
-    found, tried, silent = [0, 0, 0], 0, 0
+    """Return how many turns about each axis are detected, and how many are not although each scan states that it would.
+
+    The last three judged normal scans are evaluated with a calibration that is turned, either way.
+    """
+    detected, turns, silent = [0, 0, 0], 0, 0
     for rig, scans in instruments:
         judged = [
             gaps
@@ -142,28 +146,30 @@ def _turned_figures(instruments: Sequence[tuple[StereoRig, Sequence[PatchGaps]]]
         trend, eye = HealthTrend(), ThirdEye()
         for gaps in judged[:-SCANS_TO_FIND]:
             trend, eye, _ = judge_with_projector(trend, eye, rig, gaps)
-        tried += 2
+        turns += 2
         for axis in range(3):
             for turn_deg in (KNOCK_DEG, -KNOCK_DEG):
                 turned = RIG_PARAMETERS.changed(rig, np.radians(turn_deg), RIG_PARAMETERS.names.index(TURNS[axis]))
-                at, eye_now, sees = trend, eye, []
+                trend_after, eye_now, sees = trend, eye, []
                 for gaps in judged[-SCANS_TO_FIND:]:
                     moved_um = gaps.gap_um + turn_deg * (gaps.modes @ _turns_um(gaps)[axis])
-                    at, eye_now, said = judge_with_projector(at, eye_now, turned, replace(gaps, gap_um=moved_um))
-                    sees.append(_sees(said, axis))
-                found[axis] += at.alarm is not None
-                silent += at.alarm is None and all(sees)
+                    trend_after, eye_now, judgement = judge_with_projector(
+                        trend_after, eye_now, turned, replace(gaps, gap_um=moved_um)
+                    )
+                    sees.append(_sees(judgement, axis))
+                detected[axis] += trend_after.alarm is not None
+                silent += trend_after.alarm is None and all(sees)
     measured = [
-        tally(f"turns of {KNOCK_DEG:g}° about {name}, in the gaps of normal scans, found within three", count, tried)
-        for name, count in zip("xyz", found, strict=True)
+        tally(f"turns of {KNOCK_DEG:g}° about {name}, in the gaps of normal scans, found within three", count, turns)
+        for name, count in zip("xyz", detected, strict=True)
     ]
-    measured.append(tally("of these not found though each scan says it would be", silent, 3 * tried))
+    measured.append(tally("of these not found though each scan says it would be", silent, 3 * turns))
     return measured
 
 
-def _sees(said: HealthJudgement, axis: int) -> bool:
-    """Tell whether a scan says that three like it find a turn of ``KNOCK_DEG`` about the axis."""
-    least_deg = said.numbers.get(f"found_{'xyz'[axis]}_deg")
+def _sees(judgement: HealthJudgement, axis: int) -> bool:
+    """Tell whether a scan states that three like it detect a turn of ``KNOCK_DEG`` about the axis."""
+    least_deg = judgement.numbers.get(f"found_{'xyz'[axis]}_deg")
     return least_deg is not None and least_deg <= KNOCK_DEG
 
 
@@ -173,11 +179,13 @@ def _turns_um(gaps: PatchGaps) -> NDArray[np.float64]:
     return gaps.turns_um
 
 
-def _row(wanted: tuple[int, int], seed: int, normal: int, keep: Path | None, noise: str) -> Row:
-    rig, number = wanted
+def _row(job: tuple[int, int], seed: int, normal: int, keep: Path | None, noise: str) -> Row:
+    rig, number = job
     # Scans of the knocked instrument are numbered from a thousand on, so that more normal ones leave them as they are.
-    own = number if number < normal else 1000 + number - normal
-    return kept_row(keep, ("health", rig, own, seed, noise), lambda: _found(rig, own, seed, keep, noise))
+    scan_number = number if number < normal else 1000 + number - normal
+    return kept_row(
+        keep, ("health", rig, scan_number, seed, noise), lambda: _found(rig, scan_number, seed, keep, noise)
+    )
 
 
 def health_world(rig: int, number: int, seed: int) -> tuple[World, World]:
@@ -196,8 +204,8 @@ def health_world(rig: int, number: int, seed: int) -> tuple[World, World]:
 
 def _found(rig: int, number: int, seed: int, keep: Path | None, noise: str) -> Row:
     world, before = health_world(rig, number, seed)
-    taken = kept_scan(keep, world, SEQUENCE, number=number)
+    scan = kept_scan(keep, world, SEQUENCE, number=number)
     stated = stated_truth(before.rig, before.scene)
-    known = WAYS[noise](world, taken.exposure.gain_db, keep)
-    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, known)
-    return {"number": number, "rig": rig, **row_of(world, scanned, taken.exposure)}
+    noise_known = WAYS[noise](world, scan.exposure.gain_db, keep)
+    scanned = worked_through(scan.frames, stated.calibration, stated.water, scan.exposure, noise_known)
+    return {"number": number, "rig": rig, **row_of(world, scanned, scan.exposure)}

@@ -1,7 +1,8 @@
-"""Owns the frames and the rows that this measurement keeps in a folder: rendered once, judged again whenever the product changes.
+"""Frames and rows that this measurement keeps in a folder: rendered once, judged again after each change of the
+product.
 
-A frame's name holds everything that its picture depends on here; a row's name holds the product's sources as well. The
-simulator's own state is in neither: an empty folder starts anew.
+A frame's name contains all that its image depends on here; a row's name also contains the product's sources. The
+simulator's own version is in neither: use an empty folder after changing it.
 """
 
 from __future__ import annotations
@@ -42,17 +43,17 @@ def kept_scan(
     number: int = 0,
     response: Response | None = None,
 ) -> Taken:
-    """Return the frames that the instrument records of ``world``, from the folder ``keep`` where they are there, and kept there where not.
+    """Return the frames that the instrument records of ``world``; they are read from and stored in the folder ``keep``.
 
-    ``exposure``: ``None`` for the one that the instrument's proposals lead to. ``number`` and ``response`` as in ``world.expose``.
+    ``exposure``: ``None`` for the one that the instrument proposes. ``number`` and ``response`` as in ``world.expose``.
     """
     what = (world.scene, world.rig, sequence.period_px, exposure or STEPS, number, TRIGGER_DELAY_US)
     drawn_for = () if response is None else (response.hash,)
     path = None if keep is None else keep / "frames" / f"{world.seed}-{_short(repr(what + drawn_for))}.npz"
     if path is not None and path.exists():
-        with np.load(path) as kept:
-            taken = Exposure(int(kept["time_us"]), float(kept["gain_db"]))
-            return Taken({side: kept[side] for side in SIDES}, taken)
+        with np.load(path) as stored:
+            taken_exposure = Exposure(int(stored["time_us"]), float(stored["gain_db"]))
+            return Taken({side: stored[side] for side in SIDES}, taken_exposure)
     renderer = world.renderer()
     chosen = exposure or chosen_exposure(renderer, sequence)
     frames = expose(renderer, sequence, chosen, number=number, response=response)
@@ -66,13 +67,13 @@ def kept_scan(
 
 
 def kept_row(keep: Path | None, what: object, find: Callable[[], Row]) -> Row:
-    """Return the row that this very product left for ``what`` before, or what ``find`` finds out, which is kept."""
+    """Return the row that this version of the product left for ``what``, or the result of ``find``, which is stored."""
     if keep is None:
         return find()
     path = keep / "rows" / sources_digest()[:12] / f"{_short(repr(what))}.json"
     if path.exists():
-        found: Row = json.loads(path.read_text(encoding="utf-8"))
-        return found
+        stored: Row = json.loads(path.read_text(encoding="utf-8"))
+        return stored
     row = find()
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}")

@@ -1,4 +1,4 @@
-"""Owns the part ``milk``: how much of an object is found in water that is as white as diluted milk."""
+"""The part ``milk``: completeness in water as white as diluted milk."""
 
 from __future__ import annotations
 
@@ -35,35 +35,35 @@ SEEDS_PER_SEED = 1000
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Return how complete ``count`` scans in milk are with no family, with backscatter alone, and with all at rest."""
-    wanted = [(name, number) for name in SETS for number in range(count)]
+    """Return the completeness of ``count`` scans in milk with no family, with backscatter alone, and with all at rest."""
+    jobs = [(name, number) for name in SETS for number in range(count)]
     rows: dict[str, list[Row]] = {name: [] for name in SETS}
-    for done, ((name, _), row) in enumerate(
-        zip(wanted, spread(partial(_row, seed=seed, keep=keep, noise=noise), wanted), strict=True), 1
+    for finished, ((name, _), row) in enumerate(
+        zip(jobs, spread(partial(_row, seed=seed, keep=keep, noise=noise), jobs), strict=True), 1
     ):
-        say(f"milk: {done} of {len(wanted)}", done / len(wanted))
+        say(f"milk: {finished} of {len(jobs)}", finished / len(jobs))
         rows[name].append(row)
-    found = []
+    measured = []
     for name, scans in rows.items():
-        least = TARGET_PERCENT if name == TARGET else None
+        target = TARGET_PERCENT if name == TARGET else None
         complete = median(rows_of(scans, "complete_percent"))
-        found.append(Measured(f"completeness in milk, {name}", complete, "%", at_least=least))
-        found.append(Measured(f"error over sigma in milk, {name}", median(rows_of(scans, "error_over_sigma")), ""))
-    return found, {"rows": rows}
+        measured.append(Measured(f"completeness in milk, {name}", complete, "%", at_least=target))
+        measured.append(Measured(f"error over sigma in milk, {name}", median(rows_of(scans, "error_over_sigma")), ""))
+    return measured, {"rows": rows}
 
 
-def _row(wanted: tuple[str, int], seed: int, keep: Path | None, noise: str) -> Row:
-    name, number = wanted
+def _row(job: tuple[str, int], seed: int, keep: Path | None, noise: str) -> Row:
+    name, number = job
     return kept_row(keep, ("milk", name, number, seed, noise), lambda: _found(name, number, seed, keep, noise))
 
 
 def _found(name: str, number: int, seed: int, keep: Path | None, noise: str) -> Row:
-    own = SEEDS_PER_SEED * seed + number
+    scene_seed = SEEDS_PER_SEED * seed + number
     families = SETS[name]
     scene = Scene(object=OBJECTS[number % len(OBJECTS)], water=MILK)
-    world = world_with(scene, joined(own, own, families), own, families)
-    taken = kept_scan(keep, world, SEQUENCE)
+    world = world_with(scene, joined(scene_seed, scene_seed, families), scene_seed, families)
+    scan = kept_scan(keep, world, SEQUENCE)
     stated = stated_truth(world.rig, world.scene)
-    known = WAYS[noise](world, taken.exposure.gain_db, keep)
-    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, known)
-    return {"number": number, **row_of(world, scanned, taken.exposure)}
+    noise_known = WAYS[noise](world, scan.exposure.gain_db, keep)
+    scanned = worked_through(scan.frames, stated.calibration, stated.water, scan.exposure, noise_known)
+    return {"number": number, **row_of(world, scanned, scan.exposure)}

@@ -1,6 +1,7 @@
-"""Owns what the instrument is told about its cameras' noise: the data sheet of these very cameras, or what it measured itself.
+"""Camera noise as the instrument has it: from the data sheet, or measured by itself.
 
-Measured as the owner does it: one scan of something with light and dark parts, in a dark tank, at rest, and the product's photon transfer.
+Measured as an owner does: one scan of an object with light and dark parts, in a dark tank, at rest, by the product's
+photon transfer.
 """
 
 from __future__ import annotations
@@ -27,27 +28,32 @@ TANK = Scene(object="plane", texture="strong", ambient=0.0)
 
 
 def measured(world: World, gain_db: float, keep: Path | None) -> StereoNoise:
-    """Return the noise at ``gain_db`` as the instrument measures it on its own cameras. Raises NoiseError."""
+    """Return the noise at ``gain_db`` as the instrument measures it of its own cameras. Raises NoiseError."""
     cameras = world.scene.outside.cameras
     what = ("noise", world.rig.seed, world.rig.left.width_px, cameras)
-    found = kept_row(keep, what, lambda: _figures(world))
+    figures_of_sides = kept_row(keep, what, lambda: _figures(world))
     left, right = (
-        (one["full_well_e"], one["read_noise_e"], one["black_dn"]) for one in (found[side] for side in SIDES)
+        (side_figures["full_well_e"], side_figures["read_noise_e"], side_figures["black_dn"])
+        for side_figures in (figures_of_sides[side] for side in SIDES)
     )
     return StereoNoise(camera_noise(*left, gain_db), camera_noise(*right, gain_db))
 
 
 def _figures(world: World) -> dict[str, dict[str, float]]:
-    """Return for either camera full well and read noise in electrons, and the grey value of no light."""
+    """Return full well and read noise in electrons, and the black level, of each camera."""
     outside = Outside(cameras=world.scene.outside.cameras)
     size_px = world.rig.left.width_px, world.rig.left.height_px
     tank = world_with(replace(TANK), outside, world.seed, ("cameras",), rig_seed=world.rig.seed, size_px=size_px)
     sequence = build_sequence(PERIOD_PX)
     frames = expose(tank.renderer(), sequence, EXPOSURE, number=3)
-    found = {side: measure_noise(sequence, frames[side]).figures(side, EXPOSURE.gain_db) for side in SIDES}
+    figures_of_sides = {side: measure_noise(sequence, frames[side]).figures(side, EXPOSURE.gain_db) for side in SIDES}
     return {
-        side: {"full_well_e": one.full_well_e, "read_noise_e": one.read_noise_e, "black_dn": one.black_level_dn}
-        for side, one in found.items()
+        side: {
+            "full_well_e": side_figures.full_well_e,
+            "read_noise_e": side_figures.read_noise_e,
+            "black_dn": side_figures.black_level_dn,
+        }
+        for side, side_figures in figures_of_sides.items()
     }
 
 

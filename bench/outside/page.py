@@ -51,22 +51,25 @@ FIGURES = MappingProxyType(
 
 
 def write_page(data: Path, page: Path, pictures: Path) -> None:
-    """Write the figures of ``data`` into the page, and the picture. Rows of parts that ``data`` lacks stay as they are; of several
-    seeds of a part the smallest is shown. Raises ValueError for a page without the marks; it is left as it was."""
-    head, above, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    inside, below, tail = rest.partition(END)
+    """Write the figures of ``data`` into the page, and draw the picture.
+
+    Rows of parts that ``data`` lacks stay; of several seeds of a part the smallest is shown. Raises ValueError, and
+    changes nothing, for a page without marks.
+    """
+    head, above, remainder = page.read_text(encoding="utf-8").partition(BEGIN)
+    inside, below, tail = remainder.partition(END)
     if not above or not below:
         raise ValueError(f"{page}: no place for the figures; needed are the lines {BEGIN!r} and {END!r}")
-    figures, made = _rows(inside, HEAD), _rows(inside, MADE_HEAD)
+    figures, settings = _rows(inside, HEAD), _rows(inside, MADE_HEAD)
     for name, seeds in read(data)["parts"].items():
         seed = min(seeds, key=int)
         figures[name] = [
-            f"| {name} | {one['name'].removeprefix(f'{name}: ')} | {_target(one)} | {_now(one)} |"
-            for one in seeds[seed]["measured"]
-            if one["name"].startswith(FIGURES[name])
+            f"| {name} | {figure['name'].removeprefix(f'{name}: ')} | {_target(figure)} | {_now(figure)} |"
+            for figure in seeds[seed]["measured"]
+            if figure["name"].startswith(FIGURES[name])
         ]
-        made[name] = [f"| {name} | {seed} | {seeds[seed]['count']} | {seeds[seed]['measured_on']} |"]
-    lines = [head + BEGIN, "", *HEAD, *_ordered(figures), "", *MADE_HEAD, *_ordered(made), "", END + tail]
+        settings[name] = [f"| {name} | {seed} | {seeds[seed]['count']} | {seeds[seed]['measured_on']} |"]
+    lines = [head + BEGIN, "", *HEAD, *_ordered(figures), "", *MADE_HEAD, *_ordered(settings), "", END + tail]
     page.write_text("\n".join(lines), encoding="utf-8")
     draw_scene(pictures / "outside-scene.png", *SCENE)
 
@@ -85,22 +88,22 @@ def _ordered(rows: dict[str, list[str]]) -> list[str]:
     return [line for name in FIGURES for line in rows.get(name, [])]
 
 
-def _now(one: Content) -> str:
-    """Return the cell of a figure: with as many digits as tell it from a bound that it misses, which is said; or why there is none."""
-    if one["value"] is None:
-        return f"— ({one['why']})" if one["why"] else "—"
-    value, bounds = float(one["value"]), (one["at_least"], one["at_most"])
-    share = one.get("share")
-    text = percent(share[0] / share[1]) if share and one["unit"].startswith("%") else _short(value)
+def _now(figure: Content) -> str:
+    """Return the cell of a figure: with the digits that show a missed limit, or the reason for its absence."""
+    if figure["value"] is None:
+        return f"— ({figure['why']})" if figure["why"] else "—"
+    value, bounds = float(figure["value"]), (figure["at_least"], figure["at_most"])
+    share = figure.get("share")
+    text = percent(share[0] / share[1]) if share and figure["unit"].startswith("%") else _short(value)
     for digits in range(4, 12):
-        if one["kept"] or float(text) not in bounds:
+        if figure["kept"] or float(text) not in bounds:
             break
         text = f"{value:.{digits}g}"
-    return f"{text} {one['unit']}".rstrip() + ("" if one["kept"] else " **missed**")
+    return f"{text} {figure['unit']}".rstrip() + ("" if figure["kept"] else " **missed**")
 
 
-def _target(one: Content) -> str:
-    low, high = one["at_least"], one["at_most"]
+def _target(figure: Content) -> str:
+    low, high = figure["at_least"], figure["at_most"]
     if low is not None and high is not None:
         return f"{low:g} to {high:g}"
     if low is not None:

@@ -1,4 +1,4 @@
-"""Owns the list of what is measured in the world ``outside``, and how a part of it is asked for."""
+"""List of the parts that are measured in the world ``outside``, and how a part is called."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from bench.verdict.parts import Say
 
 
 class Part(Protocol):
-    """A module that judges what is drawn at random by ``seed``; ``count`` scales the work."""
+    """A module that judges random scenes by ``seed``; ``count`` scales the work."""
 
     def measure(
         self, count: int, seed: int, say: Say, keep: Path | None = None
     ) -> tuple[list[Measured], dict[str, Any]]:
-        """Return figures with their bounds, and what is needed to draw their tables again, ready for JSON. What is in the folder
-        ``keep`` is not done again; what is missing there is added."""
+        """Return figures with their limits, and the data of their tables, JSON-ready.
+
+        Results in the folder ``keep`` are not computed again; missing ones are added.
+        """
 
 
 class PartWithNoise(Protocol):
@@ -42,18 +44,18 @@ class PartOfWorlds(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One part: where it is, what it is about, and how much of it a whole report has."""
+    """Entry of one part: its module, subject, and size."""
 
     module: str
-    about: str
+    subject: str
     count: int
     """Scenes, scans or rigs of a report."""
     few: int
-    """The same for a look at whether it still does what it is for."""
+    """Scenes, scans or rigs of a quick check."""
     noise: bool = False
-    """It is a ``PartWithNoise``."""
+    """True for a ``PartWithNoise``."""
     world: str | None = None
-    """The world that a module which knows several is asked for; ``None``: it knows this one only."""
+    """World to pass to a module that has several; ``None`` for a module of this one only."""
 
 
 OUTSIDE = "outside"
@@ -95,8 +97,10 @@ PARTS = MappingProxyType(
 def measure_part(
     name: str, count: int | None, seed: int, say: Say, keep: Path | None, noise: str
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Return what the part of that name finds out, of ``count`` scenes or as many as a report has; ``noise``: how the instrument
-    knows that of its cameras (``noise.WAYS``). Raises KeyError."""
+    """Return the results of part ``name``, for ``count`` scenes or as many as a report has.
+
+    ``noise`` is the source of the camera noise (``noise.WAYS``). Raises KeyError.
+    """
     entry = PARTS[name]
     module, count = importlib.import_module(entry.module), entry.count if count is None else count
     if entry.world is not None:

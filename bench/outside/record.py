@@ -1,4 +1,4 @@
-"""Owns the file that a measurement of the world ``outside`` is kept in: what was measured of each part, by its seed."""
+"""File of a measurement of the world ``outside``: results of each part, by seed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Content = Mapping[str, Any]
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Return a measurement's file: of each part, by its seed, what was measured. Raises OSError, and ValueError for another file."""
+    """Return the content of a file: results of each part, by seed. Raises OSError, and ValueError for another file."""
     content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     parts = content.get("parts") if isinstance(content, dict) else None
     seeds = [seed for part in parts.values() for seed in part] if isinstance(parts, dict) else []
@@ -25,8 +25,10 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def added(content: Content, name: str, seed: int, measured: Sequence[Measured], part: Content) -> dict[str, Any]:
-    """Return the content with these figures of a part and a seed in it, in place of what it had of both; all else stays. ``part``: what else
-    is said of them: ``count``, ``noise``, ``measured_on`` and ``data``, ready for JSON."""
-    mine = {**part, "measured": [one.as_dict() for one in measured]}
+    """Return the content with the figures of a part and a seed in place of former ones.
+
+    ``part`` has the other values: ``count``, ``noise``, ``measured_on`` and ``data``, JSON-ready.
+    """
+    mine = {**part, "measured": [figure.as_dict() for figure in measured]}
     seeds = {**content["parts"].get(name, {}), str(seed): mine}
     return {**content, "parts": {**content["parts"], name: seeds}}

@@ -1,4 +1,4 @@
-"""Owns the part ``rigs``: how well instruments of the world ``outside`` measure after their calibration, and whether they say so.
+"""The part ``rigs``: errors of calibrated instruments of the world ``outside``, and whether they are announced.
 
 Each rig has lenses, windows, plates, mounts and an LED of its own. It is calibrated in air in a cool case, then in water in a warm one from
 four recordings and from ten, by someone who believes the data sheet's wavelength; bars, planes and frustums that no calibration has
@@ -63,49 +63,52 @@ class Rig:
 
 
 def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
-    """Return the errors of the ``count`` rigs of the seeds from ``seed`` on, with all families together and with none, of a quarter of
-    them with each alone, and which errors were announced."""
+    """Return the errors of ``count`` rigs with all families and with none, and of some with each family alone.
+
+    Their seeds begin with ``seed``. The figures say which errors were announced.
+    """
     few = max(1, count // ALONE)
-    wanted = [(name, k) for name in SETS for k in range(count if name in {"ordinary", "all"} else few)]
+    jobs = [(name, k) for name in SETS for k in range(count if name in {"ordinary", "all"} else few)]
     rows: dict[str, list[Row]] = {name: [] for name in SETS}
     work = partial(_row, seed=seed, keep=keep)
-    for done, ((name, _), row) in enumerate(zip(wanted, spread(work, wanted), strict=True), 1):
-        say(f"rigs: {done} of {len(wanted)}", done / len(wanted))
+    for finished, ((name, _), row) in enumerate(zip(jobs, spread(work, jobs), strict=True), 1):
+        say(f"rigs: {finished} of {len(jobs)}", finished / len(jobs))
         rows[name].append(row)
-    return figures(rows), {"rigs": [row for found in rows.values() for row in found]}
+    return figures(rows), {"rigs": [row for set_rows in rows.values() for row in set_rows]}
 
 
 def figures(rows: dict[str, list[Row]]) -> list[Measured]:
     """Return the figures of the rows of each set of families."""
-    found = []
+    measured = []
     for name, rigs in rows.items():
         for number in RECORDINGS:
             of_all = [row[str(number)] for row in rigs]
-            about = f"{name}, {number} recordings"
+            label = f"{name}, {number} recordings"
             for key, limit in (("E_Lb", LENGTH_PERCENT[number]), ("E_Lp", None), ("E_F_sys", FLAT_PERCENT)):
-                found.append(_worst(f"{about}: {key} of the worst of {len(rigs)}", of_all, key, limit))
+                measured.append(_worst(f"{label}: {key} of the worst of {len(rigs)}", of_all, key, limit))
                 if limit is not None:
-                    median = float(np.median([one[key] for one in of_all]))
-                    found.append(Measured(f"{about}: {key}, median", median, "%"))
-            warmer = f"{about}: E_Lb of the worst in a case {LATER_K:g} K warmer"
-            found.append(_worst(warmer, of_all, "E_Lb_later", LENGTH_PERCENT[number]))
+                    median = float(np.median([result[key] for result in of_all]))
+                    measured.append(Measured(f"{label}: {key}, median", median, "%"))
+            warmer = f"{label}: E_Lb of the worst in a case {LATER_K:g} K warmer"
+            measured.append(_worst(warmer, of_all, "E_Lb_later", LENGTH_PERCENT[number]))
     for name in ("ordinary", "all"):
-        missed = [one for row in rows[name] for n in RECORDINGS if _misses(one := row[str(n)], n)]
-        silent = sum(not one["warnings"] for one in missed)
-        said = sum(bool(row[str(n)]["warnings"]) for row in rows[name] for n in RECORDINGS) - (len(missed) - silent)
+        missed = [result for row in rows[name] for n in RECORDINGS if _misses(result := row[str(n)], n)]
+        silent = sum(not result["warnings"] for result in missed)
+        warned = sum(bool(row[str(n)]["warnings"]) for row in rows[name] for n in RECORDINGS) - (len(missed) - silent)
         calibrations = len(RECORDINGS) * len(rows[name])
-        found.append(tally(f"{name}: calibrations that miss a target", len(missed), calibrations))
-        found.append(tally(f"{name}: that miss one and do not say so", silent, calibrations, at_most=0.0))
+        measured.append(tally(f"{name}: calibrations that miss a target", len(missed), calibrations))
+        measured.append(tally(f"{name}: that miss one and do not say so", silent, calibrations, at_most=0.0))
         alarms = 0.0 if name == "ordinary" else None
-        found.append(tally(f"{name}: that keep all and warn", said, calibrations, at_most=alarms))
-    return found
+        measured.append(tally(f"{name}: that keep all and warn", warned, calibrations, at_most=alarms))
+    return measured
 
 
 def _worst(name: str, rigs: Sequence[Row], key: str, limit: float | None) -> Measured:
-    """Return the largest of an error, which must keep ``limit``; where each rig beyond it warned, it may miss, and is called *announced*."""
-    worst = max(one[key] for one in rigs)
-    missed = [] if limit is None else [one for one in rigs if one[key] > limit]
-    if missed and all(one["warnings"] for one in missed):
+    """Return the largest of an error with its ``limit``; it is called *announced*, without a limit, if each rig beyond
+    warned."""
+    worst = max(rig[key] for rig in rigs)
+    missed = [] if limit is None else [rig for rig in rigs if rig[key] > limit]
+    if missed and all(rig["warnings"] for rig in missed):
         return Measured(f"{name}, announced", worst, "%")
     return Measured(name, worst, "%", at_most=limit)
 
@@ -133,16 +136,16 @@ def _misses(row: Row, number: int) -> bool:
     return bool(row["E_Lb"] > LENGTH_PERCENT[number] or row["E_F_sys"] > FLAT_PERCENT)
 
 
-def _row(wanted: tuple[str, int], seed: int, keep: Path | None) -> Row:
-    name, number = wanted
+def _row(job: tuple[str, int], seed: int, keep: Path | None) -> Row:
+    name, number = job
     return kept_row(keep, ("rigs", name, number, seed), lambda: _found(name, number, seed))
 
 
 def _found(name: str, number: int, seed: int) -> Row:
-    own = seed + number
-    rig = drawn(SETS[name], own)
+    rig_seed = seed + number
+    rig = drawn(SETS[name], rig_seed)
     start = start_of(air_of(rig.dry))
-    row: Row = {"families": name, "seed": own}
+    row: Row = {"families": name, "seed": rig_seed}
     for recordings in RECORDINGS:
         result = calibrate(Method.SPLINE, recorded(rig.wet, recordings), start)
         errors = evaluate(rig.wet, result.calibration.rig, frustums=FRUSTUMS)

@@ -1,5 +1,5 @@
-"""Owns the part ``sample``: some of a report's drawn scenes once more, so that a product that has changed since is looked at without
-all of them, and all its soft ones."""
+"""The part ``sample``: some of a report's random scenes and all soft ones, for a quick check after a change of the
+product."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Owns one scan of the world ``outside`` from its frames to a row of figures: points against the true surface, each verdict, the grade."""
+"""One scan of the world ``outside``, from its frames to a row of figures: errors of points, verdicts, grade."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ STEP_MM, LEAST_COSINE = 0.01, 0.1
 FEWEST = 300
 """Points that tell an error over sigma."""
 SHEET_FULL_WELL_E, SHEET_READ_NOISE_E = 13_000.0, 20.0
-"""What a rig file says that nobody has entered a camera's data sheet into."""
+"""Values of a rig file without the data sheet of the camera."""
 Array = NDArray[np.float64]
 SEQUENCE = build_sequence(16)
 
 
 @dataclass(frozen=True, slots=True)
 class Scanned:
-    """A sequence as the instrument worked it through."""
+    """Result of a sequence in the instrument's procedure."""
 
     cloud: Cloud
     full: FullCloud
     grade: Grade
     codes: tuple[FaultCode, ...]
-    """The faults that were found, without what is only shown."""
+    """Faults, without those that are only shown."""
     cpu_s: float
 
     @property
     def accepted(self) -> bool:
-        """Nothing was said that spoils the scan, and it is worth keeping."""
+        """True if no fault spoils the scan and it is worth keeping."""
         return self.grade is not Grade.BAD
 
     def numbers(self, name: str) -> dict[str, float | None]:
@@ -65,20 +65,20 @@ class Scanned:
 
 
 def data_sheet(scene: Scene, gain_db: float) -> StereoNoise:
-    """Return the noise as the data sheet of the scene's own cameras states it, entered into the rig file by a careful owner."""
+    """Return the noise by the data sheet of the scene's own cameras, as in a complete rig file."""
     traits = scene.outside.cameras
     if traits is None:
-        one = camera_noise(SHEET_FULL_WELL_E, SHEET_READ_NOISE_E, BLACK_DN, gain_db)
+        noise = camera_noise(SHEET_FULL_WELL_E, SHEET_READ_NOISE_E, BLACK_DN, gain_db)
     else:
-        one = camera_noise(traits.full_well_e, traits.read_noise_e, traits.black_dn, gain_db)
-    return StereoNoise(one, one)
+        noise = camera_noise(traits.full_well_e, traits.read_noise_e, traits.black_dn, gain_db)
+    return StereoNoise(noise, noise)
 
 
 def worked_through(
     frames: Frames, calibration: Calibration, water: Water, exposure: Exposure, noise: StereoNoise,
     sequence: PatternSequence = SEQUENCE,
 ) -> Scanned:  # fmt: skip
-    """Take a sequence through the whole procedure of the instrument."""
+    """Run a sequence through the instrument's procedure."""
     settings = AcquisitionSettings(exposure=exposure, frame_s=FRAME_S, noise=noise, steps=STEPS)
     with Pipeline(calibration, water, sequence, noise=noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
@@ -86,12 +86,14 @@ def worked_through(
         full = processor.process(frames, settings)
         cpu_s = time.process_time() - begun
         cloud = pipeline.table.cloud(full.found)
-    faults = tuple(one.fault for one in full.judgements if one.fault is not None)
+    faults = tuple(judgement.fault for judgement in full.judgements if judgement.fault is not None)
     summary = full.found.summary
     spoilt = any(fault.code in SPOILS_SCAN for fault in faults)
-    said = Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults})
+    grade_of_scan = (
+        Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults})
+    )
     codes = tuple(fault.code for fault in faults if fault.code is not FaultCode.COMPENSATED)
-    return Scanned(cloud, full, said, codes, cpu_s)
+    return Scanned(cloud, full, grade_of_scan, codes, cpu_s)
 
 
 def moment_s(scanned: Scanned, exposure: Exposure, sequence: PatternSequence = SEQUENCE) -> float:
@@ -105,13 +107,13 @@ def moment_s(scanned: Scanned, exposure: Exposure, sequence: PatternSequence = S
 
 
 def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
-    """Return what one scan says and how far its points are from the truth."""
+    """Return the verdicts of one scan and the errors of its points."""
     renderer, at_s = world.renderer(), moment_s(scanned, exposure)
     cloud, summary = scanned.cloud, scanned.full.found.summary
     view = renderer.view("left", at_s)
-    seen = view.seen_by_all
-    found = np.zeros(seen.size, bool)
-    found[cloud.pixel] = True
+    visible = view.seen_by_all
+    has_point = np.zeros(visible.size, bool)
+    has_point[cloud.pixel] = True
     along_mm, away_mm = errors_mm(renderer, cloud, at_s)
     over = along_mm / cloud.sigma_mm.astype(np.float64)
     good = np.isfinite(over) & (np.abs(away_mm) <= FALSE_MM)
@@ -131,8 +133,8 @@ def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
         "faults": [code.value for code in scanned.codes],
         "compensated": any(j.verdict.name == "compensation" and j.verdict.passed for j in scanned.full.judgements),
         "texts": {j.verdict.name: j.verdict.text for j in scanned.full.judgements if j.fault is not None},
-        "seen": int(np.count_nonzero(seen)),
-        "complete_percent": 100.0 * float((found & seen.ravel()).sum()) / max(float(seen.sum()), 1.0),
+        "seen": int(np.count_nonzero(visible)),
+        "complete_percent": 100.0 * float((has_point & visible.ravel()).sum()) / max(float(visible.sum()), 1.0),
         "points": len(cloud.pixel),
         "outliers": int(np.count_nonzero(np.abs(away_mm) > FALSE_MM)),
         "error_over_sigma": trimmed_rms(over[good]),
@@ -146,7 +148,7 @@ def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
         "motion": scanned.numbers("motion"),
         "light": scanned.numbers("light"),
         "water": scanned.numbers("water"),
-        "gaps": None if gaps is None else {one.name: _listed(getattr(gaps, one.name)) for one in fields(gaps)},
+        "gaps": None if gaps is None else {gap_field.name: _listed(getattr(gaps, gap_field.name)) for gap_field in fields(gaps)},
     }  # fmt: skip
 
 
@@ -198,5 +200,5 @@ def _scaled(mm: float | None) -> float | None:
 
 
 def _listed(value: Any) -> Any:
-    """Return an array as lists, anything else as it is."""
+    """Return an array as lists, any other value as it is."""
     return value.tolist() if isinstance(value, np.ndarray) else value

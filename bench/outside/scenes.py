@@ -1,4 +1,4 @@
-"""Owns the part ``scenes``: what is found of drawn scenes, all families together and each by itself on some of the same scenes."""
+"""The part ``scenes``: results of random scenes, with all families together, and with each alone on some of them."""
 
 from __future__ import annotations
 
@@ -30,37 +30,41 @@ TOGETHER = "all"
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Return figures of ``count`` scenes with all families, and of a few of them with each family alone; ``noise``: how the
-    instrument knows that of its cameras (``noise.WAYS``)."""
+    """Return figures of ``count`` scenes with all families, and of a few of them with each family alone.
+
+    ``noise`` is the source of the camera noise (``noise.WAYS``).
+    """
     few = family_scenes(count)
-    wanted = [(TOGETHER, number) for number in range(count)]
-    wanted += [(name, number) for number in range(few) for name in (ORDINARY, *ALL)]
+    jobs = [(TOGETHER, number) for number in range(count)]
+    jobs += [(name, number) for number in range(few) for name in (ORDINARY, *ALL)]
     rows: dict[str, list[Row]] = {name: [] for name in (TOGETHER, ORDINARY, *ALL)}
-    for done, ((name, _), row) in enumerate(
-        zip(wanted, spread(partial(_row, seed=seed, keep=keep, noise=noise), wanted), strict=True), 1
+    for finished, ((name, _), row) in enumerate(
+        zip(jobs, spread(partial(_row, seed=seed, keep=keep, noise=noise), jobs), strict=True), 1
     ):
-        say(f"scenes: {done} of {len(wanted)}", done / len(wanted))
+        say(f"scenes: {finished} of {len(jobs)}", finished / len(jobs))
         rows[name].append(row)
-    found = of_scenes(rows[TOGETHER]) + watched(rows[TOGETHER], seed)
-    return found, {"rows": rows, "families": of_families(rows, few)}
+    measured = of_scenes(rows[TOGETHER]) + watched(rows[TOGETHER], seed)
+    return measured, {"rows": rows, "families": of_families(rows, few)}
 
 
 def watched(rows: Sequence[Row], seed: int) -> list[Measured]:
-    """Return what the watch over the calibration says of the scans of each instrument of ``seed`` in turn: every calibration here is
-    exact, and hands move."""
+    """Return the judgements of calibration health over the scans of each instrument of ``seed``.
+
+    Every calibration here is exact, and the instrument moves.
+    """
     instruments: dict[int, list[Row]] = {}
     for row in rows:
         instruments.setdefault(row["rig_seed"], []).append(row)
-    told, doubted, judged, largest = 0, 0, 0, 0.0
+    doubted_rigs, doubted, judged, largest = 0, 0, 0, 0.0
     for scans in instruments.values():
         world = scene_world(seed, scans[0]["number"])
-        said = list(followed(scans, stated_truth(world.rig, world.scene).calibration.rig))
-        told += any(one.alarm for one in said)
-        doubted += sum(bool(one.alarm) for one in said)
-        judged += sum(one.point is not None for one in said)
-        largest = max([largest, *(one.point.total for one in said if one.point is not None)])
+        judgements = list(followed(scans, stated_truth(world.rig, world.scene).calibration.rig))
+        doubted_rigs += any(judgement.alarm for judgement in judgements)
+        doubted += sum(bool(judgement.alarm) for judgement in judgements)
+        judged += sum(judgement.point is not None for judgement in judgements)
+        largest = max([largest, *(judgement.point.total for judgement in judgements if judgement.point is not None)])
     return [
-        tally("instruments whose calibration is doubted", told, len(instruments), at_most=0.0),
+        tally("instruments whose calibration is doubted", doubted_rigs, len(instruments), at_most=0.0),
         tally(f"false alarms of {CALIBRATION}", doubted, len(rows), at_most=0.0),
         tally("scans that are judged by the watch over the calibration", judged, len(rows)),
         Measured("largest sum of the watch over the calibration", largest, f"of {LIMIT:g}", at_most=LIMIT),
@@ -72,8 +76,8 @@ def family_scenes(count: int) -> int:
     return max(1, round(FAMILY_SHARE * count))
 
 
-def _row(wanted: tuple[str, int], seed: int, keep: Path | None, noise: str) -> Row:
-    return scene_row(wanted[0], wanted[1], seed, keep, noise)
+def _row(job: tuple[str, int], seed: int, keep: Path | None, noise: str) -> Row:
+    return scene_row(job[0], job[1], seed, keep, noise)
 
 
 def scene_row(name: str, number: int, seed: int, keep: Path | None, noise: str = "sheet") -> Row:
@@ -84,8 +88,8 @@ def scene_row(name: str, number: int, seed: int, keep: Path | None, noise: str =
 
 def _found(number: int, seed: int, families: tuple[str, ...], keep: Path | None, noise: str) -> Row:
     world = scene_world(seed, number, families)
-    taken = kept_scan(keep, world, SEQUENCE)
+    scan = kept_scan(keep, world, SEQUENCE)
     stated = stated_truth(world.rig, world.scene)
-    known = WAYS[noise](world, taken.exposure.gain_db, keep)
-    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, known)
-    return {"number": number, **row_of(world, scanned, taken.exposure)}
+    noise_known = WAYS[noise](world, scan.exposure.gain_db, keep)
+    scanned = worked_through(scan.frames, stated.calibration, stated.water, scan.exposure, noise_known)
+    return {"number": number, **row_of(world, scanned, scan.exposure)}

@@ -1,4 +1,4 @@
-"""Owns the calibration that states the truth about a rig of the world ``outside`` as well as the product's file format can.
+"""Calibration that states the true rig of the world ``outside`` as well as the product's file format can.
 
 Lens and port are the rig's own; what no formula describes (fields, a dent, a stria, a wedge, a window that is bent, a pupil that
 moves) goes into a fine image correction for the rays' directions and a fine ray shift for where they pass.
@@ -41,7 +41,7 @@ class Stated:
 
 
 def stated_truth(rig: TrueRig, scene: Scene) -> Stated:
-    """Return what the best calibration would say of ``rig`` in the scene's water."""
+    """Return the best possible calibration of ``rig`` in the scene's water."""
     water = stated_water(scene)
     plain = replace(true_calibration(rig), water=water)
     sides = {side: _followed(rig, side, getattr(plain.rig, side), water.index) for side in ("left", "right")}
@@ -66,44 +66,46 @@ def stated_water(scene: Scene) -> Water:
 
 
 def _followed(rig: TrueRig, side: str, camera: HousedCamera, index: float) -> HousedCamera:
-    """Return ``camera`` with the correction and the ray shift that lead its rays along the true ones."""
+    """Return ``camera`` with the image correction and the ray shift that fit its rays to the true ones."""
     size_px = camera.width_px, camera.height_px
     uv = _grid(size_px, FITTED_AT)
     origin, direction = _true_rays(rig, side, uv)
     shift_px = uv - camera.project(origin + direction * FAR_MM, index)
     grid = SplineGrid(size_px, INTERVALS)
     weights = grid.matrix(uv)
-    # By the normal equations: every node is seen by many points, so that they are as good as a decomposition and quicker.
+    # By the normal equations: many points determine each node, so that they are as accurate as a decomposition, and
+    # faster.
     square = weights.T @ weights
-    turn = np.linalg.solve(square, weights.T @ shift_px)
-    turned = replace(camera, correction=grid.correction(turn))
+    correction = np.linalg.solve(square, weights.T @ shift_px)
+    turned = replace(camera, correction=grid.correction(correction))
     beside_mm = _beside(turned, uv, origin, direction, index)
     move = np.linalg.solve(square, weights.T @ beside_mm)
     return replace(turned, ray_shift=RayShift(*size_px, INTERVALS, tuple(move.ravel().tolist())))
 
 
 def _beside(camera: HousedCamera, uv: Array, origin: Array, direction: Array, index: float) -> Array:
-    """Return how far (n, 2) the true rays pass beside the camera's, mm along its x and y in the middle of the volume."""
+    """Return how far (n, 2) the true rays pass beside the camera's, in mm along its x and y in the middle of the
+    volume."""
     R, t = np.asarray(camera.rotation), np.asarray(camera.translation_mm)
 
     def at_middle(points: Array, along: Array) -> Array:
-        local, way = (points - t) @ R, along @ R
-        return np.asarray((local + way * ((MIDDLE_MM - local[:, 2:]) / way[:, 2:]))[:, :2])
+        local, direction_local = (points - t) @ R, along @ R
+        return np.asarray((local + direction_local * ((MIDDLE_MM - local[:, 2:]) / direction_local[:, 2:]))[:, :2])
 
     return at_middle(origin, direction) - at_middle(*camera.rays(uv, index))
 
 
 def _off_mm(rig: TrueRig, side: str, camera: HousedCamera, index: float) -> Array:
-    """Return distances (n,) of the stated rays from the true ones, mm, at pixels that nothing was fitted to."""
+    """Return distances (n,) of the stated rays from the true ones, mm, at pixels that were not used in the fit."""
     uv = _grid((camera.width_px, camera.height_px), (37, 29))
     origin, direction = _true_rays(rig, side, uv)
     ours, along = camera.rays(uv, index)
-    found = []
+    distances = []
     for distance_mm in (400.0, 525.0, 650.0):
         point = origin + direction * distance_mm
         away = point - ours
-        found.append(np.linalg.norm(away - np.sum(away * along, -1, keepdims=True) * along, axis=-1))
-    return np.concatenate(found)
+        distances.append(np.linalg.norm(away - np.sum(away * along, -1, keepdims=True) * along, axis=-1))
+    return np.concatenate(distances)
 
 
 def _true_rays(rig: TrueRig, side: str, uv: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Owns one scene of the world ``outside``: the families that are drawn for it, the true rig before it, and how it is photographed.
+"""One scene of the world ``outside``: its families, the true rig, and how its frames are rendered.
 
 Every part of this measurement begins here, so that each sees the same world: the rig is drawn for the index of the scene's
 water at the LED's own colour, has windows of that colour, and is as warm as stated; frames begin as long after the vertical
@@ -52,7 +52,7 @@ class World:
     rig: TrueRig
 
     def renderer(self) -> Renderer:
-        """Return what photographs it."""
+        """Return the renderer of its frames."""
         return Renderer(self.rig, self.scene)
 
 

@@ -1,1 +1,1 @@
-"""What bends the phase of image-level scans without being noise, and what that does to points and artefacts."""
+"""Systematic phase errors of image-level scans, and their effect on points and artefacts."""

@@ -1,4 +1,4 @@
-"""Owns one simulated scan under stated conditions, with the true calibration, and what is read off it."""
+"""One simulated scan under stated conditions with the true calibration, and its errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.truth import WATER, true_calibration
 Pose = tuple[float, float, float, float, float, float]
 
 TRUTH, SEED = "modelled", 3
-"""A rig of realistic amounts that the product's model can express: its true calibration leaves only what images add."""
+"""A realistic rig within the product's model: with its true calibration, only errors of the images remain."""
 WIDTH_PX, STRIP_PX, WHOLE_PX = 1600, 240, 1200
 MIDDLE: Pose = (0.0, 0.0, 522.5, 0.0, 0.0, 0.0)
 TILTED: Pose = (0.0, 0.0, 522.5, 0.0, 35.0, 0.0)
@@ -50,16 +50,16 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """What is read off a scan of a plane."""
+    """Errors of one scan of a plane."""
 
     coordinate_ripple_px: float
     """Amplitude at four cycles a period of the left camera's pattern coordinate, pattern px."""
     difference_px: float
-    """The same of left less right: what does not cancel by itself."""
+    """Amplitude of left minus right, which does not cancel in the correspondence."""
     depth_ripple_um: float
-    """The same along the rays, of points."""
+    """Amplitude of the points' errors along the rays."""
     smooth_um: float
-    """RMS of a cubic in the pattern coordinates fitted to the errors along the rays: what would bend a plane."""
+    """RMS of a cubic in the pattern coordinates fitted to the errors along the rays: the bending of a plane."""
     rms_um: float
     sigma_ratio: float
     """RMS of errors in expected errors."""
@@ -93,28 +93,28 @@ def take(
     return Taken(scan, pipeline, cloud, depth_errors(scan.renderer, cloud))
 
 
-def read(taken: Taken) -> Read:
-    """Everything that is read off a plane."""
-    period_px = taken.scan.sequence.period_px
+def read(scan: Taken) -> Read:
+    """Return the errors of a scan of a plane."""
+    period_px = scan.scan.sequence.period_px
     by_side = []
     for side in ("left", "right"):
-        one = coordinate_errors(taken.scan.renderer, taken.pipeline, side)
-        by_side.append(ripple(one.error_px[:, 0], one.true_px[:, 0], period_px))
-    keep = taken.judged
-    along, true = taken.errors.along_ray_mm[keep], taken.errors.true_px[keep]
+        coordinates = coordinate_errors(scan.scan.renderer, scan.pipeline, side)
+        by_side.append(ripple(coordinates.error_px[:, 0], coordinates.true_px[:, 0], period_px))
+    keep = scan.judged
+    along, true = scan.errors.along_ray_mm[keep], scan.errors.true_px[keep]
     return Read(
         by_side[0],
         abs(by_side[0] - by_side[1]),
         UM * ripple(along, true[:, 0], period_px),
         UM * rms(cubic_of(true, along)),
         UM * rms(along),
-        rms(along / taken.cloud.sigma_mm[keep]),
-        float(np.median(taken.cloud.modulation_dn)),
+        rms(along / scan.cloud.sigma_mm[keep]),
+        float(np.median(scan.cloud.modulation_dn)),
     )
 
 
-def response_seen(taken: Taken) -> MeasuredResponse:
-    """The projector's response as that scan tells it."""
-    maps = {side: taken.pipeline.decoded(side) for side in taken.scan.frames}
-    seen = [CameraImages(taken.scan.frames[side], one.p_px, one.q_px) for side, one in maps.items()]
-    return measure_response(taken.scan.sequence, seen)
+def response_seen(scan: Taken) -> MeasuredResponse:
+    """Return the projector's response as measured from that scan."""
+    maps = {side: scan.pipeline.decoded(side) for side in scan.scan.frames}
+    images = [CameraImages(scan.scan.frames[side], decoded.p_px, decoded.q_px) for side, decoded in maps.items()]
+    return measure_response(scan.scan.sequence, images)

@@ -1,4 +1,4 @@
-"""The table of ``docs/phase-bias.md``, written from what was measured, never by hand."""
+"""Generator of the table in ``docs/phase-bias.md`` from measured values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ COLUMNS = ("ripple of depth, µm", "rms, µm", "rms in sigmas")
 
 
 def write_page(measured: Path, page: Path) -> None:
-    """Replace what lies between the marks. Raises OSError, and ValueError for a page without marks."""
+    """Replace the text between the marks. Raises OSError, and ValueError for a page without marks."""
     rows: list[dict[str, Any]] = json.loads(measured.read_text(encoding="utf-8"))["rows"]
     text = page.read_text(encoding="utf-8")
     if BEGIN not in text or END not in text:

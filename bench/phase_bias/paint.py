@@ -1,8 +1,8 @@
-"""Owns what borders of paint do to points, and what a flag or a correction would change.
+"""Errors of points at borders of albedo, with and without a flag or a correction.
 
-A pixel returns the mean of what it sees, weighted by how light it is. Beside a border the weighted mean lies off the
-pixel's middle by σ² ∇ln(albedo) (σ: the blur's), and so does its phase. Both cameras see the same paint, so that most of
-it cancels in the correspondence; what foreshortening makes different remains.
+A pixel returns the mean of its footprint, weighted by the light. Beside a border the weighted mean lies off the pixel's
+middle by σ² ∇ln(albedo) (σ: that of the blur), and so does its phase. Both cameras see the same albedo, so that most of
+it cancels in the correspondence; the part by different foreshortening remains.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bench.phase_bias.conditions import UM, Taken
 from tests.support.bias import rms
 
 BLUR_VAR_PX2 = 0.55**2 + (0.3 * 0.4875) ** 2
-"""Of the simulated lens and water, px² of 1600: what a correction would have to know."""
+"""Variance of the blur of the simulated lens and water, in px² of 1600 px, which a correction would need."""
 BORDER_CONTRAST = 0.10
 """Relative change of light per px from which on a pixel is called a border."""
 
@@ -28,23 +28,23 @@ class Maps(Protocol):
     q_px: NDArray[np.float32]
 
 
-def borders(taken: Taken) -> dict[str, float]:
-    """Errors in µm on borders and off them, and what leaving the borders out would change."""
-    at = contrast(taken)[taken.cloud.pixel] > BORDER_CONTRAST
-    keep, along = taken.judged, UM * taken.errors.along_ray_mm
+def borders(scan: Taken) -> dict[str, float]:
+    """Return errors in µm on and off borders, and without the border points."""
+    is_border = contrast(scan)[scan.cloud.pixel] > BORDER_CONTRAST
+    keep, along = scan.judged, UM * scan.errors.along_ray_mm
     return {
-        "border points, %": 100.0 * float(np.mean(at[keep])),
-        "rms off borders, µm": rms(along[keep & ~at]),
-        "rms on borders, µm": rms(along[keep & at]),
+        "border points, %": 100.0 * float(np.mean(is_border[keep])),
+        "rms off borders, µm": rms(along[keep & ~is_border]),
+        "rms on borders, µm": rms(along[keep & is_border]),
         "all, µm": rms(along[keep]),
         "worst 0.1 %, µm": float(np.quantile(np.abs(along[keep]), 0.999)),
-        "worst 0.1 % off borders, µm": float(np.quantile(np.abs(along[keep & ~at]), 0.999)),
+        "worst 0.1 % off borders, µm": float(np.quantile(np.abs(along[keep & ~is_border]), 0.999)),
     }
 
 
-def contrast(taken: Taken) -> NDArray[np.float64]:
-    """Relative gradient of the left image's light per px, flat: what a flag would go by."""
-    frames, sequence = taken.scan.frames["left"], taken.scan.sequence
+def contrast(scan: Taken) -> NDArray[np.float64]:
+    """Return the relative gradient of the left image's light per px, flat: the criterion of a flag."""
+    frames, sequence = scan.scan.frames["left"], scan.scan.sequence
     light = frames[sequence.bright].astype(np.float64) - frames[sequence.dark]
     by_v, by_u = np.gradient(light)
     return np.asarray(np.hypot(by_u, by_v) / np.maximum(light, 1.0)).reshape(-1)

@@ -1,4 +1,4 @@
-"""Owns what is measured, table by table: causes one at a time, periods, distances, paint, artefacts."""
+"""Measured tables: causes one at a time, periods, distances, borders of albedo, artefacts."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ class Row:
 
 
 def measured_response() -> tuple[Response, Row]:
-    """The response as the instrument's user measures it: noisy, paint and all, from a plane with the longest fringes."""
-    found = response_seen(take(Scene(object="plane", pose=MIDDLE, imaging=REAL), 64))
-    b = found.fringe_harmonics
+    """Return the response as a user measures it: with noise and texture, from a plane with the longest fringes."""
+    measured = response_seen(take(Scene(object="plane", pose=MIDDLE, imaging=REAL), 64))
+    b = measured.fringe_harmonics
     values = {f"harmonic {k}, %": 100.0 * b[k] / b[1] for k in (2, 3, 4, 5)}
-    return found.response, Row(
-        "response", "as recorded", {**values, "phase error, °": np.degrees(found.phase_error_rad)}
+    return measured.response, Row(
+        "response", "as recorded", {**values, "phase error, °": np.degrees(measured.phase_error_rad)}
     )
 
 
 def after_compensation(response: Response) -> Row:
-    """The same with patterns drawn for it."""
-    taken = take(Scene(object="plane", pose=MIDDLE, imaging=REAL), 64, response=response)
-    found = response_seen(taken)
-    b = found.fringe_harmonics
+    """Measure the response again with patterns corrected for it."""
+    scan = take(Scene(object="plane", pose=MIDDLE, imaging=REAL), 64, response=response)
+    measured = response_seen(scan)
+    b = measured.fringe_harmonics
     values = {f"harmonic {k}, %": 100.0 * b[k] / b[1] for k in (2, 3, 4, 5)}
-    return Row("response", "drawn for it", {**values, "phase error, °": np.degrees(found.phase_error_rad)})
+    return Row("response", "drawn for it", {**values, "phase error, °": np.degrees(measured.phase_error_rad)})
 
 
 def causes(response: Response) -> Iterator[Row]:
-    """No noise, no paint: each cause by itself, on planes."""
+    """Yield the errors of planes by each cause alone, without noise and texture."""
     for place, pose in POSES.items():
         quiet = Scene(object="plane", pose=pose, texture="none", noise=False)
         for name, imaging, drawn in (
@@ -77,8 +77,8 @@ def causes(response: Response) -> Iterator[Row]:
             ("all three", REAL, None),
             ("all three, patterns drawn for it", REAL, response),
         ):
-            taken = take(replace(quiet, imaging=imaging), 16, EXPOSURE_S[pose], drawn)
-            r = read(taken)
+            scan = take(replace(quiet, imaging=imaging), 16, EXPOSURE_S[pose], drawn)
+            r = read(scan)
             yield Row(
                 "causes",
                 f"{place}: {name}",
@@ -105,12 +105,12 @@ def distances(response: Response) -> Iterator[Row]:
 
 
 def both_ways(table: str, name: str, period_px: int, pose: Pose, response: Response) -> Iterator[Row]:
-    """With the patterns drawn for nothing, and for the response."""
-    for drawn, way in ((None, "codes are the sine"), (response, "light is the sine")):
+    """Yield the errors without and with patterns corrected for the response."""
+    for drawn, label in ((None, "codes are the sine"), (response, "light is the sine")):
         r = read(take(Scene(object="plane", pose=pose, imaging=REAL), period_px, EXPOSURE_S[pose], drawn))
         yield Row(
             table,
-            f"{name}: {way}",
+            f"{name}: {label}",
             {
                 "ripple of a coordinate, px": r.coordinate_ripple_px,
                 "ripple of depth, µm": r.depth_ripple_um,
@@ -123,7 +123,7 @@ def both_ways(table: str, name: str, period_px: int, pose: Pose, response: Respo
 
 
 def paint(response: Response) -> Iterator[Row]:
-    """Borders of paint, without and with noise, as they are and corrected; ``response`` plays no part."""
+    """Yield the errors at borders of albedo, without and with noise and correction; ``response`` is not used."""
     del response
     for name, texture, pose, noise, exposure_s in (
         ("checker", "checker", MIDDLE, False, 0.010),
@@ -133,12 +133,12 @@ def paint(response: Response) -> Iterator[Row]:
         ("growth and paint, noise", "strong", MIDDLE, True, 0.008),
     ):
         scene = Scene(object="plane", pose=pose, texture=texture, noise=noise, imaging=replace(REAL, response="linear"))
-        for corrected, way in ((False, ""), (True, ", corrected")):
-            yield Row("paint", name + way, borders(take(scene, 16, exposure_s, corrected=corrected)))
+        for corrected, label in ((False, ""), (True, ", corrected")):
+            yield Row("paint", name + label, borders(take(scene, 16, exposure_s, corrected=corrected)))
 
 
 def artefacts(response: Response) -> Iterator[Row]:
-    """A ball bar, a plane and a frustum in full images: errors of lengths and flatness with the true calibration."""
+    """Yield errors of lengths and flatness of a ball bar, a plane and a frustum with the true calibration."""
     for name, imaging, noise, drawn in (
         ("nothing but pixels", PURE, False, None),
         ("response and defocus", REAL, False, None),
@@ -153,15 +153,15 @@ def artefacts(response: Response) -> Iterator[Row]:
             scene = Scene(object=artefact, texture="none", noise=noise, imaging=imaging)
             return take(scene, response=drawn, height_px=WHOLE_PX)
 
-        taken = cloud("ballbar")
+        scan = cloud("ballbar")
         bar, fit, frustum = (
-            find_ball_bar(taken.cloud),
+            find_ball_bar(scan.cloud),
             fit_plane(cloud("plane").cloud),
             find_frustum(cloud("frustum").cloud),
         )
         if not isinstance(bar, BallBar) or not isinstance(fit, PlaneFit) or not isinstance(frustum, Frustum):
             raise RuntimeError(f"{name}: an artefact was not found")
-        true_mm = taken.scan.renderer.truth.artefacts.ball_distance_mm
+        true_mm = scan.scan.renderer.truth.artefacts.ball_distance_mm
         flat = flatness(fit)
         balls = (bar.first, bar.second)
         edges = [

@@ -1,1 +1,1 @@
-"""What the distance from the laser dots is worth: scenes, truth, study, picture."""
+"""Accuracy of ranging by laser dots: scenes, truth, study, picture."""

@@ -1,4 +1,4 @@
-"""Owns the picture of distances: error against distance, a mark per scene by object, a panel per water."""
+"""Picture of ranging: error over distance, a mark per scene by object, a panel per water."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Owns the scenes that distances are measured in: objects, textures, waters, ambient light, hands, and dots that are hidden."""
+"""Scenes for ranging: objects, textures, waters, ambient light, motion, and hidden dots."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HELD = ((505.0, 0.0, 35.0, 12.0), (515.0, 0.0, -35.0, 90.0), (515.0, 0.0, 0.0, -
 """How the sketches of the calibration in water say that the ball bar is held: distance in mm, turns in degrees."""
 HELD_WITHIN_MM, HELD_WITHIN_DEG = 20.0, 10.0
 AIMED_SD_MM = 2.0
-"""How exactly a diver who looks at the dots brings one onto the bar's middle line, across it."""
+"""Standard deviation across the bar of a dot that a diver brings onto its middle line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +66,10 @@ def drawn(rng: np.random.Generator, name: str | None = None, held: bool = False)
 
 
 def aimed(case: Case, truth: TrueRig, rng: np.random.Generator, time_s: float) -> Case:
-    """The same scene after the diver has brought the nearest dot onto the ball bar, at the moment of the images.
+    """Return the scene after the diver has brought the nearest dot onto the ball bar, at the moment of the images.
 
-    The instrument is moved sideways as little as is needed for one of the beams to pass through the bar's middle line,
-    but for what hands miss it by.
+    The instrument is moved sideways by as little as brings one of the beams onto the bar's middle line, with the error
+    of a hand.
     """
     scene = case.scene
     R, t = object_pose(scene.start_pose, scene.motion, time_s)
@@ -80,7 +80,7 @@ def aimed(case: Case, truth: TrueRig, rng: np.random.Generator, time_s: float) -
         across = np.cross(bar, beam)
         across /= np.linalg.norm(across)
         shifts.append(float((start - t) @ across) * across)
-    shift = min(shifts, key=lambda one: float(np.linalg.norm(one)))
+    shift = min(shifts, key=lambda shift_mm: float(np.linalg.norm(shift_mm)))
     x, y, z, rx, ry, rz = scene.start_pose
     shift = shift + np.array([*rng.normal(0.0, AIMED_SD_MM, 2), 0.0])
     moved = (x + float(shift[0]), y + float(shift[1]), z, rx, ry, rz)

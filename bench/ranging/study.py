@@ -1,4 +1,4 @@
-"""Owns the study of distances: instruments and scenes at random, each distance against where the beams truly end."""
+"""Study of ranging: random instruments and scenes, each measured distance against the true one."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ PAIRS_BEFORE, PAIR_S = 3, 0.1
 
 
 def _look_before(
-    one: Instrument, renderer: Renderer, case: Case, seed: int, light: NDArray[np.uint8], time_s: float
+    device: Instrument, renderer: Renderer, case: Case, seed: int, light: NDArray[np.uint8], time_s: float
 ) -> None:
-    nothing = np.zeros((one.truth.left.height_px, one.truth.left.width_px), np.uint8)
-    one.ranger.find((nothing, nothing))
+    nothing = np.zeros((device.truth.left.height_px, device.truth.left.width_px), np.uint8)
+    device.ranger.find((nothing, nothing))
     for k in range(PAIRS_BEFORE):
         before_s = max(0.0, time_s - (PAIRS_BEFORE - k) * PAIR_S)
-        dots = true_dots(renderer, one.truth, before_s)
-        one.ranger.find(_pair(one, renderer, case, dots, 1_000_000 + 10 * seed + k, light, before_s)[0])
+        dots = true_dots(renderer, device.truth, before_s)
+        device.ranger.find(_pair(device, renderer, case, dots, 1_000_000 + 10 * seed + k, light, before_s)[0])
 
 
 def _used(dot: Dot | None, measured: Range | None) -> bool:
@@ -45,51 +45,57 @@ def _used(dot: Dot | None, measured: Range | None) -> bool:
 
 
 def _pair(
-    one: Instrument, renderer: Renderer, case: Case, dots: list[NDArray[np.float64] | None], seed: int,
+    device: Instrument, renderer: Renderer, case: Case, dots: list[NDArray[np.float64] | None], seed: int,
     light: NDArray[np.uint8], time_s: float,
 ) -> tuple[tuple[NDArray[np.uint8], NDArray[np.uint8]], bool]:  # fmt: skip
-    """A live pair, and whether a weed hides a dot in it."""
+    """Return a live image pair, and whether a weed hides a dot in it."""
     left, right = live_pair(renderer, (True, True), seed, light, time_s)
     dot = dots[case.hidden[1]] if case.hidden is not None else None
     if case.hidden is None or dot is None:
         return (left, right), False
     if case.hidden[0] == "left":
-        return (hide(left, one.truth, "left", dot), right), True
-    return (left, hide(right, one.truth, "right", dot)), True
+        return (hide(left, device.truth, "left", dot), right), True
+    return (left, hide(right, device.truth, "right", dot)), True
 
 
-def row(one: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dict[str, Any]:
-    """One live pair, measured."""
-    renderer = Renderer(one.truth, case.scene)
+def row(device: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dict[str, Any]:
+    """Measure one live image pair."""
+    renderer = Renderer(device.truth, case.scene)
     time_s = 0.0 if case.scene.motion.still else MOVED_AT_S
-    dots = true_dots(renderer, one.truth, time_s)
-    (left, right), hidden = _pair(one, renderer, case, dots, seed, light, time_s)
+    dots = true_dots(renderer, device.truth, time_s)
+    (left, right), hidden = _pair(device, renderer, case, dots, seed, light, time_s)
     views = {
-        (side, k): dot is not None and seen(renderer, one.truth, side, dot, time_s)
+        (side, k): dot is not None and seen(renderer, device.truth, side, dot, time_s)
         for side in ("left", "right")
         for k, dot in enumerate(dots)
     }
     if hidden and case.hidden is not None:
         views[case.hidden] = False
     begun = time.process_time()
-    found: Dots = one.ranger.find((left, right))
-    measured = one.ranger.range_of(found)
+    dots_found: Dots = device.ranger.find((left, right))
+    measured = device.ranger.range_of(dots_found)
     cpu_ms = 1e3 * (time.process_time() - begun)
     if measured is None:
-        # What is believed only after a while has no effect on what is told at once: the pairs before are made here.
-        _look_before(one, renderer, case, seed, light, time_s)
-        found = one.ranger.find((left, right))
-        measured = one.ranger.range_of(found)
-    one.ranger.learn(found)
+        # Image pairs before this one are made here, because some dots are accepted only after several pairs.
+        _look_before(device, renderer, case, seed, light, time_s)
+        dots_found = device.ranger.find((left, right))
+        measured = device.ranger.range_of(dots_found)
+    device.ranger.learn(dots_found)
     true_mm, true_deg = truth_of(
-        one, [dot if _used(got, measured) else None for dot, got in zip(dots, (found.left, found.right), strict=True)]
+        device,
+        [
+            dot if _used(got, measured) else None
+            for dot, got in zip(dots, (dots_found.left, dots_found.right), strict=True)
+        ],
     )
-    places = [None if dot is None else one.ranger.frame.from_left(rig_to_left(one.truth, dot[None])[0]) for dot in dots]
+    places = [
+        None if dot is None else device.ranger.frame.from_left(rig_to_left(device.truth, dot[None])[0]) for dot in dots
+    ]
     dot_errors = [
         None if got is None or place is None else float(got.position_mm[2] - place[2])
-        for got, place in zip((found.left, found.right), places, strict=True)
+        for got, place in zip((dots_found.left, dots_found.right), places, strict=True)
     ]
-    here = [float(place[2]) for place in places if place is not None]
+    true_distances = [float(place[2]) for place in places if place is not None]
     return {
         "object": case.scene.object,
         "texture": case.scene.texture,
@@ -97,18 +103,19 @@ def row(one: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dic
         "ambient": case.scene.ambient,
         "moving": not case.scene.motion.still,
         "hidden": case.hidden is not None,
-        "true_mm": float(np.mean(here)) if here else None,
+        "true_mm": float(np.mean(true_distances)) if true_distances else None,
         "both_see": sum(views["left", k] and views["right", k] for k in range(2)),
         "one_sees": sum(views["left", k] != views["right", k] for k in range(2)),
         "distance_mm": None if measured is None else measured.distance_mm,
         "sigma_mm": None if measured is None else measured.sigma_mm,
-        "dots": len(found.present),
-        "cameras": [None if got is None else got.cameras for got in (found.left, found.right)],
-        "contrast_dn": [None if got is None else got.contrast_dn for got in (found.left, found.right)],
+        "dots": len(dots_found.present),
+        "cameras": [None if got is None else got.cameras for got in (dots_found.left, dots_found.right)],
+        "contrast_dn": [None if got is None else got.contrast_dn for got in (dots_found.left, dots_found.right)],
         "error_mm": None if measured is None or true_mm is None else measured.distance_mm - true_mm,
         "dot_errors_mm": dot_errors,
         "invented": sum(
-            got is not None and place is None for got, place in zip((found.left, found.right), places, strict=True)
+            got is not None and place is None
+            for got, place in zip((dots_found.left, dots_found.right), places, strict=True)
         ),
         "tilt_error_deg": (
             None if measured is None or measured.tilt_deg is None or true_deg is None else measured.tilt_deg - true_deg
@@ -122,17 +129,20 @@ def rows_of(
     scenes: int, seed: int, width_px: int, say: Callable[[str, float], None], posed: str = "free",
     name: str | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """``scenes`` at random, ``SCENES_PER_RIG`` with each instrument; ``posed`` is one of ``POSED``, ``name`` of the objects."""
+    """Measure ``scenes`` random scenes, ``SCENES_PER_RIG`` with each instrument.
+
+    ``posed`` is one of ``POSED``, ``name`` one of the objects.
+    """
     light = live_light_of(load_rig(RIG_FILE))
-    found = []
-    one = instrument(seed * 1000, width_px)
+    rows = []
+    device = instrument(seed * 1000, width_px)
     for k in range(scenes):
         say("distance", k / scenes)
         if k and k % SCENES_PER_RIG == 0:
-            one = instrument(seed * 1000 + k // SCENES_PER_RIG, width_px)
+            device = instrument(seed * 1000 + k // SCENES_PER_RIG, width_px)
         rng = np.random.default_rng([seed, k, 31])
         case = drawn(rng, name, "guided" in posed)
         if "aimed" in posed:
-            case = aimed(case, one.truth, rng, 0.0 if case.scene.motion.still else MOVED_AT_S)
-        found.append(row(one, case, seed * 10_000 + k, light))
-    return found
+            case = aimed(case, device.truth, rng, 0.0 if case.scene.motion.still else MOVED_AT_S)
+        rows.append(row(device, case, seed * 10_000 + k, light))
+    return rows

@@ -1,1 +1,1 @@
-"""Dives in world time: the machine decides, the simulated housing warms up by what is on."""
+"""Dives in world time: the machine decides, and the simulated housing warms up by its devices."""

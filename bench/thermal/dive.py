@@ -1,4 +1,4 @@
-"""Owns a dive in world time without images: the machine's decisions and the housing's heat, each driving the other."""
+"""Dive in world time without images: decisions of the machine and temperatures of the housing, coupled."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hw_sim.heat import Housing, Powers
 from tests.support import news
 
 TICK_S = 0.5
-"""The board's heartbeat, and the time step of everything here."""
+"""Heartbeat of the trigger board, and time step of the dive."""
 SAMPLE_S = 10.0
 AIM_S, LOOK_S = 25.0, 6.0
 """A diver looks for the place so long, and at the cloud."""
@@ -67,7 +67,7 @@ class Dive:
         return self.machine.state is State.SHUTDOWN
 
     def say(self, *events: on.Event) -> None:
-        """Let the machine decide, and do what it wants with the light."""
+        """Pass events to the machine, and apply its effects on the light."""
         for event in events:
             self.machine, effects = step(self.machine, event)
             for effect in effects:
@@ -132,7 +132,7 @@ class Dive:
 
 
 def dive_of(scans: int, water_c: float, sensors: bool = True) -> Dive:
-    """A dive of so many scans, one after the other; what is refused is tried again after the next aiming."""
+    """Simulate a dive of ``scans`` scans, one after the other; a refused one is repeated after the next aiming."""
     dive = Dive(water_c, sensors=sensors)
     while dive.scans < scans and not dive.over and sum(dive.refused.values()) < 10 * scans:
         dive.scan()

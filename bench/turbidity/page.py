@@ -1,4 +1,4 @@
-"""Tables and picture of ``docs/turbidity.md``, written from what was measured, never by hand."""
+"""Generator of tables and picture of ``docs/turbidity.md`` from measured values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def write_page(data: Path, page: Path, pictures: Path) -> None:
-    """Replace what lies between the marks, and draw the pictures. Raises OSError, and ValueError for a page without marks."""
+    """Replace the text between the marks, and draw the picture. Raises OSError, and ValueError for a page without
+    marks."""
     content = json.loads(data.read_text(encoding="utf-8"))
     planes, artefacts = content["plane"]["rows"], content["artefacts"]["rows"]
     text = page.read_text(encoding="utf-8")
@@ -35,12 +36,12 @@ def write_page(data: Path, page: Path, pictures: Path) -> None:
 
 
 def by_attenuation(rows: Rows, key: str) -> list[tuple[float, float | None]]:
-    """(attenuation, median over rigs) in order; ``None`` where no rig has a value."""
-    found = []
+    """Return (attenuation, median over rigs) in order; ``None`` where no rig has a value."""
+    medians = []
     for attenuation in sorted({row["attenuation_per_m"] for row in rows}):
         values = [row[key] for row in rows if row["attenuation_per_m"] == attenuation and row[key] is not None]
-        found.append((attenuation, median(values) if values else None))
-    return found
+        medians.append((attenuation, median(values) if values else None))
+    return medians
 
 
 def reaches(rows: Rows, percent: float) -> float | None:
@@ -73,7 +74,7 @@ def limits_table(rows: Rows) -> str:
 
 
 def noise_table(rows: Rows) -> str:
-    """Expected and actual noise, and what the scan says of its water, in the water that has all of it."""
+    """Return expected and actual noise, and the attenuation by the scan, in water with all effects."""
     mine = _series(rows)["all three, exposure and gain"]
     columns: tuple[tuple[str, str], ...] = (
         ("completeness_percent", "{:.1f}"),
@@ -86,21 +87,21 @@ def noise_table(rows: Rows) -> str:
         "| All three, exposure and gain: c, 1/m | complete, % | noise, µm | sigma (median), µm | stated c, 1/m | ± |",
         "|---:|" + "---:|" * len(columns),
     ]
-    found = {key: dict(by_attenuation(mine, key)) for key, _ in columns}
+    values = {key: dict(by_attenuation(mine, key)) for key, _ in columns}
     for attenuation in ATTENUATIONS_PER_M:
-        cells = [_say(found[key][attenuation], form) for key, form in columns]
+        cells = [_say(values[key][attenuation], form) for key, form in columns]
         lines.append(f"| {attenuation:g} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def panels(planes: Rows, artefacts: Rows) -> list[Panel]:
-    """Completeness, noise, lengths and flatness, and what scans say of the attenuation."""
+    """Return completeness, noise, lengths and flatness, and the attenuation by scans."""
 
     def lines(key: str) -> list[Line]:
         return [_line(name, by_attenuation(mine, key)) for name, mine in _series(planes).items()]
 
-    said = _series(planes)["milky, exposure and gain"]
-    stated = by_attenuation(said, "said_per_m")
+    rows = _series(planes)["milky, exposure and gain"]
+    stated = by_attenuation(rows, "said_per_m")
     errors: list[Line] = []
     for name, mine in _series(artefacts).items():
         short = name.partition(",")[0]
@@ -123,7 +124,7 @@ def panels(planes: Rows, artefacts: Rows) -> list[Panel]:
                     "milky",
                     [x for x, _ in stated],
                     [y for _, y in stated],
-                    [sigma for _, sigma in by_attenuation(said, "said_sigma_per_m")],
+                    [sigma for _, sigma in by_attenuation(rows, "said_sigma_per_m")],
                 ),
                 Line("truth", (0.0, 8.0), (0.0, 8.0)),
             ],
@@ -134,10 +135,10 @@ def panels(planes: Rows, artefacts: Rows) -> list[Panel]:
 
 
 def _series(rows: Rows) -> dict[str, list[Mapping[str, Any]]]:
-    found: dict[str, list[Mapping[str, Any]]] = {}
+    series: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        found.setdefault(row["series"], []).append(row)
-    return found
+        series.setdefault(row["series"], []).append(row)
+    return series
 
 
 def _line(name: str, points: Sequence[tuple[float, float | None]]) -> Line:
@@ -149,9 +150,9 @@ def _worst(rows: Rows, key: str) -> float | None:
 
 
 def _worst_by_attenuation(rows: Rows, key: str) -> list[tuple[float, float | None]]:
-    at = sorted({row["attenuation_per_m"] for row in rows})
+    attenuations = sorted({row["attenuation_per_m"] for row in rows})
 
-    return [(x, _worst([row for row in rows if row["attenuation_per_m"] == x], key)) for x in at]
+    return [(x, _worst([row for row in rows if row["attenuation_per_m"] == x], key)) for x in attenuations]
 
 
 def _say(value: float | None, form: str) -> str:

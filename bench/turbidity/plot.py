@@ -1,4 +1,4 @@
-"""Owns line plots: panels of named lines over a common kind of axis, drawn with OpenCV."""
+"""Line plots: panels of named lines over a common kind of axis, drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Points (x, y) in order; ``bars`` are standard deviations of y. What is ``None`` is left out."""
+    """Points (x, y) in order, without those that are ``None``; ``bars`` are standard deviations of y."""
 
     name: str
     x: Sequence[float]
@@ -101,5 +101,5 @@ def _panel(image: Image, panel: Panel) -> None:
         _write(image, line.name, (right + 24, row + 5), 0.42)
 
 
-def _write(image: Image, text: str, at: tuple[int, int], size: float = 0.45) -> None:
-    cv2.putText(image, text, at, FONT, size, INK, 1, cv2.LINE_AA)
+def _write(image: Image, text: str, position: tuple[int, int], size: float = 0.45) -> None:
+    cv2.putText(image, text, position, FONT, size, INK, 1, cv2.LINE_AA)

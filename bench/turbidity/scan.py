@@ -1,4 +1,4 @@
-"""Owns one simulated scan in stated water, with the true calibration, and what is read off it."""
+"""One simulated scan in stated water with the true calibration, and its errors."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ class Shutter:
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """A scan, reconstructed and judged."""
+    """A simulated scan, reconstructed and judged."""
 
     renderer: Renderer
     sequence: PatternSequence
     frames: dict[str, NDArray[np.uint8]]
     shutter: Shutter
     cloud: Cloud
-    said: WaterJudgement
+    judgement: WaterJudgement
     errors: DepthErrors
     judging_cpu_s: float
     decoded: NDArray[np.bool_]
@@ -63,9 +63,9 @@ class Taken:
 
     @property
     def completeness(self) -> float:
-        """Points on what all three eyes see, 0..1 of it."""
-        seen = self.renderer.view("left", 0.0).seen_by_all
-        return float(np.count_nonzero(self.errors.seen)) / float(np.count_nonzero(seen))
+        """Return points as a share of the surface that both cameras and the projector see."""
+        visible = self.renderer.view("left", 0.0).seen_by_all
+        return float(np.count_nonzero(self.errors.seen)) / float(np.count_nonzero(visible))
 
     @property
     def wrong(self) -> NDArray[np.bool_]:
@@ -80,14 +80,14 @@ def rig_in(water: SetWater, truth_set: str, seed: int, width_px: int) -> TrueRig
 
 
 def set_water(scene: Scene) -> SetWater:
-    """What the diver enters for the scene's water: the truth."""
+    """Return the water that the diver enters for the scene: the true one."""
     return SetWater(scene.water.temperature_c, scene.water.salinity_psu, WATER.wavelength_nm)
 
 
 def noise_of(gain_db: float) -> StereoNoise:
-    """Of the simulated cameras, as their data sheet states it."""
-    one = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, gain_db)
-    return StereoNoise(one, one)
+    """Return the noise of the simulated cameras by their data sheet."""
+    noise = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, gain_db)
+    return StereoNoise(noise, noise)
 
 
 def expose(
@@ -116,24 +116,24 @@ def expose(
 
 
 def chosen_shutter(renderer: Renderer, sequence: PatternSequence, most_gain_db: float) -> Shutter:
-    """The exposure, and with it at its longest the gain, that makes the brightest ``AIM_DN``."""
+    """Return the exposure, with gain if the longest is too short, for which the brightest pixels have ``AIM_DN``."""
     shutter = Shutter(0.004)
     for _ in range(4):
-        seen = float(np.percentile(expose(renderer, sequence, shutter, sequence.bright)["left"], BRIGHTEST))
-        wanted = (AIM_DN - OFFSET_DN) / max(seen - OFFSET_DN, 0.3)
-        if seen >= 254.0:
-            wanted = 0.4
-        light = shutter.exposure_s * 10.0 ** (shutter.gain_db / 20.0) * wanted
+        brightest_dn = float(np.percentile(expose(renderer, sequence, shutter, sequence.bright)["left"], BRIGHTEST))
+        factor = (AIM_DN - OFFSET_DN) / max(brightest_dn - OFFSET_DN, 0.3)
+        if brightest_dn >= 254.0:
+            factor = 0.4
+        light = shutter.exposure_s * 10.0 ** (shutter.gain_db / 20.0) * factor
         exposure_s = min(light, LONGEST_S)
         gain_db = min(max(20.0 * float(np.log10(light / exposure_s)), 0.0), most_gain_db)
         shutter = Shutter(exposure_s, gain_db)
-        if abs(wanted - 1.0) < 0.03:
+        if abs(factor - 1.0) < 0.03:
             break
     return shutter
 
 
 def take(renderer: Renderer, shutter: Shutter | None = None, most_gain_db: float = 0.0) -> Taken:
-    """Scan what is before ``renderer``; without a ``shutter``, with the exposure that suits it."""
+    """Scan the scene of ``renderer``; without ``shutter``, with a suitable exposure."""
     sequence = build_sequence(PERIOD_PX)
     chosen = shutter or chosen_shutter(renderer, sequence, most_gain_db)
     return finish(renderer, sequence, expose(renderer, sequence, chosen), chosen)
@@ -155,9 +155,9 @@ def finish(
         exposure = Exposure(round(1e6 * shutter.exposure_s), shutter.gain_db)
         recorded = ScanImages(sequence, frames, decoded, AcquisitionSettings(exposure, FRAME_S, noise))
         begun = time.process_time()
-        said = judge_water(recorded, coarse, calibration.rig, water.index)
+        judgement = judge_water(recorded, coarse, calibration.rig, water.index)
         judging_cpu_s = time.process_time() - begun
         cloud = pipeline.full()
         valid = decoded["left"].mask == Mask.VALID
     errors = depth_errors(renderer, cloud)
-    return Taken(renderer, sequence, frames, shutter, cloud, said, errors, judging_cpu_s, valid)
+    return Taken(renderer, sequence, frames, shutter, cloud, judgement, errors, judging_cpu_s, valid)

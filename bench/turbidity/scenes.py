@@ -1,4 +1,4 @@
-"""Owns scenes drawn at random: objects, poses, textures and waters that a diver may meet."""
+"""Random scenes: objects, poses, textures and waters that a diver may meet."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ POSE_RANGE = (10.0, 8.0, 25.0, 10.0, 12.0, 30.0)
 
 
 def drawn_scene(rng: np.random.Generator, water: Water) -> Scene:
-    """Something in that water."""
+    """Return a random object in ``water``."""
     thing = str(rng.choice(OBJECTS))
     x, y, z, rx, ry, rz = np.array(DEFAULT_POSE[thing]) + rng.uniform(-1.0, 1.0, 6) * POSE_RANGE
     pose = (float(x), float(y), float(z), float(rx), float(ry), float(rz))

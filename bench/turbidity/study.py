@@ -1,4 +1,4 @@
-"""Owns what is measured about turbid water: which waters, which artefacts, and the row that each scan leaves."""
+"""Study of turbid water: the waters, the artefacts, and the row of each scan."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from hw_sim.water.medium import Water
 
 ATTENUATIONS_PER_M = (0.05, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0)
 BACKSCATTER_M, BLUR_PX = 0.025, 0.75
-"""Veil as a fraction of an object's light, and blur in px of 1600 per metre, of an attenuation of 1 /m: what the default
-water has of both, in proportion to its attenuation."""
+"""Backscatter as a fraction of an object's light, and blur in px of 1600 px per metre, for an attenuation of 1 /m, in
+the proportion of the default water."""
 MILKY = 4.0
 """Times the veil of such water: fine sediment."""
 SALINITY_PSU = 35.0
 TRUTH = "modelled"
-"""Rigs that the product's model can express: their true calibration leaves only what images add."""
+"""Set of rigs within the product's model: with their true calibration, only errors of the images remain."""
 SMALL_PX, ARTEFACT_PX = 400, 800
 PLANE = (0.0, 0.0, 522.5, 10.0, -12.0, 0.0)
 ARTEFACT_ATTENUATIONS_PER_M = (0.05, 0.5, 1.0, 2.0, 3.0)
 BARS, PLANES = 2, 1
 STRAIGHT = Imaging(response="linear")
-"""As if patterns were drawn for the projector's response, exactly: what the water does, and no other bias of the phase."""
+"""Linear response, so that phase errors come from the water only."""
 UM = 1000.0
 
 Step = Callable[[str], None]
@@ -39,7 +39,7 @@ Step = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """What water does besides absorbing, and what the cameras may do about it."""
+    """Effects of the water beyond absorption, and the allowed exposures of the cameras."""
 
     name: str
     veil: float = 0.0
@@ -48,7 +48,7 @@ class Series:
     """Times ``BLUR_PX``."""
     salinity_psu: float = 0.0
     longer: bool = False
-    """The exposure is chosen, up to what a frame has room for; else it is 12 ms."""
+    """The exposure is chosen within the frame period; else it is 12 ms."""
     most_gain_db: float = 0.0
 
     def water(self, attenuation_per_m: float) -> Water:
@@ -77,7 +77,7 @@ ARTEFACT_SERIES = (SERIES[6], SERIES[8])
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One scan of a plane."""
+    """Results of one scan of a plane."""
 
     series: str
     attenuation_per_m: float
@@ -115,11 +115,11 @@ class ArtefactRow:
 
 
 def planes(seed: int, step: Step, series: tuple[Series, ...] = SERIES, width_px: int = SMALL_PX) -> Iterator[Row]:
-    """A plane in waters of every kind, before one rig."""
-    kinds = [(one, attenuation) for one in series for attenuation in ATTENUATIONS_PER_M]
+    """Yield the rows of a plane in all waters, for one rig."""
+    kinds = [(kind, attenuation) for kind in series for attenuation in ATTENUATIONS_PER_M]
     work = partial(_plane, seed=seed, width_px=width_px)
-    for (one, attenuation), row in zip(kinds, spread(work, kinds), strict=True):
-        step(f"{one.name}, {attenuation:g} /m")
+    for (kind, attenuation), row in zip(kinds, spread(work, kinds), strict=True):
+        step(f"{kind.name}, {attenuation:g} /m")
         yield row
 
 
@@ -128,29 +128,29 @@ def _plane(kind: tuple[Series, float], seed: int, width_px: int) -> Row:
 
 
 def plane(series: Series, attenuation_per_m: float, seed: int, width_px: int) -> Row:
-    """One scan of it."""
+    """Scan a plane once and return its row."""
     scene = Scene(object="plane", pose=PLANE, water=series.water(attenuation_per_m), imaging=STRAIGHT)
-    taken = _take(series, scene, seed, width_px)
-    said = taken.said
-    good = taken.errors.seen & ~taken.wrong
-    error, sigma = taken.errors.along_ray_mm[good], taken.cloud.sigma_mm[good]
+    scan = _take(series, scene, seed, width_px)
+    judgement = scan.judgement
+    good = scan.errors.seen & ~scan.wrong
+    error, sigma = scan.errors.along_ray_mm[good], scan.cloud.sigma_mm[good]
     some = error.size > 0
     return Row(
         series.name,
         attenuation_per_m,
         seed,
-        100.0 * taken.completeness,
+        100.0 * scan.completeness,
         UM * _rms(error) if some else None,
         UM * float(np.median(sigma)) if some else None,
         _rms(error / sigma) if some else None,
-        1e6 * float(np.mean(taken.wrong)) if taken.wrong.size else None,
-        float(np.median(taken.cloud.modulation_dn)) if taken.wrong.size else None,
-        1e3 * taken.shutter.exposure_s,
-        taken.shutter.gain_db,
-        said.veil_percent,
-        said.attenuation_per_m,
-        said.attenuation_sigma_per_m,
-        said.judgement.fault is not None,
+        1e6 * float(np.mean(scan.wrong)) if scan.wrong.size else None,
+        float(np.median(scan.cloud.modulation_dn)) if scan.wrong.size else None,
+        1e3 * scan.shutter.exposure_s,
+        scan.shutter.gain_db,
+        judgement.veil_percent,
+        judgement.attenuation_per_m,
+        judgement.attenuation_sigma_per_m,
+        judgement.judgement.fault is not None,
     )
 
 
@@ -164,25 +164,25 @@ def artefacts(seed: int, step: Step, width_px: int = ARTEFACT_PX) -> Iterator[Ar
 
 
 def _artefacts(kind: tuple[Series, float], seed: int, width_px: int) -> list[ArtefactRow]:
-    """All of them in one water."""
+    """Return the rows of all artefacts in one water."""
     series, attenuation = kind
     water = series.water(attenuation)
     truth = rig_in(set_water(Scene(water=water)), TRUTH, seed, width_px)
     rows: list[ArtefactRow] = []
     for name, pose in unseen(truth, BARS, PLANES, 0):
         scene = Scene(object=name, pose=pose, water=water, imaging=STRAIGHT)
-        seen = look_at(_take(series, scene, seed, width_px).cloud, name, truth)
+        measured = look_at(_take(series, scene, seed, width_px).cloud, name, truth)
         rows.append(
             ArtefactRow(
                 series.name,
                 attenuation,
                 seed,
                 name,
-                _percent(seen.e_l[0] if seen.e_l else None),
-                _percent(seen.e_f),
-                _percent(seen.e_f_sys),
-                None if seen.noise_mm is None else UM * seen.noise_mm,
-                seen.missing,
+                _percent(measured.e_l[0] if measured.e_l else None),
+                _percent(measured.e_f),
+                _percent(measured.e_f_sys),
+                None if measured.noise_mm is None else UM * measured.noise_mm,
+                measured.missing,
             )
         )
     return rows

@@ -1,7 +1,8 @@
-"""Owns a photon Monte Carlo of what turbid water sends into one camera ray: every order of scattering, no small angles.
+"""Photon Monte Carlo of the backscatter along one camera ray: all orders of scattering, any angle.
 
-Photons run backwards along the camera's ray, are scattered by the whole phase function, and at each scattering the projector's
-light is fetched straight from its window (next event estimation). All orders are in it: those before, at and after the turn.
+Photons run backwards along the camera's ray and are scattered by the full phase function. At each scattering the
+projector's light is added straight from its port (next event estimation). So all orders before, at and after the
+backward turn are included.
 """
 
 # Symbols in the kernel:
@@ -46,12 +47,13 @@ def follow(
     ray: Array, lamp: Lamp, particles: Particles, attenuation_per_m: float, end_z_mm: float, periods_px: Array,
     photons: int, seed: int, batches: int = 16,
 ) -> Tally:  # fmt: skip
-    """Return what comes back along ``ray`` before a black plane at ``end_z_mm``, pattern fringes of ``periods_px`` in rows."""
+    """Return the backscatter along ``ray`` before a black plane at ``end_z_mm``, with fringes of ``periods_px`` in
+    rows."""
     angles = np.geomspace(math.radians(LEAST_DEG), math.pi, 6000)
     phase = particles.phase(angles)
     weight = 2.0 * math.pi * phase * np.sin(angles)
     grown = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(angles))])
-    # What is turned by less than LEAST_DEG is not scattered: b shrinks by its share, and so does c.
+    # Deflections below LEAST_DEG do not count as scattering: b shrinks by their share, and so does c.
     share = particles.scattering_share * float(grown[-1])
     scattering = share * attenuation_per_m / 1000.0
     extinction = (1.0 - particles.scattering_share + share) * attenuation_per_m / 1000.0
@@ -65,14 +67,14 @@ def follow(
     tallies /= photons // batches
     tallies /= particles.scattering_share * attenuation_per_m / 1000.0
     mean = tallies.mean(axis=0)
-    each = tallies[:, 1]
+    batch_tallies = tallies[:, 1]
     contrasts = np.hypot(mean[:, 1::2], mean[:, 2::2]) / mean[:, :1]
-    by_batch = np.hypot(each[:, 1::2], each[:, 2::2]) / each[:, :1]
+    by_batch = np.hypot(batch_tallies[:, 1::2], batch_tallies[:, 2::2]) / batch_tallies[:, :1]
     root = math.sqrt(batches - 1)
     return Tally(
         (float(mean[0, 0]), float(mean[1, 0])),
         (tuple(contrasts[0].tolist()), tuple(contrasts[1].tolist())),
-        (float(each[:, 0].std() / root / mean[1, 0]), tuple((by_batch.std(axis=0) / root).tolist())),
+        (float(batch_tallies[:, 0].std() / root / mean[1, 0]), tuple((by_batch.std(axis=0) / root).tolist())),
     )
 
 
@@ -92,7 +94,7 @@ def _at(log_angles: Array, phase: Array, cosine: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _turned(dx: float, dy: float, dz: float, angle: float, around: float) -> tuple[float, float, float]:
-    """Return a unit direction at ``angle`` from d, at ``around`` about it."""
+    """Return a unit direction at ``angle`` from d, with azimuth ``around``."""
     # Two directions across d, from whichever axis is farther from it.
     if abs(dz) < 0.9:
         ax, ay, az = -dy, dx, 0.0
@@ -100,10 +102,10 @@ def _turned(dx: float, dy: float, dz: float, angle: float, around: float) -> tup
         ax, ay, az = 0.0, -dz, dy
     norm = math.sqrt(ax * ax + ay * ay + az * az)
     ax, ay, az = ax / norm, ay / norm, az / norm
-    bx, by, bz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
+    b_x, b_y, b_z = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
     s, c = math.sin(angle), math.cos(angle)
     a, b = s * math.cos(around), s * math.sin(around)
-    return c * dx + a * ax + b * bx, c * dy + a * ay + b * by, c * dz + a * az + b * bz
+    return c * dx + a * ax + b * b_x, c * dy + a * ay + b * b_y, c * dz + a * az + b * b_z
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -126,8 +128,8 @@ def _follow(
                 break
             u, v = project_point(lamp, px, py, pz)
             lx, ly, lz = dx, dy, dz
-            lit = not math.isnan(u) and -0.5 < u < lamp[WIDTH] - 0.5 and -0.5 < v < lamp[HEIGHT] - 0.5
-            if lit:
+            is_illuminated = not math.isnan(u) and -0.5 < u < lamp[WIDTH] - 0.5 and -0.5 < v < lamp[HEIGHT] - 0.5
+            if is_illuminated:
                 start = window[
                     nearest(min(max(v, 0.0), lamp[HEIGHT] - 1.0)), nearest(min(max(u, 0.0), lamp[WIDTH] - 1.0))
                 ]
@@ -150,12 +152,12 @@ def _follow(
             # the weight makes up for it (balance heuristic).
             angle = quantiles[int(np.random.random() * (quantiles.size - 1))]
             around = 2.0 * math.pi * np.random.random()
-            if lit and np.random.random() < 0.5:
+            if is_illuminated and np.random.random() < 0.5:
                 nx, ny, nz = _turned(-lx, -ly, -lz, angle, around)
             else:
                 nx, ny, nz = _turned(dx, dy, dz, angle, around)
-            if lit:
-                own = _at(log_angles, phase, nx * dx + ny * dy + nz * dz)
-                other = _at(log_angles, phase, -(nx * lx + ny * ly + nz * lz))
-                weight *= own / (0.5 * own + 0.5 * other)
+            if is_illuminated:
+                scatter_density = _at(log_angles, phase, nx * dx + ny * dy + nz * dz)
+                source_density = _at(log_angles, phase, -(nx * lx + ny * ly + nz * lz))
+                weight *= scatter_density / (0.5 * scatter_density + 0.5 * source_density)
             dx, dy, dz = nx, ny, nz

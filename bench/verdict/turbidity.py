@@ -50,7 +50,7 @@ def _row(rng: np.random.Generator, rig_seed: int) -> dict[str, Any]:
     scene = drawn_scene(rng, drawn_water(rng))
     renderer = Renderer(rig_in(set_water(scene), "realistic", rig_seed, WIDTH_PX), scene)
     taken = take(renderer)
-    said = taken.said
+    said = taken.judgement
     true_per_m = scene.water.attenuation_per_m
     stated, sigma = said.attenuation_per_m, said.attenuation_sigma_per_m
     return {

@@ -1,4 +1,4 @@
-"""Owns the plan of the trigger board: each line of ``drivers/board/firmware/pins.py`` from its header pin to what is behind it."""
+"""Plan of the trigger board: each line of ``drivers/board/firmware/pins.py`` from its header pin to its part."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def board_plan() -> Sheet:
 
 
 def _line(name: str) -> Any:
-    (line,) = [one for one in pins.LINES if one.name == name]
+    (line,) = [line_of_board for line_of_board in pins.LINES if line_of_board.name == name]
     return line
 
 
 def _begun(sheet: Sheet, pico: Pico, name: str, y: float, pull_x: float | None = None, beside: str = "right") -> Point:
-    """Draw the pin and what holds it at reset; return where the wire goes on."""
+    """Draw a pin and its resistor at reset; return where the wire goes on."""
     x, _ = pico.line(name, y)
     pull = pull_of(_line(name))
     if pull is not None:
@@ -87,7 +87,7 @@ def _sync(sheet: Sheet, pico: Pico) -> None:
     sheet.wire((x, y), (320, y), colour=colour)
     sheet.resistor(450, y, "1 k")
     sheet.box(24, 96, 296, 118, "TFP401 receiver", ["HDMI in: second output of the splitter"])
-    sheet.text(312, y + 4, "VSYNC, 3.3 V", at="end", bold=True, colour=colour)
+    sheet.text(312, y + 4, "VSYNC, 3.3 V", anchor="end", bold=True, colour=colour)
     sheet.lines(
         36, 162, ["no EDID: set the splitter", "to the projector's.", "Or HDMI to VGA, pin 14:", "5 V, divided by 1 k : 2 k"],
         size=10,
@@ -105,22 +105,22 @@ def _trigger(sheet: Sheet, pico: Pico) -> None:
     sheet.wire((x, y), (510, y), (510, 350), colour=colour)
     for number, (camera, line, gate_in, gate_out) in enumerate(pins.CAMERA_OUTPUTS):
         assert line == "TRIGGER", "both cameras hang on one line"
-        at = (350, 430)[number]
-        sheet.wire((510, at), (490, at), colour=colour)
-        sheet.text(484, at + 4, f"{gate_in} ({BUFFER_PINS[gate_in]})", at="end")
-        sheet.text(346, at + 4, f"{gate_out} ({BUFFER_PINS[gate_out]})")
-        sheet.wire((340, at), (200, at), colour=colour)
-        sheet.resistor(284, at, f"{pins.CAMERA_SERIES_OHM} Ω")
-        top = at - 32
+        camera_y = (350, 430)[number]
+        sheet.wire((510, camera_y), (490, camera_y), colour=colour)
+        sheet.text(484, camera_y + 4, f"{gate_in} ({BUFFER_PINS[gate_in]})", anchor="end")
+        sheet.text(346, camera_y + 4, f"{gate_out} ({BUFFER_PINS[gate_out]})")
+        sheet.wire((340, camera_y), (200, camera_y), colour=colour)
+        sheet.resistor(284, camera_y, f"{pins.CAMERA_SERIES_OHM} Ω")
+        top = camera_y - 32
         sheet.box(24, top, 176, 62, f"{camera} camera", [])
-        sheet.text(194, at + 4, "trigger in +", at="end", size=10)
-        sheet.text(194, at + 22, "opto return −", at="end", size=10)
-        sheet.text(32, at + 4, "Line0, opto", size=10)
-        sheet.wire((200, at + 18), (232, at + 18), colour=COLOURS["ground"])
-        sheet.ground(232, at + 18)
+        sheet.text(194, camera_y + 4, "trigger in +", anchor="end", size=10)
+        sheet.text(194, camera_y + 22, "opto return −", anchor="end", size=10)
+        sheet.text(32, camera_y + 4, "Line0, opto", size=10)
+        sheet.wire((200, camera_y + 18), (232, camera_y + 18), colour=COLOURS["ground"])
+        sheet.ground(232, camera_y + 18)
     sheet.wire((510, 350), (510, 430), colour=colour)
     sheet.dot(510, 350, colour)
-    sheet.text(484, 466, "1OE, 2OE (1, 4)", at="end", size=10)
+    sheet.text(484, 466, "1OE, 2OE (1, 4)", anchor="end", size=10)
     sheet.wire((490, 462), (530, 462), colour=COLOURS["ground"])
     sheet.ground(530, 462)
     current_ma = 1000.0 * (pins.CAMERA_GATE_V - pins.CAMERA_OPTO_V) / pins.CAMERA_SERIES_OHM
@@ -147,21 +147,21 @@ def _lasers(sheet: Sheet, pico: Pico) -> None:
         sheet.begin(name)
         x, _ = _begun(sheet, pico, name, y, 604)
         sheet.wire((x, y), (490, y), colour=red)
-        sheet.text(484, y + 4, gates[0], at="end")
-        sheet.text(484, y + 26, gates[1], at="end")
+        sheet.text(484, y + 4, gates[0], anchor="end")
+        sheet.text(484, y + 26, gates[1], anchor="end")
         sheet.wire((490, y + 22), (520, y + 22), colour=red)
         sheet.text(346, y + 15, gates[2])
         sheet.wire((340, y + 11), (236, y + 11), colour=red)
         sheet.box(24, y - 24, 212, 66, f"{side} laser's driver", [])
-        sheet.text(230, y + 15, "enable", at="end", size=10)
+        sheet.text(230, y + 15, "enable", anchor="end", size=10)
         sheet.text(32, y + 15, "5 V, constant current", size=10)
         sheet.text(32, y + 31, "return: the 1 Ω on the right", size=10)
         sheet.end()
     sheet.begin("LASER_BEAT")
     x, beat_y = _begun(sheet, pico, "LASER_BEAT", 780, 604)
     sheet.wire((x, beat_y), (490, beat_y), colour=red)
-    sheet.text(484, beat_y + 4, "1B (2)", at="end")
-    sheet.text(484, 834, "1Q (13)", at="end")
+    sheet.text(484, beat_y + 4, "1B (2)", anchor="end")
+    sheet.text(484, 834, "1Q (13)", anchor="end")
     sheet.wire((490, 830), (520, 830), (520, 612), colour=red)
     sheet.dot(520, 690, red)
     sheet.lines(
@@ -182,8 +182,8 @@ def _laser_currents(sheet: Sheet, pico: Pico) -> None:
         sheet.wire((x, y), (1060, y), colour=colour)
         sheet.text(1066, y + 4, "OUT", size=10)
         sheet.text(1066, y + 26, f"{pins.LASER_SENSE_MV_PER_MA:g} mV per mA", size=10)
-        sheet.text(1224, y - 8, "IN+", at="end", size=10)
-        sheet.text(1224, y + 20, "IN−", at="end", size=10)
+        sheet.text(1224, y - 8, "IN+", anchor="end", size=10)
+        sheet.text(1224, y + 20, "IN−", anchor="end", size=10)
         sheet.wire((1230, y - 12), (1300, y - 12), colour=colour)
         sheet.wire((1230, y + 22), (1300, y + 22), colour=colour)
         sheet.resistor(1300, y + 5, "1 Ω", upright=True)
@@ -272,8 +272,8 @@ def _sensors(sheet: Sheet, pico: Pico) -> None:
     sheet.begin("LED")
     led = _line("LED")
     pico.drawn.add("LED")
-    sheet.text((LEFT + RIGHT) / 2, 1100, f"LED, GP{led.gpio}, on the module:", at="middle", size=10)
-    sheet.text((LEFT + RIGHT) / 2, 1114, led.purpose.partition(": ")[2], at="middle", size=10)
+    sheet.text((LEFT + RIGHT) / 2, 1100, f"LED, GP{led.gpio}, on the module:", anchor="middle", size=10)
+    sheet.text((LEFT + RIGHT) / 2, 1114, led.purpose.partition(": ")[2], anchor="middle", size=10)
     sheet.end()
 
 

@@ -1,4 +1,4 @@
-"""Owns the figures of docs/build/housing.md that follow from the rig file's drawing: ``./dev run python -m bench.wiring.housing``."""
+"""Figures of docs/build/housing.md that follow from the rig file: ``./dev run python -m bench.wiring.housing``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from appliance.store.config import Rig, load_rig
 PAGE = Path(__file__).parents[2] / "docs" / "build" / "housing.md"
 BEGIN, END = "<!-- figures begin -->", "<!-- figures end -->"
 STEEP_PX = 0.03
-"""Deviation that is to stay unseen: what the best calibration leaves (docs/calibration.md)."""
+"""Deviation that has no effect: the residual of the best calibration (docs/calibration.md)."""
 RIM_MM = 3.0
 """Room around the beam for alignment."""
 SEAT_MM = 5.0
@@ -69,19 +69,19 @@ def window(rig: Rig) -> Window:
 def table() -> str:
     """Return the page's table, for the packaged rig file."""
     rig = load_rig()
-    design, made = rig.design, window(rig)
+    design, port = rig.design, window(rig)
     rows = (
         ("length of the baseline", f"{design.baseline_mm:g} mm", "`baseline_mm`"),
         ("each camera turned inwards by", f"{design.toe_in_deg:g}°", "`toe_in_deg`"),
         ("projection centre to the port's inner face", f"{design.port_distance_mm:g} mm", "`port_distance_mm`"),
         ("port", f"{design.port_thickness_mm:g} mm thick, index {design.port_index:g} (sapphire)", "`port_thickness_mm`, `port_index`"),
         ("working volume, from between the projection centres", f"{rig.volume.nearest_mm:g} to {rig.volume.farthest_mm:g} mm", "`[volume]`"),
-        ("half of a camera's field, to the corner, in air", f"{made.half_field_deg:.1f}°", "from lens and sensor"),
-        ("clear opening of a camera's port", f"{made.clear_mm:.0f} mm", f"beam at f/{FNUMBER:g}, and {RIM_MM:g} mm around it"),
-        (f"slope of the inner face that moves a point by {STEEP_PX:g} px", f"{made.slope_inner_urad:.0f} µrad", "prism"),
-        ("the same of the outer face", f"{made.slope_outer_urad:.0f} µrad", "prism"),
-        ("bow of the port at 100 m", f"{made.bow_um_at_100_m:.1f} µm", f"plate on a seat {SEAT_MM:g} mm wider all around"),
-        ("what that moves at the image's corner", f"{made.bow_px_at_100_m:.2f} px", "both faces bow alike"),
+        ("half of a camera's field, to the corner, in air", f"{port.half_field_deg:.1f}°", "from lens and sensor"),
+        ("clear opening of a camera's port", f"{port.clear_mm:.0f} mm", f"beam at f/{FNUMBER:g}, and {RIM_MM:g} mm around it"),
+        (f"slope of the inner face that moves a point by {STEEP_PX:g} px", f"{port.slope_inner_urad:.0f} µrad", "prism"),
+        ("the same of the outer face", f"{port.slope_outer_urad:.0f} µrad", "prism"),
+        ("bow of the port at 100 m", f"{port.bow_um_at_100_m:.1f} µm", f"plate on a seat {SEAT_MM:g} mm wider all around"),
+        ("what that moves at the image's corner", f"{port.bow_px_at_100_m:.2f} px", "both faces bow alike"),
     )  # fmt: skip
     lines = [
         "| what | value | from |",
@@ -92,6 +92,6 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    head, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{table()}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    head, remainder = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    PAGE.write_text(f"{head}{BEGIN}\n{table()}\n{END}{remainder.split(END)[1]}", encoding="utf-8")
     print(table())

@@ -1,4 +1,4 @@
-"""Owns the plan of the key pad: each line of ``drivers/keys/firmware/pins.py``, either coil chip, and the coils."""
+"""Plan of the keypad: each line of ``drivers/keys/firmware/pins.py``, either coil chip, and the coils."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def keys_plan() -> Sheet:
     sheet.begin("LED")
     (led,) = [line for line in pins.LINES if line.name == "LED"]
     pico.drawn.add("LED")
-    sheet.text((LEFT + RIGHT) / 2, 606, f"LED, GP{led.gpio}, on the module:", at="middle", size=10)
-    sheet.text((LEFT + RIGHT) / 2, 620, led.purpose.partition(": ")[2], at="middle", size=10)
+    sheet.text((LEFT + RIGHT) / 2, 606, f"LED, GP{led.gpio}, on the module:", anchor="middle", size=10)
+    sheet.text((LEFT + RIGHT) / 2, 620, led.purpose.partition(": ")[2], anchor="middle", size=10)
     sheet.end()
     if missing := {line.name for line in pins.LINES} - pico.drawn:
         raise ValueError(f"no place on the plan for {', '.join(sorted(missing))}: draw what is behind it")
@@ -52,10 +52,10 @@ def keys_plan() -> Sheet:
 
 
 def _buses(sheet: Sheet, pico: Pico) -> None:
-    """Draw the four nets from the module to where either chip begins."""
+    """Draw the four nets from the module to the start of either chip."""
     for number, (name, y) in enumerate(HEIGHTS.items()):
         sheet.begin(name)
-        (line,) = [one for one in pins.LINES if one.name == name]
+        (line,) = [pin for pin in pins.LINES if pin.name == name]
         x, _ = pico.line(name, y)
         pull = pull_of(line)
         assert pull is not None, f"{name}: nothing holds it at reset"
@@ -90,9 +90,9 @@ def _ldc3114(sheet: Sheet) -> None:
     for name, label in (("SDA", "SDA"), ("SCL", "SCL"), ("COILS_READY", "INTB"), ("COILS_POWER", "LPWRB")):
         y = UPPER[name]
         sheet.wire((560, y), (500, y), colour=COLOUR_OF[name])
-        sheet.text(494, y + 4, label, at="end", size=10.5)
+        sheet.text(494, y + 4, label, anchor="end", size=10.5)
     sheet.wire((500, 350), (530, 350), colour=COLOURS["3.3 V"])
-    sheet.text(494, 354, "VDD", at="end", size=10.5)
+    sheet.text(494, 354, "VDD", anchor="end", size=10.5)
     sheet.flag(530, 350, "1.8 V regulator, 1 µF", to="right", colour=COLOURS["3.3 V"])
     for number, coil in enumerate(pins.COILS):
         _coil(sheet, 330, 176 + 46 * number, coil, f"IN{coil.channel}", "COM")
@@ -114,11 +114,11 @@ def _ldc1614(sheet: Sheet) -> None:
     sheet.text(36, 522, "Or: LDC1614, 3.3 V", size=13, bold=True)
     sheet.box(330, 548, 190, 236, f"LDC1614, {pins.LDC1614_ADDRESS:#x}", ["ADDR to ground"])
     for name, label in (("SDA", "SDA"), ("SCL", "SCL"), ("COILS_READY", "INTB"), ("COILS_POWER", "SD")):
-        sheet.text(514, LOWER[name] + 4, label, at="end", size=10.5)
-    sheet.text(514, 614, "CLKIN", at="end", size=10.5)
+        sheet.text(514, LOWER[name] + 4, label, anchor="end", size=10.5)
+    sheet.text(514, 614, "CLKIN", anchor="end", size=10.5)
     sheet.wire((520, 610), (552, 610), colour=COLOURS["service"])
     sheet.flag(552, 610, "oscillator, 40 MHz", to="right", colour=COLOURS["service"])
-    sheet.text(514, 776, "VDD", at="end", size=10.5)
+    sheet.text(514, 776, "VDD", anchor="end", size=10.5)
     sheet.wire((520, 772), (552, 772), colour=COLOURS["3.3 V"])
     sheet.flag(552, 772, "3.3 V, 1 µF and 100 nF", to="right", colour=COLOURS["3.3 V"])
     for number, coil in enumerate(pins.COILS):
@@ -137,8 +137,8 @@ def _coil(sheet: Sheet, x: float, y: float, coil: Any, first: str, second: str) 
     brown = COLOURS["analogue"]
     sheet.text(x + 6, y + 4, first, size=10.5)
     sheet.wire((x, y), (180, y), colour=brown)
-    sheet.text(172, y - 3, f"{coil.key}, bit {coil.bit:#04x}", at="end", bold=True)
-    sheet.text(172, y + 11, f"coil and C to {second}", at="end", size=10)
+    sheet.text(172, y - 3, f"{coil.key}, bit {coil.bit:#04x}", anchor="end", bold=True)
+    sheet.text(172, y + 11, f"coil and C to {second}", anchor="end", size=10)
     loops = " ".join("a 6 6 0 0 1 12 0" for _ in range(4))
     sheet._body.append(f'<path d="M 196 {y:g} {loops}" fill="none" stroke="{brown}" stroke-width="2"/>')
 

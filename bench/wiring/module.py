@@ -1,4 +1,4 @@
-"""Owns the picture of a Raspberry Pi Pico on a plan: its header's pins in their order, and the wires that begin there."""
+"""Drawing of a Raspberry Pi Pico on a plan: the header's pins in their order, and the wires that begin there."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class Pico:
         middle = (self.left + self.right) / 2
         self.sheet.box(self.left, top, self.right - self.left, bottom - top, title, fill="#eef4ea")
         self.sheet.box(middle - 26, top - 14, 52, 20, "", fill="#d0d7de")
-        self.sheet.text(middle, top + 0, "USB", at="middle", size=10)
+        self.sheet.text(middle, top + 0, "USB", anchor="middle", size=10)
 
     def line(self, name: str, y: float) -> Point:
-        """Draw the pin of a line, and the beginning of its wire; return where that ends."""
-        (line,) = [one for one in self.lines if one.name == name]
+        """Draw the pin of a line and the beginning of its wire; return the wire's end."""
+        (line,) = [pin for pin in self.lines if pin.name == name]
         self.drawn.add(name)
         side = self._pin(str(line.header_pin), y, int(line.header_pin))
         inside = self.left + 24 if side < 0 else self.right - 24
-        at = "start" if side < 0 else "end"
-        self.sheet.text(inside, y - 1, name, at=at, bold=True, size=11, colour=self.colour_of[name])
-        self.sheet.text(inside, y + 12, f"GP{line.gpio}, {line.direction}", at=at, size=9.5, colour=FAINT)
+        anchor = "start" if side < 0 else "end"
+        self.sheet.text(inside, y - 1, name, anchor=anchor, bold=True, size=11, colour=self.colour_of[name])
+        self.sheet.text(inside, y + 12, f"GP{line.gpio}, {line.direction}", anchor=anchor, size=9.5, colour=FAINT)
         end = (self.left - LEAD, y) if side < 0 else (self.right + LEAD, y)
         self.sheet.wire((self.left if side < 0 else self.right, y), end, colour=self.colour_of[name], thick=2.4)
         return end
@@ -47,7 +47,11 @@ class Pico:
         """Draw a pin of the supply or of ground."""
         side = self._pin(str(pin), y, pin)
         self.sheet.text(
-            self.left + 24 if side < 0 else self.right - 24, y + 4, name, at="start" if side < 0 else "end", size=10.5
+            self.left + 24 if side < 0 else self.right - 24,
+            y + 4,
+            name,
+            anchor="start" if side < 0 else "end",
+            size=10.5,
         )
         end = (self.left - LEAD, y) if side < 0 else (self.right + LEAD, y)
         self.sheet.wire((self.left if side < 0 else self.right, y), end, colour=colour, thick=2.4)
@@ -59,13 +63,13 @@ class Pico:
         self.sheet._body.append(
             f'<rect x="{x:g}" y="{y - 8:g}" width="18" height="16" fill="{PAPER}" stroke="{INK}" stroke-width="1.2"/>'
         )
-        self.sheet.text(x + 9, y + 4, number, at="middle", size=10, bold=True)
+        self.sheet.text(x + 9, y + 4, number, anchor="middle", size=10, bold=True)
         return side
 
 
 def pull_of(line: Any) -> tuple[str, str] | None:
-    """Return direction and value of the resistor outside the chip that holds a line at reset: ``down``, ``10 k``."""
-    words = str(line.at_reset).partition(" ")
-    if words[0] not in ("pull-down", "pull-up") or words[2] == "inside":
+    """Return direction and value (``down``, ``10 k``) of the outer resistor that holds a line at reset."""
+    parts = str(line.at_reset).partition(" ")
+    if parts[0] not in ("pull-down", "pull-up") or parts[2] == "inside":
         return None
-    return words[0].removeprefix("pull-"), words[2]
+    return parts[0].removeprefix("pull-"), parts[2]

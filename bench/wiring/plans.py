@@ -1,4 +1,4 @@
-"""Owns the list of the plans: which file of docs/pictures is drawn by what."""
+"""List of the plans: each file of docs/pictures with the function that draws it."""
 
 from __future__ import annotations
 

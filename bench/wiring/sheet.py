@@ -1,4 +1,4 @@
-"""Owns the drawing of a plan: wires, parts, pins and words on a sheet, as SVG, and where each word lies."""
+"""Drawing of a plan as SVG: wires, parts, pins and words on a sheet, with the position of each word."""
 
 from __future__ import annotations
 
@@ -36,9 +36,12 @@ class Word:
     right: float
     bottom: float
 
-    def overlaps(self, other: Word) -> bool:
+    def overlaps(self, neighbour: Word) -> bool:
         return (
-            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
+            self.left < neighbour.right
+            and neighbour.left < self.right
+            and self.top < neighbour.bottom
+            and neighbour.top < self.bottom
         )
 
 
@@ -50,7 +53,7 @@ class Sheet:
     height: int
     title: str
     subtitle: str
-    words: list[Word] = field(default_factory=list)
+    labels: list[Word] = field(default_factory=list)
     _body: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -70,7 +73,7 @@ class Sheet:
     # ---------------------------------------------------------------------------------------------- words and groups
 
     def begin(self, name: str) -> None:
-        """Open a group, by which a test finds what belongs to one wire."""
+        """Open a group, by which a test finds the parts of one wire."""
         self._body.append(f"<g id={quoteattr(name)}>")
 
     def end(self) -> None:
@@ -83,18 +86,19 @@ class Sheet:
         text: str,
         *,
         size: float = 11,
-        at: str = "start",
+        anchor: str = "start",
         bold: bool = False,
         colour: str = INK,
     ) -> None:
-        """Write ``text`` with its base line at ``y``; ``at`` is the end that lies at ``x``: start, middle or end."""
+        """Write ``text`` with its base line at ``y``; ``anchor`` (start, middle or end) lies at ``x``."""
         weight = ' font-weight="bold"' if bold else ""
         self._body.append(
-            f'<text x="{x:g}" y="{y:g}" font-size="{size:g}" text-anchor="{at}" fill="{colour}"{weight}>{escape(text)}</text>'
+            f'<text x="{x:g}" y="{y:g}" font-size="{size:g}" text-anchor="{anchor}" fill="{colour}"{weight}>'
+            f"{escape(text)}</text>"
         )
         wide = CHARACTER * size * len(text) * (1.08 if bold else 1.0)
-        left = x - wide * {"start": 0.0, "middle": 0.5, "end": 1.0}[at]
-        self.words.append(Word(text, left, y - 0.78 * size, left + wide, y + 0.22 * size))
+        left = x - wide * {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor]
+        self.labels.append(Word(text, left, y - 0.78 * size, left + wide, y + 0.22 * size))
 
     def lines(self, x: float, y: float, texts: Iterable[str], *, size: float = 11, colour: str = FAINT) -> None:
         for number, text in enumerate(texts):
@@ -121,9 +125,11 @@ class Sheet:
             f'stroke="{INK}" stroke-width="1.6"/>'
         )
         if upright:
-            self.text(x + (11 if beside == "right" else -11), y + 4, value, at="start" if beside == "right" else "end")
+            self.text(
+                x + (11 if beside == "right" else -11), y + 4, value, anchor="start" if beside == "right" else "end"
+            )
         else:
-            self.text(x, y - 11, value, at="middle")
+            self.text(x, y - 11, value, anchor="middle")
 
     def capacitor(self, x: float, y: float, value: str, *, beside: str = "right") -> None:
         """Draw a capacitor from ``x, y`` down to ground."""
@@ -132,7 +138,7 @@ class Sheet:
             self.wire((x - 10, y + gap), (x + 10, y + gap), colour=INK, thick=2.2)
         self.wire((x, y + 22), (x, y + 36), colour=INK, thick=1.6)
         self.ground(x, y + 36)
-        self.text(x + (14 if beside == "right" else -14), y + 23, value, at="start" if beside == "right" else "end")
+        self.text(x + (14 if beside == "right" else -14), y + 23, value, anchor="start" if beside == "right" else "end")
 
     def ground(self, x: float, y: float) -> None:
         for half, down in ((11, 0), (7, 5), (3, 10)):
@@ -154,7 +160,7 @@ class Sheet:
         """Draw the end of a wire at a supply: a bar with its voltage above."""
         colour = COLOURS.get(supply, SUPPLY_3V3)
         self.wire((x - 11, y), (x + 11, y), colour=colour, thick=3.0)
-        self.text(x, y - 5, supply, at="middle", size=10, colour=colour, bold=True)
+        self.text(x, y - 5, supply, anchor="middle", size=10, colour=colour, bold=True)
 
     def box(
         self, x: float, y: float, wide: float, high: float, title: str, notes: Sequence[str] = (), *,
@@ -167,9 +173,9 @@ class Sheet:
             f'stroke-width="1.8"{dash}/>'
         )
         if title:
-            self.text(x + wide / 2, y + 19, title, at="middle", size=13, bold=True)
+            self.text(x + wide / 2, y + 19, title, anchor="middle", size=13, bold=True)
         for number, note in enumerate(notes):
-            self.text(x + wide / 2, y + 36 + 14 * number, note, at="middle", size=10.5, colour=FAINT)
+            self.text(x + wide / 2, y + 36 + 14 * number, note, anchor="middle", size=10.5, colour=FAINT)
 
     def flag(self, x: float, y: float, text: str, *, to: str, colour: str) -> None:
         """Draw the end of a wire that goes on elsewhere under this name, to the ``left`` or ``right``."""
@@ -178,7 +184,7 @@ class Sheet:
         points = [(0, 0), (9, -11), (wide, -11), (wide, 11), (9, 11)]
         shape = " ".join(f"{x + sign * across:g},{y + down:g}" for across, down in points)
         self._body.append(f'<polygon points="{shape}" fill="{PAPER}" stroke="{colour}" stroke-width="1.6"/>')
-        self.text(x + sign * (wide + 7) / 2, y + 4, text, at="middle", colour=colour)
+        self.text(x + sign * (wide + 7) / 2, y + 4, text, anchor="middle", colour=colour)
 
     def legend(self, x: float, y: float, names: Sequence[str], *, apart: float = 112) -> None:
         for number, name in enumerate(names):

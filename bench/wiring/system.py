@@ -1,4 +1,4 @@
-"""Owns the plan of the whole instrument: which cable goes from what to what, supply and ground."""
+"""Plan of the entire instrument: cables between devices, supply and ground."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def system_plan() -> Sheet:
 
 
 def _cable(
-    sheet: Sheet, points: list[Point], colour: str, label: str, at: Point, *, dashed: bool = False
+    sheet: Sheet, points: list[Point], colour: str, label: str, label_position: Point, *, dashed: bool = False
 ) -> None:  # fmt: skip
     sheet.wire(*points, colour=colour, thick=2.6, dashed=dashed)
-    sheet.text(*at, label, size=11, colour=colour)
+    sheet.text(*label_position, label, size=11, colour=colour)

@@ -39,9 +39,9 @@ def texts(element: ET.Element) -> list[str]:
 def test_the_committed_plan_is_what_the_data_make_and_no_words_lie_on_each_other(name: str) -> None:
     sheet = PLANS[name]()
     assert (FOLDER / name).read_text(encoding="utf-8") == sheet.svg(), "draw it again: ./dev run python -m bench.wiring"
-    assert len(sheet.words) > 30
-    assert all(one.left >= 0.0 and one.right <= sheet.width and one.bottom <= sheet.height for one in sheet.words)
-    assert not [(a.text, b.text) for a, b in itertools.combinations(sheet.words, 2) if a.overlaps(b)]
+    assert len(sheet.labels) > 30
+    assert all(one.left >= 0.0 and one.right <= sheet.width and one.bottom <= sheet.height for one in sheet.labels)
+    assert not [(a.text, b.text) for a, b in itertools.combinations(sheet.labels, 2) if a.overlaps(b)]
 
 
 @pytest.mark.parametrize(("name", "line"), LINES, ids=lambda one: getattr(one, "name", None))
