@@ -69,13 +69,13 @@ def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
     """Return the figures of the rows of each rig of ``seed``; the first ``each`` scans are normal."""
     rigs = {rig: _stated(rig, seed) for rig in rows}
     normal = [row for rig_rows in rows.values() for row in rig_rows[:each]]
-    doubted_rigs, doubted, judged, largest, late, unsaid = 0, 0, 0, 0.0, [], 0
+    alarmed, doubted, judged, largest, late, unsaid = 0, 0, 0, 0.0, [], 0
     for rig, rig_rows in rows.items():
         judgements = list(followed(rig_rows, rigs[rig]))
         judged += sum(judgement.point is not None for judgement in judgements[:each])
         totals = [judgement.point.total for judgement in judgements[:each] if judgement.point is not None]
         largest = max([largest, *totals])
-        doubted_rigs += any(judgement.alarm for judgement in judgements[:each])
+        alarmed += any(judgement.alarm for judgement in judgements[:each])
         doubted += sum(bool(judgement.alarm) for judgement in judgements[:each])
         if not any(judgement.alarm for judgement in judgements[:each]):
             after = [judgement for judgement in judgements[each:] if judgement.point is not None][:SCANS_TO_FIND]
@@ -84,7 +84,7 @@ def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
                 len(after) == SCANS_TO_FIND and not late[-1] and all(_sees(judgement, rig % 3) for judgement in after)
             )
     measured = [
-        tally(f"rigs whose calibration is doubted, with {each} normal scans each", doubted_rigs, len(rows), at_most=0.0),
+        tally(f"rigs whose calibration is doubted, with {each} normal scans each", alarmed, len(rows), at_most=0.0),
         tally("normal scans that are judged", judged, len(normal)),
         Measured("largest sum of a normal scan", largest, f"of {LIMIT:g}", at_most=LIMIT),
         tally(f"knocks of {KNOCK_DEG:g}° found within three judged scans", sum(late), len(late), at_least=float(len(late))),

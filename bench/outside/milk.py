@@ -35,7 +35,7 @@ SEEDS_PER_SEED = 1000
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Return the completeness of ``count`` scans in milk with no family, with backscatter alone, and with all at rest."""
+    """Return the completeness of ``count`` scans in milk with no family, backscatter alone, and all at rest."""
     jobs = [(name, number) for name in SETS for number in range(count)]
     rows: dict[str, list[Row]] = {name: [] for name in SETS}
     for finished, ((name, _), row) in enumerate(

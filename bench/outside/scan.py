@@ -148,7 +148,7 @@ def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
         "motion": scanned.numbers("motion"),
         "light": scanned.numbers("light"),
         "water": scanned.numbers("water"),
-        "gaps": None if gaps is None else {gap_field.name: _listed(getattr(gaps, gap_field.name)) for gap_field in fields(gaps)},
+        "gaps": None if gaps is None else {item.name: _listed(getattr(gaps, item.name)) for item in fields(gaps)},
     }  # fmt: skip
 
 

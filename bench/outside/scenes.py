@@ -55,16 +55,16 @@ def watched(rows: Sequence[Row], seed: int) -> list[Measured]:
     instruments: dict[int, list[Row]] = {}
     for row in rows:
         instruments.setdefault(row["rig_seed"], []).append(row)
-    doubted_rigs, doubted, judged, largest = 0, 0, 0, 0.0
+    alarmed, doubted, judged, largest = 0, 0, 0, 0.0
     for scans in instruments.values():
         world = scene_world(seed, scans[0]["number"])
         judgements = list(followed(scans, stated_truth(world.rig, world.scene).calibration.rig))
-        doubted_rigs += any(judgement.alarm for judgement in judgements)
+        alarmed += any(judgement.alarm for judgement in judgements)
         doubted += sum(bool(judgement.alarm) for judgement in judgements)
         judged += sum(judgement.point is not None for judgement in judgements)
         largest = max([largest, *(judgement.point.total for judgement in judgements if judgement.point is not None)])
     return [
-        tally("instruments whose calibration is doubted", doubted_rigs, len(instruments), at_most=0.0),
+        tally("instruments whose calibration is doubted", alarmed, len(instruments), at_most=0.0),
         tally(f"false alarms of {CALIBRATION}", doubted, len(rows), at_most=0.0),
         tally("scans that are judged by the watch over the calibration", judged, len(rows)),
         Measured("largest sum of the watch over the calibration", largest, f"of {LIMIT:g}", at_most=LIMIT),
