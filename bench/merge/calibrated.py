@@ -1,4 +1,4 @@
-"""Owns how the instrument's own calibration distorts its points: rigs of the world ``outside``, calibrated as users do it, against the truth."""
+"""Distortion of points by the instrument's own calibration: rigs of the world ``outside``, against the truth."""
 
 from __future__ import annotations
 
@@ -27,29 +27,30 @@ BESIDE = 1.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distortion:
-    """Places where points appear that truly lie elsewhere, for one calibrated rig; a rigid motion of all is taken out: frames are free."""
+    """Displacement of points by one calibrated rig, without a rigid motion of all."""
 
     moved: RegularGridInterpolator
     """Displacement (3,), mm, by x/z, y/z and 1/z."""
     scale: float
-    """Length over true length, of the volume as a whole: the single scans' own error."""
+    """Length over true length in the entire volume: the error of single scans."""
     stated_mm2: Array | None
-    """What the calibration states of the depth error that all scans share, (32, 32), by the shapes of ``measure/calibration/depth_error.py``."""
+    """Stated covariance of the common depth error, (32, 32), by the shapes of ``measure/calibration/depth_error.py``.
+    """
 
     def of(self, cloud: OrganisedCloud) -> OrganisedCloud:
         """Return a cloud as this calibration would have made it."""
         points = cloud.points_mm.astype(np.float64)
-        there = np.isfinite(points[..., 2])
-        p = points[there]
-        found = points.copy()
-        found[there] = p + self.moved(np.stack([p[:, 0] / p[:, 2], p[:, 1] / p[:, 2], 1.0 / p[:, 2]], 1))
-        return replace(cloud, points_mm=found.astype(np.float32))
+        is_point = np.isfinite(points[..., 2])
+        p = points[is_point]
+        displaced = points.copy()
+        displaced[is_point] = p + self.moved(np.stack([p[:, 0] / p[:, 2], p[:, 1] / p[:, 2], 1.0 / p[:, 2]], 1))
+        return replace(cloud, points_mm=displaced.astype(np.float32))
 
 
 def distortion(seed: int, recordings: int) -> Distortion:
-    """Return the distortion of a rig of the world ``outside``, calibrated in air and from so many recordings in water."""
+    """Return the distortion of a rig of the world ``outside``, calibrated in air and from ``recordings`` in water."""
     rig = drawn(SETS["all"], seed)
-    made = calibrate(Method.SPLINE, recorded(rig.wet, recordings), start_of(air_of(rig.dry))).calibration
+    calibration = calibrate(Method.SPLINE, recorded(rig.wet, recordings), start_of(air_of(rig.dry))).calibration
     stated = stated_truth(rig.wet, Scene())
     u = np.linspace(-BESIDE * BORDER, BESIDE * BORDER, ACROSS)
     v = np.linspace(-0.75 * BESIDE * BORDER, 0.75 * BESIDE * BORDER, DOWN)
@@ -57,13 +58,16 @@ def distortion(seed: int, recordings: int) -> Distortion:
     grid = np.stack(np.meshgrid(u, v, inverse, indexing="ij"), -1)
     true = np.concatenate([grid[..., :2], np.ones((*grid.shape[:3], 1))], -1) / grid[..., 2:]
     flat = true.reshape(-1, 3)
-    true_rig, own, index = stated.calibration.rig, made.rig, stated.water.index
-    seen = [camera.project(flat, index) for camera in (true_rig.left, true_rig.right)]
-    rays = [camera.rays(uv, made.water.index) for camera, uv in zip((own.left, own.right), seen, strict=True)]
+    true_rig, own_rig, index = stated.calibration.rig, calibration.rig, stated.water.index
+    pixels = [camera.project(flat, index) for camera in (true_rig.left, true_rig.right)]
+    rays = [
+        camera.rays(uv, calibration.water.index)
+        for camera, uv in zip((own_rig.left, own_rig.right), pixels, strict=True)
+    ]
     met = nearest_points(*rays[0], *rays[1])
     scale, rotation, shift = _similarity(flat, met)
     off = (met - shift) @ rotation - flat
-    stated_mm2 = None if made.depth_error_mm2 is None else np.array(made.depth_error_mm2)
+    stated_mm2 = None if calibration.depth_error_mm2 is None else np.array(calibration.depth_error_mm2)
     return Distortion(
         RegularGridInterpolator((u, v, inverse), off.reshape(true.shape), bounds_error=False, fill_value=None),
         scale,
@@ -72,9 +76,12 @@ def distortion(seed: int, recordings: int) -> Distortion:
 
 
 def _similarity(p: Array, q: Array) -> tuple[float, Array, Array]:
-    """Return scale s, rotation R and shift t with q ≈ s R p + t about the volume's middle (S. Umeyama 1991); unseen points left out."""
-    known = np.isfinite(p).all(1) & np.isfinite(q).all(1) & (np.abs(p[:, 2] - 540.0) < 60.0)
-    p, q = p[known], q[known]
+    """Return scale s, rotation R and shift t with q ≈ s R p + t about the volume's middle (S. Umeyama 1991).
+
+    Points that are not seen are left out.
+    """
+    is_used = np.isfinite(p).all(1) & np.isfinite(q).all(1) & (np.abs(p[:, 2] - 540.0) < 60.0)
+    p, q = p[is_used], q[is_used]
     a, b = p - p.mean(0), q - q.mean(0)
     u, s, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])

@@ -1,6 +1,6 @@
-"""Owns a dive of hand-held scans along the water main, stored as the instrument stores them, and one call at the desk that makes an object of them.
+"""A dive of hand-held scans along the water main, stored as by the instrument, and one object made of them.
 
-Each scan is rendered, held still while its patterns run; ``object solve`` reads its raw frames and does everything else.
+Each scan is rendered at rest; ``object solve`` reads its raw frames and does all else.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ MOST_SIGMAS = 3.0
 
 
 def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Measured]:
-    """Return how many scans are placed, how far the farthest is off, and what one call takes. Its files stay in ``keep``."""
+    """Return how many scans have a pose, the largest error, and the cost of one call. Its files stay in ``keep``."""
     poses = poses_along(seed, SCANS, 0)
-    with tempfile.TemporaryDirectory() as own:
-        root = keep or Path(own)
+    with tempfile.TemporaryDirectory() as temporary:
+        root = keep or Path(temporary)
         (root / "scans").mkdir(parents=True, exist_ok=True)
         list(spread(partial(_stored, root=root, seed=seed, size_px=size_px), list(enumerate(poses, 1))))
         scene = _scene(poses[0])
@@ -50,13 +50,13 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
         calibration.write_bytes(encode_calibration(stated_truth(rig, scene).calibration))
         names = [f"{number:06}" for number in range(1, SCANS + 1)]
         name = NAME if not (root / "objects" / NAME).exists() else f"{NAME} {len(objects.object_names(root)) + 1}"
-        words = ["object", "solve", name, *names, "--root", str(root), "--calibration", str(calibration)]
-        words.append("--foreign-calibration")
-        files = [word for one in FILES for word in ("--out", str(root / one))]
+        arguments = ["object", "solve", name, *names, "--root", str(root), "--calibration", str(calibration)]
+        arguments.append("--foreign-calibration")
+        files = [word for file in FILES for word in ("--out", str(root / file))]
         begun = time.process_time()
         with contextlib.redirect_stdout(io.StringIO()):
-            code = int(main(words))
-            of_object = (f"object:{name}", *words[3 + len(names) :])
+            code = int(main(arguments))
+            of_object = (f"object:{name}", *arguments[3 + len(names) :])
             main(["cloud", *of_object, *files])
             main(["report", *of_object, "--out", str(root / PAGE)])
         spent = time.process_time() - begun
@@ -65,15 +65,15 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
             *judged(root, name, seed, size_px),
             Measured("dive: CPU of one call, raw frames to files", spent, "s"),
             *(
-                Measured(f"dive: {one}", (root / one).stat().st_size / 1e6, "MB")
-                for one in (*FILES, PAGE)
-                if (root / one).exists()
+                Measured(f"dive: {file}", (root / file).stat().st_size / 1e6, "MB")
+                for file in (*FILES, PAGE)
+                if (root / file).exists()
             ),
         ]
 
 
 def judged(root: Path, name: str, seed: int, size_px: tuple[int, int]) -> list[Measured]:
-    """Return how many scans of the object are placed, and how far they are off."""
+    """Return how many scans of the object have a pose, and their errors."""
     places = objects.read_object(root, name).places
     if places is None:
         return [Measured("dive: scans placed by one call", 0.0, f"of {SCANS}", at_least=SCANS)]
@@ -90,12 +90,15 @@ def judged(root: Path, name: str, seed: int, size_px: tuple[int, int]) -> list[M
     frame = true_of(names[0]).inverse
     off_mm, apart_mm = [], []
     for scan, place in places.places.items():
-        at = np.array(place.middle_mm)
-        mine = Rigid(np.array(place.rotation), np.array(place.translation_mm)).inverse.of(at)
-        off_mm.append(float(np.linalg.norm(at - true_of(scan).then(frame).of(mine))))
-        apart_mm.append(float(np.linalg.norm(at - np.array(places.places[names[0]].middle_mm))))
+        middle_mm = np.array(place.middle_mm)
+        mine = Rigid(np.array(place.rotation), np.array(place.translation_mm)).inverse.of(middle_mm)
+        off_mm.append(float(np.linalg.norm(middle_mm - true_of(scan).then(frame).of(mine))))
+        apart_mm.append(float(np.linalg.norm(middle_mm - np.array(places.places[names[0]].middle_mm))))
     sigma_mm = [place.sigma_mm for place in places.places.values()]
-    own_mm = [float(np.sqrt(max(one.sigma_mm**2 - one.bending_mm**2, 0.0))) for one in places.places.values()]
+    own_mm = [
+        float(np.sqrt(max(scan_pose.sigma_mm**2 - scan_pose.bending_mm**2, 0.0)))
+        for scan_pose in places.places.values()
+    ]
     farthest = int(np.argmax(apart_mm))
     return [
         Measured("dive: scans placed by one call", len(names), f"of {SCANS}", at_least=SCANS),

@@ -1,4 +1,4 @@
-"""Owns how well the overlap of a scan that is not taken yet is told while aiming: live pictures by hand along the water main, against the truth."""
+"""Accuracy of the overlap predicted while aiming: live images by hand along the water main, against the truth."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ Pose = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One kept scan, and the poses of the main before which live pictures are taken then."""
+    """One stored scan, and the poses of the main in the live images after it."""
 
     texture: str
-    kept: Pose
+    scan_pose: Pose
     live: tuple[Pose, ...]
     number: int
     size_px: tuple[int, int]
@@ -56,73 +56,82 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One live picture."""
+    """Result of one live image."""
 
     texture: str
     along_mm: float
     true_share: float
-    told: Guidance | None
+    guidance: Guidance | None
     cpu_s: float
 
 
 def measure(seed: int, size_px: tuple[int, int]) -> tuple[list[Measured], list[dict[str, Any]]]:
-    """Return figures of all live pictures, and the rows of a table."""
+    """Return figures of all live images, and the rows of a table."""
     places = drawn(seed, size_px)
     progress = Progress(len(places))
     rows: list[Row] = []
-    for found in spread(looked, places):
+    for new_rows in spread(live_rows, places):
         progress.step(f"{len(rows)} live pictures")
-        rows += found
+        rows += new_rows
     figures: list[Measured] = []
     for texture in PAINTS:
         mine = [row for row in rows if row.texture == texture]
-        told = [row for row in mine if row.told is not None and row.told.expected.share]
-        lost = [row for row in mine if row.told is not None and not row.told.expected.share]
-        off = [abs((row.told.expected.share or 0.0) - row.true_share) for row in told if row.told is not None]
-        said = f"{texture}: "
-        figures.append(Measured(f"{said}live pictures", len(mine), ""))
-        figures.append(Measured(f"{said}told a percentage", len(told), ""))
-        figures.append(Measured(f"{said}told to be lost", len(lost), ""))
+        with_share = [row for row in mine if row.guidance is not None and row.guidance.expected.share]
+        lost = [row for row in mine if row.guidance is not None and not row.guidance.expected.share]
+        off = [
+            abs((row.guidance.expected.share or 0.0) - row.true_share) for row in with_share if row.guidance is not None
+        ]
+        prefix = f"{texture}: "
+        figures.append(Measured(f"{prefix}live pictures", len(mine), ""))
+        figures.append(Measured(f"{prefix}told a percentage", len(with_share), ""))
+        figures.append(Measured(f"{prefix}told to be lost", len(lost), ""))
         if off:
-            figures.append(Measured(f"{said}error of the percentage, median", 100.0 * float(np.median(off)), "%"))
-            figures.append(Measured(f"{said}error of the percentage, largest", 100.0 * max(off), "%", at_most=10.0))
+            figures.append(Measured(f"{prefix}error of the percentage, median", 100.0 * float(np.median(off)), "%"))
+            figures.append(Measured(f"{prefix}error of the percentage, largest", 100.0 * max(off), "%", at_most=10.0))
         false = sum(error > FALSE_SHARE for error in off) + sum(row.true_share > 0.25 for row in lost)
-        figures.append(Measured(f"{said}false statements", false, "", at_most=0))
+        figures.append(Measured(f"{prefix}false statements", false, "", at_most=0))
         ways = [
             row
-            for row in told
-            if row.told is not None and row.told.toward is not None and row.told.move is not Move.SCAN_NOW
+            for row in with_share
+            if row.guidance is not None and row.guidance.toward is not None and row.guidance.move is not Move.SCAN_NOW
         ]
         figures.append(
             Measured(
-                f"{said}arrows that lead to less or too much", sum(_leads_wrong(row) for row in ways), f"of {len(ways)}"
+                f"{prefix}arrows that lead to less or too much",
+                sum(_leads_wrong(row) for row in ways),
+                f"of {len(ways)}",
             )
         )
-        figures.append(Measured(f"{said}CPU of a picture, median", float(np.median([row.cpu_s for row in mine])), "s"))
-        figures.append(Measured(f"{said}CPU of a picture, largest", max(row.cpu_s for row in mine), "s", at_most=0.5))
+        figures.append(
+            Measured(f"{prefix}CPU of a picture, median", float(np.median([row.cpu_s for row in mine])), "s")
+        )
+        figures.append(Measured(f"{prefix}CPU of a picture, largest", max(row.cpu_s for row in mine), "s", at_most=0.5))
     return figures, [_table_row(row) for row in rows]
 
 
 def _leads_wrong(row: Row) -> bool:
     """The main lies across the picture: to its left is where it is moved to the right from."""
-    if row.told is None or row.told.toward is None:
+    if row.guidance is None or row.guidance.toward is None:
         return False
     # The object moved by +along: the kept scan is to the right of the picture's middle, and more of what is new to the left.
     back = np.sign(row.along_mm)
     return (
-        bool(np.sign(row.told.toward[0]) != (back if row.told.move is Move.GO_BACK else -back)) and row.along_mm != 0.0
+        bool(np.sign(row.guidance.toward[0]) != (back if row.guidance.move is Move.GO_BACK else -back))
+        and row.along_mm != 0.0
     )
 
 
 def _table_row(row: Row) -> dict[str, Any]:
-    told = row.told
+    guidance = row.guidance
     return {
         "texture": row.texture,
         "along_mm": row.along_mm,
         "true": round(row.true_share, 3),
-        "said": None if told is None else round(told.expected.share or 0.0, 3),
-        "move": None if told is None else told.move.value,
-        "toward": None if told is None or told.toward is None else [round(value, 2) for value in told.toward],
+        "said": None if guidance is None else round(guidance.expected.share or 0.0, 3),
+        "move": None if guidance is None else guidance.move.value,
+        "toward": None
+        if guidance is None or guidance.toward is None
+        else [round(value, 2) for value in guidance.toward],
         "cpu_s": round(row.cpu_s, 3),
     }
 
@@ -134,24 +143,26 @@ def drawn(seed: int, size_px: tuple[int, int]) -> list[Place]:
         rng = np.random.default_rng(seed)
         for number, x in enumerate(KEPT_AT_MM):
             sign = -1.0 if number % 2 else 1.0
-            live = tuple(held(rng, x + sign * along) for along in ALONG_MM)
-            places.append(Place(texture, held(rng, x), live, number, size_px))
+            live = tuple(held_pose(rng, x + sign * along) for along in ALONG_MM)
+            places.append(Place(texture, held_pose(rng, x), live, number, size_px))
     return places
 
 
-def held(rng: np.random.Generator, x_mm: float) -> Pose:
-    """Return the main's pose as hands hold the instrument before ``x_mm`` of it."""
+def held_pose(rng: np.random.Generator, x_mm: float) -> Pose:
+    """Return the main's pose before a hand-held instrument at ``x_mm`` of it."""
     turned = rng.normal(size=3) * 4.0
     R, _ = pose_matrix((0.0, 0.0, 0.0, *map(float, turned)))
-    at = np.array([0.0, 0.0, DISTANCE_MM]) + rng.normal(size=3) * (6.0, 6.0, 15.0) + R @ np.array([x_mm, 0.0, 0.0])
-    a, b, c = map(float, at)
+    position_mm = (
+        np.array([0.0, 0.0, DISTANCE_MM]) + rng.normal(size=3) * (6.0, 6.0, 15.0) + R @ np.array([x_mm, 0.0, 0.0])
+    )
+    a, b, c = map(float, position_mm)
     d, e, f = map(float, turned)
     return a, b, c, d, e, f
 
 
-def looked(place: Place) -> list[Row]:
-    """Take the kept scan and the live pictures of one place, and let the worker's own code say what it knows."""
-    kept, points_of_kept, sight = kept_scan(place)
+def live_rows(place: Place) -> list[Row]:
+    """Take the stored scan and the live images of one place, and evaluate them by the worker's own code."""
+    coarse, points_of_kept, sight = kept_scan(place)
     of_kept = cKDTree(points_of_kept)
     guide = Guide(sight)
     light = live_light_of(load_rig(default_sim_rig()))
@@ -172,23 +183,26 @@ def looked(place: Place) -> list[Row]:
             )
             for k in range(2)
         ]
-        # Twice, as while aiming: that nothing is in common is said of what two pictures show.
+        # Two images, as while aiming, because no overlap is reported only after two.
         for picture in pictures:
             small = reduced(picture)
             begun_s = time.process_time()
-            *_, told = guide.look(kept, small)
+            *_, guidance = guide.look(coarse, small)
             cpu_s = time.process_time() - begun_s
         view = renderer.view("left", 0.0)
         points = _in_the_object(view.points_rig_mm[view.seen_by_all], pose)[::7]
         distance, _ = of_kept.query(points, distance_upper_bound=SURFACE_MM)
-        along = float(place.live[number][0] - place.kept[0])
-        rows.append(Row(place.texture, along, float(np.isfinite(distance).mean()), told, cpu_s))
+        along = float(place.live[number][0] - place.scan_pose[0])
+        rows.append(Row(place.texture, along, float(np.isfinite(distance).mean()), guidance, cpu_s))
     return rows
 
 
 def kept_scan(place: Place) -> tuple[CoarseView, Array, Sight]:
-    """Take the scan at ``place.kept``; return what the worker keeps of it, its points (n, 3) in the object's frame, and what the guide sees by."""
-    scene = Scene(object="main", pose=place.kept, texture=place.texture, ambient=AMBIENT)
+    """Take the scan at ``place.scan_pose``.
+
+    Return the worker's view of it, its points (n, 3) in the object's frame, and the sight of the guide.
+    """
+    scene = Scene(object="main", pose=place.scan_pose, texture=place.texture, ambient=AMBIENT)
     world = world_of(scene, 1, (), truth_set="realistic", size_px=place.size_px)
     stated = stated_truth(world.rig, scene)
     frames = expose(world.renderer(), SEQUENCE, EXPOSURE, number=place.number)
@@ -198,12 +212,12 @@ def kept_scan(place: Place) -> tuple[CoarseView, Array, Sight]:
             for k in range(len(stack)):
                 pipeline.push(side, stack, k)
         coarse = pipeline.coarse()
-        others = frames["left"][list(SEQUENCE.axis(Direction.X).sine)]
-        kept = coarse_view(coarse, pipeline.coarse_stride, frames["left"][SEQUENCE.bright], others, projection)
+        sine_frames = frames["left"][list(SEQUENCE.axis(Direction.X).sine)]
+        view = coarse_view(coarse, pipeline.coarse_stride, frames["left"][SEQUENCE.bright], sine_frames, projection)
         points = pipeline.full().points_mm.copy()
-    of_kept = _in_the_object(left_to_rig(world.rig, points), place.kept)
+    of_kept = _in_the_object(left_to_rig(world.rig, points), place.scan_pose)
     rig = stated.calibration.rig
-    return kept, of_kept, Sight(rig.left, stated.water.index, projection, projection_of(rig.right, stated.water.index))
+    return view, of_kept, Sight(rig.left, stated.water.index, projection, projection_of(rig.right, stated.water.index))
 
 
 def _in_the_object(points_mm: Array, pose: Pose) -> Array:

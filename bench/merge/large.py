@@ -1,6 +1,7 @@
-"""Owns what forty scans of full size cost: placing them, one surface, its mesh, its deviations and its files, each in a process of its own.
+"""Cost of forty scans of full size: poses, surface, mesh, deviations and files, each in its own process.
 
-The scans are ideal ones (exact rays, noise drawn along them), since their frames would take an hour to render; what they cost is the same.
+The scans are ideal ones (exact rays, noise along them), because their frames would take an hour to render; the cost is
+the same.
 """
 
 from __future__ import annotations
@@ -44,13 +45,13 @@ ABOUT = Metadata("pipe", OBJECT_FRAME)
 
 
 def measure(seed: int, keep: Path | None) -> list[Measured]:
-    """Return processor time and largest memory of each step."""
-    with tempfile.TemporaryDirectory() as own:
-        folder = keep or Path(own)
+    """Return CPU time and largest memory of each step."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = keep or Path(temporary)
         poses = poses_along(seed, FORTH, BACK)
         list(spread(partial(_seen, folder=folder, seed=seed), list(enumerate(poses))))
         count = len(poses)
-        found: list[Measured] = []
+        measured: list[Measured] = []
         steps: list[tuple[str, Callable[[Path, int], dict[str, float]], float | None]] = [
             ("placing", _place, SOLVE_CPU_S),
             ("one surface", _fuse, None),
@@ -63,20 +64,22 @@ def measure(seed: int, keep: Path | None) -> list[Measured]:
         for name, step, limit in steps:
             # A process each: the largest memory of a process never gets smaller.
             with multiprocessing.get_context("spawn").Pool(1) as pool:
-                said = pool.apply_async(partial(_measured, step), (folder, count)).get(timeout=3600.0)
-            found.append(Measured(f"{count} scans of full size, {name}: CPU", said.pop("cpu_s"), "s", at_most=limit))
-            found.append(Measured(f"{name}: largest memory", said.pop("memory_mb"), "MB", at_most=MEMORY_MB))
-            found += [Measured(f"{name}: {what}", value, "") for what, value in said.items()]
-        return found
+                result = pool.apply_async(partial(_measured, step), (folder, count)).get(timeout=3600.0)
+            measured.append(
+                Measured(f"{count} scans of full size, {name}: CPU", result.pop("cpu_s"), "s", at_most=limit)
+            )
+            measured.append(Measured(f"{name}: largest memory", result.pop("memory_mb"), "MB", at_most=MEMORY_MB))
+            measured += [Measured(f"{name}: {what}", value, "") for what, value in result.items()]
+        return measured
 
 
 def _measured(step: Callable[[Path, int], dict[str, float]], folder: Path, count: int) -> dict[str, float]:
     # Once on little, so that compiling is not measured.
     step(folder, LITTLE)
     begun = time.process_time()
-    said = step(folder, count)
+    result = step(folder, count)
     cpu_s = time.process_time() - begun
-    return {**said, "cpu_s": cpu_s, "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0}
+    return {**result, "cpu_s": cpu_s, "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0}
 
 
 def _file(folder: Path, number: int) -> Path:
@@ -88,23 +91,23 @@ def _seen(item: tuple[int, tuple[float, ...]], folder: Path, seed: int) -> None:
     file = _file(folder, number)
     if file.exists():
         return
-    seen = view("main", pose, "slight", 1000 * seed + number, synthetic.calibration(*SIZE_PX))
-    cloud = seen.cloud
+    ideal = view("main", pose, "slight", 1000 * seed + number, synthetic.calibration(*SIZE_PX))
+    cloud = ideal.cloud
     draft = file.with_suffix(".draft")
     with draft.open("wb") as opened:
         np.savez(
             opened, points=cloud.points_mm, sigma=cloud.sigma_mm, grey=cloud.grey,
-            rotation=seen.place.rotation, translation=seen.place.translation_mm,
+            rotation=ideal.place.rotation, translation=ideal.place.translation_mm,
         )  # fmt: skip
     draft.replace(file)
 
 
 def _read(folder: Path, number: int) -> tuple[OrganisedCloud, Rigid]:
-    with np.load(_file(folder, number)) as kept:
-        sigma = kept["sigma"]
+    with np.load(_file(folder, number)) as stored:
+        sigma = stored["sigma"]
         nothing = np.full(sigma.shape, np.nan, np.float32)
-        cloud = OrganisedCloud(kept["points"], sigma, nothing, nothing, kept["grey"])
-        return cloud, Rigid(kept["rotation"], kept["translation"])
+        cloud = OrganisedCloud(stored["points"], sigma, nothing, nothing, stored["grey"])
+        return cloud, Rigid(stored["rotation"], stored["translation"])
 
 
 def _place(folder: Path, count: int) -> dict[str, float]:
@@ -133,22 +136,22 @@ def _fuse(folder: Path, count: int) -> dict[str, float]:
 
 
 def _surface(folder: Path, count: int) -> FusedCloud:
-    with np.load(folder / "surface.npz") as kept:
+    with np.load(folder / "surface.npz") as stored:
         every = max(1, FORTH + BACK - count)
-        return FusedCloud(*(kept[name][::every] for name in ("points_mm", "normals", "sigma_mm", "grey", "views")))
+        return FusedCloud(*(stored[name][::every] for name in ("points_mm", "normals", "sigma_mm", "grey", "views")))
 
 
 def _mesh(folder: Path, count: int) -> dict[str, float]:
     mesh = mesh_of_surface(_surface(folder, count), 2.0 * SPACING_MM)
-    np.savez(folder / "mesh.npz", **{one.name: getattr(mesh, one.name) for one in fields(mesh)})
+    np.savez(folder / "mesh.npz", **{mesh_field.name: getattr(mesh, mesh_field.name) for mesh_field in fields(mesh)})
     return {"triangles": len(mesh.faces)}
 
 
 def _deviate(folder: Path, count: int) -> dict[str, float]:
     surface = _surface(folder, count)
     nominal = nominal_of_mesh(mesh_of_surface(_surface(folder, 2), 4.0))
-    found = deviations(surface.points_mm, surface.sigma_mm, nominal, surface.normals)
-    return {"points compared": found.summary.points}
+    compared = deviations(surface.points_mm, surface.sigma_mm, nominal, surface.normals)
+    return {"points compared": compared.summary.points}
 
 
 def _write_points(folder: Path, count: int) -> dict[str, float]:
@@ -161,8 +164,8 @@ def _write_points(folder: Path, count: int) -> dict[str, float]:
 
 
 def _write_meshes(folder: Path, count: int) -> dict[str, float]:
-    with np.load(folder / "mesh.npz") as kept:
-        mesh = Mesh(**{name: kept[name] for name in kept.files})
+    with np.load(folder / "mesh.npz") as stored:
+        mesh = Mesh(**{name: stored[name] for name in stored.files})
     # The first call is only there to have everything loaded.
     mesh = mesh if count > LITTLE else replace(mesh, faces=mesh.faces[:1000])
     size = 0.0

@@ -1,7 +1,9 @@
-"""Owns what loops and overlaps notice: pairs that were made wrong in a row of scans, and a depth error that the calibration does not state.
+"""Detection by loops and overlaps: wrong pairs in a row of scans, and a depth error that the calibration does not
+state.
 
-The row is placed once. Then a pair is given another pose, or all pairs are given what a shared error would do to them (by their own
-derivatives, which ``tests/appliance/desk/registration/test_bow.py`` holds against real registrations), and the graph is solved again.
+The row is placed once. Then a pair is given another pose, or all pairs are given what a shared error would do to them
+(by their own derivatives, which ``tests/appliance/desk/registration/test_bow.py`` holds against real registrations),
+and the graph is solved again.
 """
 
 from __future__ import annotations
@@ -34,9 +36,9 @@ REPEAT_MM = 12.0
 """Side of a square of the simulated world's grid, by which paint repeats."""
 SHIFTS_MM = (0.3, 0.5, 1.0, 2.0)
 STATED_SHARE = 0.36
-"""Variance that the calibration states, over the usual one: what rigs state that calibrated themselves in water."""
+"""Stated variance of the depth error over the usual one, as of rigs after a water calibration."""
 TIMES = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0)
-"""Injected errors, in standard deviations of what is stated."""
+"""Injected errors, in stated standard deviations."""
 DRAWS = 12
 
 
@@ -44,11 +46,11 @@ def measure(
     seed: int, size_px: tuple[int, int], keep: Path | None
 ) -> tuple[list[Measured], dict[str, list[dict[str, Any]]]]:
     """Return figures, and the rows of both tables."""
-    wanted = drawn(seed, RIG_SET, size_px)[:FORTH]
-    progress = Progress(len(wanted))
+    requests = drawn(seed, RIG_SET, size_px)[:FORTH]
+    progress = Progress(len(requests))
     scans: list[ReadyScan] = []
-    for view in spread(partial(view_of, keep=keep), wanted):
-        progress.step(f"view {len(scans) + 1} of {len(wanted)}")
+    for view in spread(partial(view_of, keep=keep), requests):
+        progress.step(f"view {len(scans) + 1} of {len(requests)}")
         scans.append(ready_of(view))
     return noticed(seed, scans)
 
@@ -86,23 +88,28 @@ def _wrong(seed: int, edges: list[Edge], looped: list[Edge], middles: dict[int, 
     ways += [(f"a shift of {shift:g} mm", shift) for shift in SHIFTS_MM]
     count, rows = max(max(edge.first, edge.second) for edge in edges) + 1, []
     for name, shift_mm in ways:
-        found = others = 0
+        detected = right_removed = 0
         missed_mm: list[float] = []
         chosen = [looped[k] for k in rng.choice(len(looped), min(TRIES, len(looped)), replace=False)]
         for edge in chosen:
-            made = _made_wrong(edge, shift_mm, rng)
-            placed = place(count, [made if one is edge else one for one in edges], middles, with_bow=False)
-            taken = [one is made for one in placed.wrong]
-            found += any(taken)
-            others += len(taken) - sum(taken)
-            if not any(taken):
+            wrong_edge = _made_wrong(edge, shift_mm, rng)
+            placed = place(
+                count,
+                [wrong_edge if edge_or_other is edge else edge_or_other for edge_or_other in edges],
+                middles,
+                with_bow=False,
+            )
+            is_wrong = [edge_or_other is wrong_edge for edge_or_other in placed.wrong]
+            detected += any(is_wrong)
+            right_removed += len(is_wrong) - sum(is_wrong)
+            if not any(is_wrong):
                 missed_mm.append(placed.discrepancy_mm.get((edge.first, edge.second), float("nan")))
         rows.append(
             {
                 "made wrong by": name,
                 "tried": len(chosen),
-                "found": found,
-                "right pairs taken out": others,
+                "found": detected,
+                "right pairs taken out": right_removed,
                 "left in, discrepancy at most mm": max(missed_mm, default=None),
             }
         )
@@ -110,48 +117,52 @@ def _wrong(seed: int, edges: list[Edge], looped: list[Edge], middles: dict[int, 
 
 
 def _made_wrong(edge: Edge, shift_mm: float | None, rng: np.random.Generator) -> Edge:
-    pose, at = edge.fit.pose, edge.fit.middle_mm
+    pose, middle_mm = edge.fit.pose, edge.fit.middle_mm
     if shift_mm is None:
-        turn = rotation_matrix(np.array([0.0, 0.0, np.pi]))
+        half_turn = rotation_matrix(np.array([0.0, 0.0, np.pi]))
         return replace(
-            edge, fit=replace(edge.fit, pose=Rigid(turn @ pose.rotation, turn @ (pose.translation_mm - at) + at))
+            edge,
+            fit=replace(
+                edge.fit,
+                pose=Rigid(half_turn @ pose.rotation, half_turn @ (pose.translation_mm - middle_mm) + middle_mm),
+            ),
         )
     # In the image's plane, where a slide or a repeat goes.
-    way = rng.normal(size=2)
-    shift = shift_mm * np.array([*(way / np.linalg.norm(way)), 0.0])
+    direction = rng.normal(size=2)
+    shift = shift_mm * np.array([*(direction / np.linalg.norm(direction)), 0.0])
     return replace(edge, fit=replace(edge.fit, pose=Rigid(pose.rotation, pose.translation_mm + shift)))
 
 
 def _power(seed: int, count: int, edges: list[Edge], middles: dict[int, Array]) -> list[dict[str, Any]]:
     rng = np.random.default_rng([32, seed])
-    known = prior_covariance(STATED_SHARE * PRIOR_MM2)
+    prior = prior_covariance(STATED_SHARE * PRIOR_MM2)
     root = np.linalg.cholesky(STATED_SHARE * PRIOR_MM2)
     rows = []
     for times in TIMES:
         scores = []
         for _ in range(DRAWS if times else 1):
             shared = times * (root @ rng.normal(size=len(root)))
-            placed = place(count, [_bent(edge, shared) for edge in edges], middles, with_bow=True, prior_mm2=known)
-            scores.append(bow_score(placed.bow_mm, known, placed.bow_covariance))
-        told = [score for score in scores if score is not None]
+            placed = place(count, [_bent(edge, shared) for edge in edges], middles, with_bow=True, prior_mm2=prior)
+            scores.append(bow_score(placed.bow_mm, prior, placed.bow_covariance))
+        valid_scores = [score for score in scores if score is not None]
         rows.append(
             {
                 "times": times,
                 "draws": len(scores),
-                "told": len(told),
-                "score": float(np.median(told)) if told else float("nan"),
-                "alarms": sum(score > OVERLAP_LIMIT for score in told),
+                "told": len(valid_scores),
+                "score": float(np.median(valid_scores)) if valid_scores else float("nan"),
+                "alarms": sum(score > OVERLAP_LIMIT for score in valid_scores),
             }
         )
     return rows
 
 
 def _bent(edge: Edge, shared_mm: Array) -> Edge:
-    """Return the pair as it would be with a shared error in both scans' points."""
+    """Return the pair with a shared depth error in the points of both scans."""
     fit = edge.fit
     delta = fit.depth_error.response @ shared_mm
-    turn = rotation_matrix(delta[:3] / fit.lever_mm)
-    at = fit.middle_mm
-    pose = Rigid(turn @ fit.pose.rotation, turn @ (fit.pose.translation_mm - at) + at + delta[3:])
+    rotation = rotation_matrix(delta[:3] / fit.lever_mm)
+    middle_mm = fit.middle_mm
+    pose = Rigid(rotation @ fit.pose.rotation, rotation @ (fit.pose.translation_mm - middle_mm) + middle_mm + delta[3:])
     news = replace(fit.depth_error, gradient=fit.depth_error.gradient - fit.depth_error.information @ shared_mm)
     return replace(edge, fit=replace(fit, pose=pose, depth_error=news))

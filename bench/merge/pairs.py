@@ -1,4 +1,4 @@
-"""Owns drawn pairs of views: which are accepted, how far off they are, and what is refused though it could be told."""
+"""Random scan pairs: which are accepted, their errors, and rejected ones that could be solved."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.overlap.fine import correspond
 from appliance.measure.overlap.pair import ReadyScan, ready, register
 from appliance.measure.overlap.rigid import Rigid
-from bench.merge.views import Array, PlacedView, Wanted, view_of
+from bench.merge.views import Array, PlacedView, ViewRequest, view_of
 from bench.progress import Progress
 from bench.result import Measured
 from bench.spread import spread
@@ -52,20 +52,20 @@ def measure(count: int, seed: int, keep: Path | None) -> tuple[list[Measured], l
 
 
 def figures(rows: list[dict[str, Any]]) -> list[Measured]:
-    """Return what the pairs show. An accepted pair that truly shares nothing is wrong, whatever it states."""
+    """Return the figures of the pairs. An accepted pair without any overlap is wrong, whatever its sigma."""
     accepted = [row for row in rows if row["accepted"]]
     wrong = [row for row in accepted if row["error_mm"] > SIGMAS * row["sigma_mm"] + MORE_MM]
     solvable = [row for row in rows if row["solvable"]]
-    found = [row for row in solvable if row["accepted"]]
+    solved = [row for row in solvable if row["accepted"]]
     sliding = [row for row in rows if not row["tells"] and row["overlap"] >= LEAST_OVERLAP]
-    share = 100.0 * len(found) / max(len(solvable), 1)
+    share = 100.0 * len(solved) / max(len(solvable), 1)
     return [
         Measured("accepted pairs that are wrong", len(wrong), out_of(len(accepted), len(wrong)), at_most=0.0, key="merge_wrong_pairs"),
-        Measured("solvable pairs that are accepted", share, f"% {out_of(len(solvable), len(found))}", at_least=95.0),
-        Measured("stated sigma of those, median", 1000.0 * _median([r["sigma_mm"] for r in found]), "um", at_most=100.0),
-        Measured("error of those, median", 1000.0 * _median([r["error_mm"] for r in found]), "um"),
-        Measured("error of those, largest", 1000.0 * max((r["error_mm"] for r in found), default=float("nan")), "um"),
-        Measured("error over sigma of those, median", _median([r["error_mm"] / r["sigma_mm"] for r in found]), ""),
+        Measured("solvable pairs that are accepted", share, f"% {out_of(len(solvable), len(solved))}", at_least=95.0),
+        Measured("stated sigma of those, median", 1000.0 * _median([r["sigma_mm"] for r in solved]), "um", at_most=100.0),
+        Measured("error of those, median", 1000.0 * _median([r["error_mm"] for r in solved]), "um"),
+        Measured("error of those, largest", 1000.0 * max((r["error_mm"] for r in solved), default=float("nan")), "um"),
+        Measured("error over sigma of those, median", _median([r["error_mm"] / r["sigma_mm"] for r in solved]), ""),
         Measured("pairs that nothing holds, refused", sum(not r["accepted"] for r in sliding), f"of {len(sliding)}"),
         Measured("CPU to prepare a view, median", _median([r["ready_s"] for r in rows]), "s"),
         Measured("CPU a pair, median", _median([r["pair_s"] for r in rows]), "s"),
@@ -82,7 +82,7 @@ def _row(number: int, seed: int, keep: Path | None) -> dict[str, Any]:
     shape, paint, poses = drawn(number, seed)
     rig_seed = 1000 * seed + number // SEEDS_A_RIG
     views = [
-        view_of(Wanted(shape, paint, pose, "realistic", rig_seed, 2 * number + k, SIZE_PX), keep)
+        view_of(ViewRequest(shape, paint, pose, "realistic", rig_seed, 2 * number + k, SIZE_PX), keep)
         for k, pose in enumerate(poses)
     ]
     begun = time.process_time()
@@ -131,7 +131,7 @@ def off_mm(pose: Rigid, true: Rigid, points: Array) -> float:
 
 
 def drawn(number: int, seed: int) -> tuple[str, str, tuple[tuple[float, ...], tuple[float, ...]]]:
-    """Return shape, paint, and the object's two poses of a pair: the second is the first, with the instrument moved and turned."""
+    """Return shape, texture, and both poses of the object: the second after a motion of the instrument."""
     rng = np.random.default_rng([77, seed, number])
     shape = SHAPES[number % len(SHAPES)]
     paint = PAINTS[(number // len(SHAPES)) % len(PAINTS)] if shape != "board" else "slight"
@@ -140,9 +140,9 @@ def drawn(number: int, seed: int) -> tuple[str, str, tuple[tuple[float, ...], tu
     R, t = pose_matrix(first)
     far = rng.random() < 0.2
     shift = rng.uniform(-1, 1, 3) * ((180, 150, 30) if far else (110, 90, 25))
-    turn = rotation_matrix(np.radians(rng.uniform(-1, 1, 3) * (14, 14, 30 if rng.random() < 0.7 else 120)))
+    rotation = rotation_matrix(np.radians(rng.uniform(-1, 1, 3) * (14, 14, 30 if rng.random() < 0.7 else 120)))
     middle = np.array([0.0, 0.0, depth])
-    second = (*(turn @ (t - middle) + middle + shift), *angles_deg(turn @ R))
+    second = (*(rotation @ (t - middle) + middle + shift), *angles_deg(rotation @ R))
     return shape, paint, (tuple(map(float, first)), tuple(map(float, second)))
 
 
@@ -155,6 +155,6 @@ def angles_deg(rotation: Array) -> Array:
             )
             for start in (np.array([0.0, 0.0, roll]) for roll in (0.0, 90.0, -90.0, 180.0))
         ),
-        key=lambda one: one.cost,
+        key=lambda candidate: candidate.cost,
     )
     return np.asarray(best.x)

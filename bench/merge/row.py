@@ -1,5 +1,7 @@
-"""Owns a row of scans along the water main, forth and, turned, back: places, length and bending against the truth, with a shared error
-added to every scan and without."""
+"""A row of scans along the water main, forth and, turned, back: poses, length and bending against the truth.
+
+A common depth error is added to every scan, or not.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.points.organised import OrganisedCloud
 from bench.merge.calibrated import Distortion, distortion
 from bench.merge.pairs import angles_deg, ready_of
-from bench.merge.views import Array, PlacedView, Wanted, view_of
+from bench.merge.views import Array, PlacedView, ViewRequest, view_of
 from bench.progress import Progress
 from bench.result import Measured
 from bench.spread import spread
@@ -30,11 +32,11 @@ TURNED_DEG = 50.0
 DISTANCE_MM = 585.0
 SHARED_MM = np.zeros(DEPTH_ERROR_TERMS)
 SHARED_MM[:7] = [0.030, 0.0, -0.015, 0.009, 0.0, 0.009, 0.0]
-"""A bow of 30 µm across the view, and what comes with it."""
+"""A bow of 30 µm across the view, and related shapes."""
 LENGTH_MM = 600.0
 MOST_PERCENT = 0.02
 MOST_SIGMAS = 2.0
-"""Of a place's stated standard deviation, with what may bend it: 95 of 100 places are no farther off."""
+"""Largest error of a pose in stated standard deviations, the depth error included: 95 of 100 are below."""
 
 
 def measure(
@@ -42,15 +44,15 @@ def measure(
 ) -> tuple[list[Measured], list[dict[str, Any]]]:
     """Return figures of one row of scans, and the rows of a table.
 
-    ``calibrated``: so many rigs of the world ``outside`` are calibrated, from four recordings, and the row is taken with each.
+    ``calibrated`` rigs of the world ``outside`` are calibrated from four recordings, and the row is taken with each.
     """
-    wanted = drawn(seed, rig_set, size_px)
-    progress = Progress(len(wanted))
+    requests = drawn(seed, rig_set, size_px)
+    progress = Progress(len(requests))
     views: list[PlacedView] = []
-    for view in spread(partial(view_of, keep=keep), wanted):
-        progress.step(f"view {len(views) + 1} of {len(wanted)}")
+    for view in spread(partial(view_of, keep=keep), requests):
+        progress.step(f"view {len(views) + 1} of {len(requests)}")
         views.append(view)
-    found: list[Measured] = []
+    measured: list[Measured] = []
     rows: list[dict[str, Any]] = []
     kinds: list[tuple[str, Array, Distortion | None]] = [
         ("as they are", np.zeros(DEPTH_ERROR_TERMS), None),
@@ -60,39 +62,43 @@ def measure(
         (f"as rig {seed + k} calibrates itself", np.zeros(DEPTH_ERROR_TERMS), distortion(seed + k, 4))
         for k in range(calibrated)
     ]
-    for name, shared, own in kinds:
-        stated = None if own is None else own.stated_mm2
-        scale = 1.0 if own is None else own.scale
-        bent = [replace(view, cloud=_bent(view.cloud if own is None else own.of(view.cloud), shared)) for view in views]
+    for name, shared, rig_distortion in kinds:
+        stated = None if rig_distortion is None else rig_distortion.stated_mm2
+        scale = 1.0 if rig_distortion is None else rig_distortion.scale
+        bent = [
+            replace(view, cloud=_bent(view.cloud if rig_distortion is None else rig_distortion.of(view.cloud), shared))
+            for view in views
+        ]
         begun = time.process_time()
         scans = [ready_of(view) for view in bent]
         prepared = time.process_time()
         solved = solve(scans, lambda *_: None, with_bow=True, stated_mm2=stated)
         done = time.process_time()
-        found.append(Measured(f"{name}: CPU to prepare {len(scans)} scans", prepared - begun, "s"))
-        found.append(Measured(f"{name}: CPU for {len(solved.compared)} pairs and the graph", done - prepared, "s"))
-        found.append(Measured(f"{name}: scans placed", len(solved.placed.poses), f"of {len(scans)}"))
+        measured.append(Measured(f"{name}: CPU to prepare {len(scans)} scans", prepared - begun, "s"))
+        measured.append(Measured(f"{name}: CPU for {len(solved.compared)} pairs and the graph", done - prepared, "s"))
+        measured.append(Measured(f"{name}: scans placed", len(solved.placed.poses), f"of {len(scans)}"))
         middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
-        known = prior_covariance(stated)
-        plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False, prior_mm2=known)
+        prior = prior_covariance(stated)
+        plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False, prior_mm2=prior)
         for how, placed in (("estimated", solved.placed), ("not estimated", plain)):
             row = {"scans": name, "bow": how, **_judged(placed, views, middles, solved.compared, scale)}
-            row["score"] = bow_score(placed.bow_mm, known, placed.bow_covariance) if how == "estimated" else None
+            row["score"] = bow_score(placed.bow_mm, prior, placed.bow_covariance) if how == "estimated" else None
             rows.append(row)
-            said = f"{name}, bow {how}"
-            found += figures(said, row, default=how == "not estimated")
-    return found, rows
+            label = f"{name}, bow {how}"
+            measured += figures(label, row, default=how == "not estimated")
+    return measured, rows
 
 
-def figures(said: str, row: dict[str, Any], *, default: bool) -> list[Measured]:
-    """Return what one way of placing shows. Both keep the bound of lengths; what is done unless asked otherwise (``default``) keeps to its budget, too."""
-    length = f"{said}: length error over {LENGTH_MM:.0f} mm"
+def figures(label: str, row: dict[str, Any], *, default: bool) -> list[Measured]:
+    """Return the figures of one solution. All have the limit of lengths; the ``default`` one also has that of its
+    budget."""
+    length = f"{label}: length error over {LENGTH_MM:.0f} mm"
     return [
         Measured(length, row["length_percent"], "%", at_most=MOST_PERCENT),
-        Measured(f"{said}: farthest place off", 1000.0 * row["worst_mm"], "um"),
-        Measured(f"{said}: what may bend it, stated", 1000.0 * row["budget_mm"], "um"),
+        Measured(f"{label}: farthest place off", 1000.0 * row["worst_mm"], "um"),
+        Measured(f"{label}: what may bend it, stated", 1000.0 * row["budget_mm"], "um"),
         Measured(
-            f"{said}: farthest place off, over what is stated of it",
+            f"{label}: farthest place off, over what is stated of it",
             row["worst_over_sigma"],
             "standard deviations",
             at_most=MOST_SIGMAS if default else None,
@@ -107,16 +113,17 @@ def _judged(
     compared: tuple[ComparedPair, ...],
     scale: float,
 ) -> dict[str, Any]:
-    """Return a row of the table; ``scale`` is the single scans' own, which merging is not blamed for."""
+    """Return a row of the table; ``scale`` is that of single scans, for which merging is not responsible."""
     first = min(placed.poses)
-    at, true = {}, {}
+    placed_mm, true = {}, {}
     for k, pose in placed.poses.items():
-        at[k] = pose.of(middles[k])
+        placed_mm[k] = pose.of(middles[k])
         true[k] = views[k].place.then(views[first].place.inverse).of(middles[k])
-    off = {k: float(np.linalg.norm(at[k] - true[k])) for k in at}
-    pairs = [(i, j) for i in at for j in at if i < j and np.linalg.norm(true[i] - true[j]) > LENGTH_MM]
+    off = {k: float(np.linalg.norm(placed_mm[k] - true[k])) for k in placed_mm}
+    pairs = [(i, j) for i in placed_mm for j in placed_mm if i < j and np.linalg.norm(true[i] - true[j]) > LENGTH_MM]
     lengths = [
-        100.0 * abs(float(np.linalg.norm(at[i] - at[j]) / np.linalg.norm(true[i] - true[j])) / scale - 1.0)
+        100.0
+        * abs(float(np.linalg.norm(placed_mm[i] - placed_mm[j]) / np.linalg.norm(true[i] - true[j])) / scale - 1.0)
         for i, j in pairs
     ]
     farthest = max(off, key=lambda k: off[k])
@@ -126,7 +133,7 @@ def _judged(
         "worst_over_sigma": off[farthest] / stated_mm if stated_mm else 0.0,
         "rms_mm": float(np.sqrt(np.mean(np.square(list(off.values()))))),
         "length_percent": float(np.sqrt(np.mean(np.square(lengths)))) if lengths else float("nan"),
-        "sigma_mm": max(float(np.sqrt(np.trace(one[3:, 3:]))) for one in placed.covariance.values()),
+        "sigma_mm": max(float(np.sqrt(np.trace(covariance[3:, 3:]))) for covariance in placed.covariance.values()),
         "budget_mm": max(placed.bending_mm.values()),
         "bow_um": [1000.0 * value for value in placed.bow_mm.tolist()],
         "variance_factor": placed.variance_factor,
@@ -144,23 +151,24 @@ def _bent(cloud: OrganisedCloud, shared: Array) -> OrganisedCloud:
     return replace(cloud, points_mm=moved.astype(np.float32))
 
 
-def drawn(seed: int, rig_set: str, size_px: tuple[int, int]) -> list[Wanted]:
+def drawn(seed: int, rig_set: str, size_px: tuple[int, int]) -> list[ViewRequest]:
     """Return the views: forth along the main, then back with the main turned about its axis."""
     return [
-        Wanted("main", "slight", pose, rig_set, seed, k, size_px)
+        ViewRequest("main", "slight", pose, rig_set, seed, k, size_px)
         for k, pose in enumerate(poses_along(seed, FORTH, BACK))
     ]
 
 
 def poses_along(seed: int, forth: int, back: int) -> list[tuple[float, ...]]:
-    """Return poses [x, y, z, rx_deg, ry_deg, rz_deg] of the main: so many views forth along it, and back with it turned about its axis."""
+    """Return poses [x, y, z, rx_deg, ry_deg, rz_deg] of the main: ``forth`` views along it, and ``back`` turned about
+    its axis."""
     rng = np.random.default_rng([5, seed])
     along = [*np.linspace(-END_MM, END_MM, forth), *np.linspace(END_MM, -END_MM, back)]
     turned = [0.0] * forth + [TURNED_DEG] * back
     poses = []
-    for x, turn in zip(along, turned, strict=True):
+    for x, turn_deg in zip(along, turned, strict=True):
         hand = rotation_matrix(np.radians(rng.normal(size=3) * (5.0, 5.0, 4.0)))
-        R = hand @ rotation_matrix(np.array([np.radians(turn), 0.0, 0.0]))
+        R = hand @ rotation_matrix(np.array([np.radians(turn_deg), 0.0, 0.0]))
         t = np.array([0.0, 0.0, DISTANCE_MM]) + rng.normal(size=3) * (6.0, 6.0, 8.0) - R @ np.array([x, 0.0, 0.0])
         poses.append(tuple(map(float, (*t, *angles_deg(R)))))
     return poses

@@ -1,4 +1,5 @@
-"""Owns one view of the simulated world for merging: an object, a rig, a place; frames rendered and reconstructed as the instrument does."""
+"""One view of the simulated world for merging: object, rig and pose; frames rendered, and reconstructed as by the
+instrument."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ class PlacedView:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ViewRequest:
     """A view to be taken."""
 
     object: str
@@ -51,21 +52,26 @@ class Wanted:
     size_px: tuple[int, int]
 
 
-def view_of(wanted: Wanted, keep: Path | None) -> PlacedView:
-    """Take a view, or read it from the folder ``keep``, where it is left otherwise. The calibration states the truth about the rig."""
-    scene = Scene(object=wanted.object, pose=_six(wanted.pose), texture=wanted.texture, ambient=AMBIENT)
-    world = world_of(scene, wanted.rig_seed, (), truth_set=wanted.rig_set, size_px=wanted.size_px)
+def view_of(request: ViewRequest, keep: Path | None) -> PlacedView:
+    """Take a view, or read it from the folder ``keep``, where a new one is stored.
+
+    The calibration states the true rig.
+    """
+    scene = Scene(object=request.object, pose=_six(request.pose), texture=request.texture, ambient=AMBIENT)
+    world = world_of(scene, request.rig_seed, (), truth_set=request.rig_set, size_px=request.size_px)
     stated = stated_truth(world.rig, scene)
     path = (
         None
         if keep is None
-        else keep / f"{wanted.object}-{wanted.texture}-{wanted.rig_set}{wanted.rig_seed}-{wanted.number}.npz"
+        else keep / f"{request.object}-{request.texture}-{request.rig_set}{request.rig_seed}-{request.number}.npz"
     )
     if path is not None and path.exists():
-        with np.load(path) as kept:
-            cloud = OrganisedCloud(kept["points"], kept["sigma"], kept["modulation"], kept["gap"], kept["grey"])
+        with np.load(path) as stored:
+            cloud = OrganisedCloud(
+                stored["points"], stored["sigma"], stored["modulation"], stored["gap"], stored["grey"]
+            )
     else:
-        frames = expose(world.renderer(), SEQUENCE, EXPOSURE, number=wanted.number)
+        frames = expose(world.renderer(), SEQUENCE, EXPOSURE, number=request.number)
         with Pipeline(stated.calibration, stated.water, SEQUENCE, noise=data_sheet(scene, 0.0)) as pipeline:
             for side, stack in frames.items():
                 for k in range(len(stack)):
@@ -83,7 +89,7 @@ def view_of(wanted: Wanted, keep: Path | None) -> PlacedView:
             draft.replace(path)
     origin = left_to_rig(world.rig, np.zeros((1, 3)))[0]
     axes = (left_to_rig(world.rig, np.eye(3)) - origin).T
-    R, t = pose_matrix(wanted.pose)
+    R, t = pose_matrix(request.pose)
     place = Rigid(axes, origin).then(Rigid(R.T, -R.T @ t))
     return PlacedView(cloud, place, stated.calibration, stated.water.index)
 

@@ -1,1 +1,1 @@
-"""What a whole scan costs with all of its judges, from the last frame to what the diver and the disk have of it."""
+"""Cost of a whole scan with all judges, from the last frame to the cloud on screen and disk."""

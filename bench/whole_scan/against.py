@@ -1,7 +1,7 @@
-"""Owns the comparison of two revisions part by part: another one's program in a tree of its own, both run in turns on the same frames.
+"""Comparison of the CPU time of two revisions part by part, on the same frames in alternating turns.
 
-A ratio is taken within each round and the median of those is reported: what disturbs one round disturbs both its parts. Each side is a process
-that does everything in one thread.
+A ratio is taken within each round and the median of those is reported, because a disturbance of one round affects both.
+Each side is a process that does everything in one thread.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ ROWS = {
 
 
 class NoComparison(Exception):
-    """The other revision cannot be run; the text says why, and what to do."""
+    """Error of a revision that cannot be run; the text says why and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,24 +86,24 @@ class Tree:
 def compared(
     theirs: Tree, rounds: int, scenes: Sequence[str] = NAMES, width_px: int = 1600, folder: Path = FOLDER
 ) -> Iterator[Measured]:
-    """Yield, for each scene and part, this tree's CPU time over that of ``theirs``. Raises NoComparison, ValueError."""
+    """Yield this tree's CPU time over that of ``theirs``, for each scene and part. Raises NoComparison, ValueError."""
     if rounds < 1:
         raise ValueError(f"rounds is {rounds}; at least 1 is needed")
     ours = Tree(Path.cwd(), "", dict(os.environ, PYTHONPATH=str(Path.cwd())))
     for scene in scenes:
         arguments = (scene, str(width_px), str(folder.absolute()))
         with ExitStack() as stack:
-            # Theirs first: frames that are not there yet are drawn once, by whoever comes first.
-            other = stack.enter_context(Side(theirs, arguments))
-            own = stack.enter_context(Side(ours, arguments))
-            turns = [_turn(own, other, own_first=bool(k % 2)) for k in range(rounds)]
+            # Theirs first: missing frames are rendered once, by the first side.
+            their_side = stack.enter_context(Side(theirs, arguments))
+            our_side = stack.enter_context(Side(ours, arguments))
+            turns = [_turn(our_side, their_side, ours_first=bool(k % 2)) for k in range(rounds)]
         yield from ratios(scene, theirs.revision, turns)
-        both = own.found.keys() & other.found.keys()
-        differ = sorted(name for name in both if own.found[name] != other.found[name])
+        common = our_side.found.keys() & their_side.found.keys()
+        differ = sorted(name for name in common if our_side.found[name] != their_side.found[name])
         for what, equal in (("points", "points" not in differ), ("judgements", not set(differ) - {"points"})):
-            words = f"{scene}: {what} the same to the last byte (1: yes)"
+            label = f"{scene}: {what} the same to the last byte (1: yes)"
             yield Measured(
-                f"{words}; not {', '.join(differ)}" if differ else words,
+                f"{label}; not {', '.join(differ)}" if differ else label,
                 float(equal),
                 "",
                 key=key_of(scene, f"same_{what}"),
@@ -113,33 +113,34 @@ def compared(
 def ratios(
     scene: str, revision: str, turns: Sequence[tuple[Mapping[str, float], Mapping[str, float]]]
 ) -> Iterator[Measured]:
-    """Yield the medians of ``turns``: what each part took here and there, ms CPU, in each round."""
-    asked: dict[str, Sequence[str]] = {part: (part,) for part in turns[0][0] if part in turns[0][1]} | SUMS
-    for name, of in asked.items():
-        both = [
-            (sum(own.get(part, 0.0) for part in of), sum(other.get(part, 0.0) for part in of)) for own, other in turns
+    """Yield the medians of ``turns``: CPU ms of each part in both trees, in each round."""
+    parts_by_name: dict[str, Sequence[str]] = {part: (part,) for part in turns[0][0] if part in turns[0][1]} | SUMS
+    for name, part_names in parts_by_name.items():
+        pairs_ms = [
+            (sum(our_ms.get(part, 0.0) for part in part_names), sum(their_ms.get(part, 0.0) for part in part_names))
+            for our_ms, their_ms in turns
         ]
-        # What takes next to nothing on either side has no ratio worth telling.
-        if all(other_ms >= 1.0 for _, other_ms in both):
-            words = f"{scene}, {name}: CPU over that of {revision[:8]}"
-            yield median_of(words, [own_ms / other_ms for own_ms, other_ms in both], "times", key_of(scene, name))
+        # A part that takes almost no time on either side has no useful ratio.
+        if all(other_ms >= 1.0 for _, other_ms in pairs_ms):
+            label = f"{scene}, {name}: CPU over that of {revision[:8]}"
+            yield median_of(label, [own_ms / other_ms for own_ms, other_ms in pairs_ms], "times", key_of(scene, name))
 
 
 def table(revision: str, rounds: int, measured: Sequence[Measured]) -> str:
-    """Return the ratios as a table with a column for each scene; what a scene has not is a dash."""
-    said = {number.key: number.value for number in measured}
+    """Return the ratios as a table with a column for each scene; missing ones are a dash."""
+    values_by_key = {number.key: number.value for number in measured}
     lines = [
         f"CPU time over that of revision {revision[:8]}: both run in turns on the same frames, in processes of one thread each; medians of {rounds} rounds.",
         "",
         f"| ratio | {' | '.join(head for _, head in HEADS)} |",
         "|---|" + "---:|" * len(HEADS),
     ]
-    for part, words in ROWS.items():
-        values = [said.get(key_of(scene, part)) for scene, _ in HEADS]
+    for part, label in ROWS.items():
+        values = [values_by_key.get(key_of(scene, part)) for scene, _ in HEADS]
         if any(value is not None for value in values):
-            lines.append(f"| {words} | {' | '.join(_ratio(value) for value in values)} |")
+            lines.append(f"| {label} | {' | '.join(_ratio(value) for value in values)} |")
     for what in SAME:
-        values = [said.get(key_of(scene, f"same_{what}")) for scene, _ in HEADS]
+        values = [values_by_key.get(key_of(scene, f"same_{what}")) for scene, _ in HEADS]
         lines.append(f"| {what} the same to the last byte | {' | '.join(_yes(value) for value in values)} |")
     return "\n".join([*lines, "", f"*Figures of {version()}.*"]) + "\n"
 
@@ -158,14 +159,14 @@ def key_of(scene: str, part: str) -> str:
 
 
 def other_tree(revision: str, trees: Path = TREES) -> Tree:
-    """Make the tree of ``revision`` unless it is there, compile its kernels, and return it. Raises NoComparison."""
+    """Make the tree of ``revision`` unless it exists, compile its kernels, and return it. Raises NoComparison."""
     try:
         commit = _git("rev-parse", "--verify", "--end-of-options", f"{revision}^{{commit}}").decode().strip()
         inside = _git("ls-tree", "--name-only", commit, "bench/whole_scan/parts.py")
     except subprocess.CalledProcessError as error:
-        said = error.stderr.decode(errors="replace").strip()
+        message = error.stderr.decode(errors="replace").strip()
         raise NoComparison(
-            f"--against {revision}: git knows no such revision ({said}); give one of `git log`"
+            f"--against {revision}: git knows no such revision ({message}); give one of `git log`"
         ) from error
     if not inside:
         raise NoComparison(
@@ -180,9 +181,10 @@ def other_tree(revision: str, trees: Path = TREES) -> Tree:
             shutil.unpack_archive(packed, Path(making) / "tree", "tar", filter="data")
             (Path(making) / "tree").rename(root)
     root.touch()
-    for old in sorted((one for one in trees.iterdir() if one.is_dir()), key=lambda one: one.stat().st_mtime)[
-        :-KEPT_TREES
-    ]:
+    for old in sorted(
+        (tree_folder for tree_folder in trees.iterdir() if tree_folder.is_dir()),
+        key=lambda tree_folder: tree_folder.stat().st_mtime,
+    )[:-KEPT_TREES]:
         shutil.rmtree(old)
     environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
     environment["PYTHONPATH"] = str(root)
@@ -222,7 +224,7 @@ class Side:
         self._stop()
 
     def round(self) -> dict[str, float]:
-        """Let it take one scan; what each part took, ms CPU."""
+        """Run one scan; return CPU ms of each part."""
         process = self._process
         assert process is not None, "inside the context"
         assert process.stdin is not None
@@ -247,12 +249,12 @@ class Side:
         end_process(process, self._errors)
 
 
-def _turn(own: Side, other: Side, *, own_first: bool) -> tuple[dict[str, float], dict[str, float]]:
-    if own_first:
-        mine = own.round()
-        return mine, other.round()
-    theirs = other.round()
-    return own.round(), theirs
+def _turn(our_side: Side, their_side: Side, *, ours_first: bool) -> tuple[dict[str, float], dict[str, float]]:
+    if ours_first:
+        mine = our_side.round()
+        return mine, their_side.round()
+    theirs = their_side.round()
+    return our_side.round(), theirs
 
 
 def _git(*arguments: str) -> bytes:
@@ -266,6 +268,6 @@ def _python(root: Path, environment: Mapping[str, str], arguments: Sequence[str]
             command, cwd=root, env=dict(environment), capture_output=True, text=True, timeout=timeout_s, check=True
         )
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-        said = str(getattr(error, "stderr", "") or "").strip().splitlines()
-        raise NoComparison(f"{' '.join(arguments)} failed in {root}: {said[-1] if said else error}") from error
+        lines = str(getattr(error, "stderr", "") or "").strip().splitlines()
+        raise NoComparison(f"{' '.join(arguments)} failed in {root}: {lines[-1] if lines else error}") from error
     return ran.stdout

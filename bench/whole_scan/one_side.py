@@ -1,9 +1,9 @@
-"""Owns one side of a comparison of two revisions: the parts of a scan, timed by the program of whatever tree this is run in.
+"""One side of a comparison of two revisions: the parts of a scan, timed by the program of the present tree.
 
     python -P one_side.py SCENE WIDTH_PX FOLDER        with the tree in PYTHONPATH
 
-It is run by its path, in this tree's form for both sides. It says a line when everything is loaded, with digests of what the program finds in
-the scene, then times one scan for each line that it reads.
+It is run by its path, in this tree's form for both sides. It prints a line when all is loaded, with digests of the
+results of the scene, then times one scan for each line that it reads.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from bench.whole_scan.scenes import TimedScene, timed_scene
 def main() -> None:
     """Answer in JSON, line by line."""
     scene = timed_scene(sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]))
-    found = digests(scene)
+    scene_digests = digests(scene)
     with procedure(scene) as timed:
-        _say(found)
+        _say(scene_digests)
         for _ in sys.stdin:
             timed.round()
             _say({part: taken_ms[-1] for part, taken_ms in timed.parts_ms().items()})
@@ -47,9 +47,9 @@ def digests(scene: TimedScene) -> dict[str, str]:
         cloud.pixel,
     ):
         points.update(column.tobytes())
-    said = {one.verdict.name: repr((one.verdict, one.fault)) for one in full.judgements}
+    texts = {judgement.verdict.name: repr((judgement.verdict, judgement.fault)) for judgement in full.judgements}
     return {"points": points.hexdigest()} | {
-        name: hashlib.sha256(text.encode()).hexdigest() for name, text in said.items()
+        name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()
     }
 
 

@@ -1,4 +1,4 @@
-"""Owns one scan on the product's own worker process at the pace of the cameras: what came when, and what it had cost by then.
+"""One scan on the product's worker process at the pace of the cameras: times and CPU of its results.
 
 The clock starts when the last pair of frames is announced. Processor time is that of all threads of the worker, by its own
 clock in the kernel, from the same moment; what steps after an answer cost is taken off by the worker's own account of them.
@@ -43,28 +43,28 @@ CPUCLOCK_SCHED = 2
 
 @dataclass(frozen=True, slots=True)
 class PacedScan:
-    """Milliseconds of one scan: by the clock from the last frame on, and CPU of all threads of the worker."""
+    """Milliseconds of one scan: by the clock from the last frame, and CPU of all threads of the worker."""
 
     coarse_ms: float
     """Until the parent has the coarse cloud."""
     verdict_ms: float
     full_ms: float
     durable_ms: float
-    """Until both cameras' raw frames are on the disk, and the disk said so."""
+    """Until both cameras' raw frames are durable."""
     recording_cpu_ms: float
     """From the first frame to the last but one."""
     complete_cpu_ms: float
-    """From the last pair of frames to the full cloud, whatever was told in between."""
+    """From the last frame pair to the full cloud."""
     judging_cpu_ms: float
     """Between coarse cloud and verdict."""
     compensating_cpu_ms: float
-    """Between the verdict and the last one; 0: nothing had moved."""
+    """Between the first and the last verdict; 0 without motion."""
     compensating_ms: float
     """The same by the clock."""
     full_step_cpu_ms: float
     points: int
     faults: tuple[str, ...]
-    """Codes of what is held against the scan."""
+    """Codes of the faults of the scan."""
     trace: tuple[tuple[float, float], ...] = ()
     """Time in ms from the last frame on, and the worker's CPU by then in ms, sampled during a scan that is drawn."""
 
@@ -86,7 +86,7 @@ class PacedScan:
 
 @dataclass(slots=True)
 class _Heard:
-    """What the worker has said of a scan, and when."""
+    """Results of a scan so far, and their times."""
 
     coarse_s: float | None = None
     verdict_s: float | None = None
@@ -119,13 +119,13 @@ class PacedWorker:
 
     @property
     def own_peak_mb(self) -> float:
-        """The same without what it shares with its parent."""
+        """Peak memory without the part that is shared with the parent."""
         status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="ascii", errors="replace")
         shared = next(line for line in status.splitlines() if line.startswith("RssShmem"))
         return self.peak_mb - int(shared.split()[1]) / 1000.0
 
     def scan(self, *, traced: bool = False) -> PacedScan:
-        """Take one scan at 60 Hz, its raw frames written meanwhile as the service does. Raises RuntimeError."""
+        """Take one scan at 60 Hz, with its raw frames written meanwhile as by the service. Raises RuntimeError."""
         self._number += 1
         last = len(self._scene.sequence) - 1
         with _tracing(self._process.pid, traced) as trace:
@@ -140,24 +140,24 @@ class PacedWorker:
                     self._process.frame(side, k)
             self._process.finish()
             durable = self._disk.submit(self._make_durable)
-            heard = self._listen()
+            results = self._listen()
             # The worker is idle again: it waits for the next order.
             ended_cpu_ms = cpu_ms(self._process.pid)
         pending, durable_s = _result(durable)
         pending.reject("timed")
         return PacedScan(
-            coarse_ms=1e3 * (_known(heard.coarse_s) - last_s),
-            verdict_ms=1e3 * (_known(heard.verdict_s) - last_s),
-            full_ms=1e3 * (_known(heard.full_s) - last_s),
+            coarse_ms=1e3 * (_known(results.coarse_s) - last_s),
+            verdict_ms=1e3 * (_known(results.verdict_s) - last_s),
+            full_ms=1e3 * (_known(results.full_s) - last_s),
             durable_ms=1e3 * (durable_s - last_s),
             recording_cpu_ms=last_cpu_ms - begun_cpu_ms,
             complete_cpu_ms=ended_cpu_ms - last_cpu_ms,
-            judging_cpu_ms=1e3 * heard.judging_cpu_s,
-            compensating_cpu_ms=1e3 * heard.compensating_cpu_s,
-            compensating_ms=1e3 * ((heard.compensated_s or _known(heard.verdict_s)) - _known(heard.verdict_s)),
-            full_step_cpu_ms=1e3 * heard.full_cpu_s,
-            points=heard.points,
-            faults=heard.faults,
+            judging_cpu_ms=1e3 * results.judging_cpu_s,
+            compensating_cpu_ms=1e3 * results.compensating_cpu_s,
+            compensating_ms=1e3 * ((results.compensated_s or _known(results.verdict_s)) - _known(results.verdict_s)),
+            full_step_cpu_ms=1e3 * results.full_cpu_s,
+            points=results.points,
+            faults=results.faults,
             trace=tuple((1e3 * (at_s - last_s), used_ms - begun_cpu_ms) for at_s, used_ms in trace),
         )
 
@@ -166,28 +166,28 @@ class PacedWorker:
         return pending, time.monotonic()
 
     def _listen(self) -> _Heard:
-        heard = _Heard()
-        while heard.full_s is None:
+        results = _Heard()
+        while results.full_s is None:
             event = self._process.wait(CLOUD_TIMEOUT_S)
             now_s = time.monotonic()
             match event:
                 case News(_, PatternIdentity(judgement)) if judgement.fault is None:
                     pass
                 case News(_, CoarseCloud()):
-                    heard.coarse_s = now_s
+                    results.coarse_s = now_s
                 case News(_, FullCloud(found, judgements, cpu_s)):
-                    heard.full_s, heard.full_cpu_s, heard.points = now_s, cpu_s, found.summary.points
-                    heard.faults = _codes(judgements)
+                    results.full_s, results.full_cpu_s, results.points = now_s, cpu_s, found.summary.points
+                    results.faults = _codes(judgements)
                 case News(_, Verdicts(judgements, cpu_s)):
-                    heard.faults = _codes(judgements)
-                    if heard.verdict_s is None:
-                        heard.verdict_s, heard.judging_cpu_s = now_s, cpu_s
+                    results.faults = _codes(judgements)
+                    if results.verdict_s is None:
+                        results.verdict_s, results.judging_cpu_s = now_s, cpu_s
                     else:
-                        heard.compensated_s = now_s
-                        heard.compensating_cpu_s += cpu_s
+                        results.compensated_s = now_s
+                        results.compensating_cpu_s += cpu_s
                 case other:
                     raise RuntimeError(f"the worker answered {other!r:.200}")
-        return heard
+        return results
 
 
 def _codes(judgements: tuple[Judgement, ...]) -> tuple[str, ...]:
@@ -226,8 +226,8 @@ def cpu_ms(pid: int | None) -> float:
 
 
 @contextmanager
-def _tracing(pid: int | None, wanted: bool) -> Iterator[list[tuple[float, float]]]:
-    """Sample the process's CPU time until the end of the block, where that is ``wanted``."""
+def _tracing(pid: int | None, is_traced: bool) -> Iterator[list[tuple[float, float]]]:
+    """Sample the process's CPU time until the end of the block, if ``is_traced``."""
     trace: list[tuple[float, float]] = []
     over = threading.Event()
 
@@ -236,13 +236,13 @@ def _tracing(pid: int | None, wanted: bool) -> Iterator[list[tuple[float, float]
             trace.append((time.monotonic(), cpu_ms(pid)))
 
     thread = threading.Thread(target=sample, name="bench-trace", daemon=True)
-    if wanted:
+    if is_traced:
         thread.start()
     try:
         yield trace
     finally:
         over.set()
-        if wanted:
+        if is_traced:
             thread.join()
 
 

@@ -1,7 +1,6 @@
-"""Owns what each part of a scan costs, judge by judge: the procedure that the worker runs, run here, with a look at the clock at
-each of its steps.
+"""Cost of each part of a scan, judge by judge: the worker's procedure, timed at each of its steps.
 
-What several judges share is made by the first one that asks, and counted there.
+A value that several judges share is computed by the first one, and counted there.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ class Procedure:
         self._taken_ms[BACKSCATTER].append(self._backscatter_ms())
 
     def _backscatter_ms(self) -> float:
-        """Return what the decoders take to read again what lies behind backscatter, which is a part of the coarse cloud's step."""
+        """Return the time that decoders take to read through backscatter, a part of the coarse cloud's step."""
         spent_ms = 0.0
         for side in SIDES:
             frames = self._scene.frames[side]
@@ -83,13 +82,13 @@ class Procedure:
 
 @contextmanager
 def procedure(scene: TimedScene) -> Iterator[Procedure]:
-    """Make the pipeline and the judges for a scene, and run them once, so that everything is loaded."""
+    """Make the pipeline and the judges of a scene, and run them once, so that all is loaded."""
     # Without helpers: each part is done where it is told, by one thread, and its time is its own.
     with Pipeline(scene.calibration, scene.water, scene.sequence, noise=scene.settings.noise, helpers=0) as pipeline:
-        made = Procedure(scene, pipeline)
-        made.round()
-        made.forget()
-        yield made
+        timed = Procedure(scene, pipeline)
+        timed.round()
+        timed.forget()
+        yield timed
 
 
 class _Clock:

@@ -1,7 +1,8 @@
-"""Owns the four scenes that a whole scan is timed on, and the folder in which their frames are kept: drawn once, timed often.
+"""The four timed scenes of a whole scan, and the folder of their frames, which are rendered once.
 
-``disc``: the tilted disc of closed forms that fills three quarters of the image. ``pipe``: clear water, nothing moves.
-``turbid``: a shell in slightly turbid water. ``moving``: a pipe before a hand that moves and trembles; such a scan is compensated.
+``disc``: the tilted disc of closed forms that fills three quarters of the image. ``pipe``: clear water, at rest.
+``turbid``: a shell in slightly turbid water. ``moving``: a pipe before a hand that moves and trembles; such a scan is
+compensated.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class TimedScene:
-    """The frames of a scan, and everything that the worker must be told of it."""
+    """Frames of a scan, and all inputs of the worker."""
 
     name: str
     sequence: PatternSequence
@@ -80,11 +81,11 @@ def _disc(width_px: int, folder: Path) -> TimedScene:
     files = {side: folder / f"disc-{width_px}-{side}.npy" for side in SIDES}
     calibration = synthetic.calibration(width_px, height_px)
     if not all(path.exists() for path in files.values()):
-        made = make_scan(width_px, height_px)
+        scan = make_scan(width_px, height_px)
         folder.mkdir(parents=True, exist_ok=True)
         for side, path in files.items():
             draft = path.with_name(f".{path.name}")
-            np.save(draft, made.frames[side])
+            np.save(draft, scan.frames[side])
             draft.replace(path)
     frames = {side: np.load(path) for side, path in files.items()}
     return TimedScene(

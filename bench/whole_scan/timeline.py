@@ -1,4 +1,4 @@
-"""Owns the picture of one real scan in time: what was recorded, how busy the worker's processors were, and what came when."""
+"""Picture of one real scan in time: recording, load of the worker's processors, and its results."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ BOTH, ALONG_X, ALONG_Y = (150, 150, 150), (170, 120, 40), (60, 140, 60)
 """Frames of no direction, of the x block and of the y block: grey, blue, green."""
 BUSY, CAME, DISK = (40, 110, 220), (60, 60, 60), (150, 60, 150)
 LEGEND = (("bright and dark", BOTH), ("x block", ALONG_X), ("y block", ALONG_Y))
-"""What the colours of the recording mean; the other rows say it themselves."""
+"""Meaning of the colours of the recording; other rows have their own labels."""
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 BEFORE_MS, BEHIND_MS = 25.0, 15.0
-"""Room before the last frame and behind the full cloud in the panel that shows what happens between them."""
+"""Margins before the last frame and behind the full cloud, in the panel between them."""
 BUSY_BIN_MS = 4.0
 """The worker's time is counted over this long: the kernel's own clock of it moves in steps of a millisecond."""
 Image = NDArray[np.uint8]
@@ -41,15 +41,15 @@ class Span:
 
 
 def draw(path: Path, title: str, sequence: PatternSequence, scan: PacedScan) -> None:
-    """Write a PNG: the whole of ``scan``, and below it what happens after the last frame. ``scan`` was traced."""
+    """Write a PNG: all of ``scan``, and below it the time after the last frame. ``scan`` was traced."""
     spans = spans_of(sequence, scan)
     first_ms = -1e3 * FRAME_S * len(sequence)
     end_ms = max(scan.full_ms, scan.durable_ms) + BEHIND_MS
-    whole = _panel(f"{title}: the whole scan, ms from the last frame on", spans, scan.trace, first_ms, end_ms)
+    overview = _panel(f"{title}: the whole scan, ms from the last frame on", spans, scan.trace, first_ms, end_ms)
     near = _panel(
         "from the last frame to the full cloud", spans, scan.trace, -BEFORE_MS, scan.full_ms + BEHIND_MS
     )  # fmt: skip
-    cv2.imwrite(str(path), np.vstack([whole, near]))
+    cv2.imwrite(str(path), np.vstack([overview, near]))
 
 
 def typical(scans: Sequence[PacedScan]) -> PacedScan:
@@ -95,11 +95,11 @@ def _panel(
 
     _write(image, title, (12, 26), 0.6)
     legend_px = WIDTH_PX - RIGHT_PX
-    for words, colour in reversed(LEGEND):
-        (word_px, _), _ = cv2.getTextSize(words, FONT, 0.5, 1)
+    for label, colour in reversed(LEGEND):
+        (word_px, _), _ = cv2.getTextSize(label, FONT, 0.5, 1)
         legend_px -= word_px + 24
         cv2.rectangle(image, (legend_px, 14), (legend_px + 14, 28), colour, -1)
-        _write(image, words, (legend_px + 20, 26))
+        _write(image, label, (legend_px + 20, 26))
         legend_px -= 16
     for mark_ms in _marks(from_ms, to_ms):
         cv2.line(image, (x_of(mark_ms), top_px), (x_of(mark_ms), bottom_px), FAINT, 1)
@@ -115,8 +115,8 @@ def _panel(
             if span.note and span.end_ms <= to_ms:
                 # Inside the bar where there is no room behind it.
                 inside = x_of(span.end_ms) > WIDTH_PX - 2 * RIGHT_PX
-                at = (x_of(span.end_ms) - (70 if inside else -6), y + ROW_PX - 9)
-                _write(image, span.note, at, colour=WHITE if inside else INK)
+                note_px = (x_of(span.end_ms) - (70 if inside else -6), y + ROW_PX - 9)
+                _write(image, span.note, note_px, colour=WHITE if inside else INK)
     _busy(image, top_px + ROW_PX + GAP_PX, trace, x_of, (from_ms, to_ms))
     return image
 
@@ -152,5 +152,7 @@ def _marks(from_ms: float, to_ms: float) -> Sequence[float]:
     return [float(k * step_ms) for k in range(int(np.ceil(from_ms / step_ms)), int(to_ms // step_ms) + 1)]
 
 
-def _write(image: Image, text: str, at: tuple[int, int], size: float = 0.5, colour: tuple[int, int, int] = INK) -> None:
-    cv2.putText(image, text, at, FONT, size, colour, 1, cv2.LINE_AA)
+def _write(
+    image: Image, text: str, position_px: tuple[int, int], size: float = 0.5, colour: tuple[int, int, int] = INK
+) -> None:
+    cv2.putText(image, text, position_px, FONT, size, colour, 1, cv2.LINE_AA)
