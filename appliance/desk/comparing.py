@@ -282,12 +282,12 @@ def _free_words(laid: SurfaceRegistration, direction: FreeDirection) -> str:
     """Return a warning about a direction that the shape does not hold, in the nominal surface's frame."""
     motion = (
         f"can turn about {_vector(direction.direction[:3])}"
-        if direction.turns
+        if direction.is_rotation
         else f"can slide along {_vector(direction.direction[3:])}"
     )
-    unit = "°" if direction.turns else " mm"
+    unit = "°" if direction.is_rotation else " mm"
     # Both ends are given along the direction as it is written.
-    sense = 1 if _upright(direction.direction[:3] if direction.turns else direction.direction[3:]) else -1
+    sense = 1 if _upright(direction.direction[:3] if direction.is_rotation else direction.direction[3:]) else -1
     ends = [sense * end + 0.0 for end in direction.ends][::sense]
     rms = [laid.rms_mm, *list(direction.rms_mm)[::sense]]
     beyond_percent = [100.0 * (1.0 - share) for share in [laid.fitting, *list(direction.fitting)[::sense]]]

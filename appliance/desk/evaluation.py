@@ -62,7 +62,7 @@ def run_evaluation(
             "sha256": {name: scan.manifest.files[name].sha256 for name in RAW_FILES},
         }
         items.append(Item(scan.manifest.scan_id, result, provenance))
-    provenance_of_all = {
+    facts = {
         "operator": listed.operator,
         "rig_serial": chosen.rig_serial,
         "calibration": chosen.hash,
@@ -70,4 +70,4 @@ def run_evaluation(
         "calibration_made_at": chosen.made_at,
         "software_version": __version__,
     }
-    return Evaluation(provenance_of_all, listed.reference_mm, chosen.rig.left.width_px, tuple(items))
+    return Evaluation(facts, listed.reference_mm, chosen.rig.left.width_px, tuple(items))

@@ -33,7 +33,7 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
         title=stored_object.name,
         subtitle=f"{len(places.places)} of {len(stored_object.scans)} scans placed",
         about={
-            "Calibration": ", ".join(hash_[:SHOWN_DIGITS] for hash_ in places.calibrations),
+            "Calibration": ", ".join(calibration[:SHOWN_DIGITS] for calibration in places.calibrations),
             "Refractive index of the water": f"{places.water_index[0]:.5f}",
             "Software": f"Kingfisher {__version__}",
             "Frame": f"left camera of scan {next(iter(places.places), '-')}, mm",

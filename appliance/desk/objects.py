@@ -394,7 +394,7 @@ def metadata_of_object(stored_object: StoredObject) -> Metadata:
     widest = max(places.places.values(), key=lambda place: place.sigma_mm, default=None)
     notes = [
         f"{len(places.places)} scans in the frame of {next(iter(places.places), '-')}",
-        f"calibration {', '.join(hash_[:12] for hash_ in places.calibrations)}; water index {places.water_index[0]:.5f}",
+        f"calibration {', '.join(calibration[:12] for calibration in places.calibrations)}; water index {places.water_index[0]:.5f}",
     ]
     if widest is not None:
         notes.append(

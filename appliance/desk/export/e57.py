@@ -162,7 +162,7 @@ def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, metadata: 
 
     prototype = library.StructureNode(file)
     buffers = library.VectorSourceDestBuffer()
-    columns_kept = []
+    live_columns = []
     for name, values in columns.items():
         flag = name == _INVALID
         prototype.set(
@@ -170,12 +170,12 @@ def _add(library: Any, file: Any, scans: Any, points: ExportedPoints, metadata: 
         )
         column = np.array(values, np.int8 if flag else np.float32)
         # The library holds a bare pointer: the array must live until the writer is closed.
-        columns_kept.append(column)
+        live_columns.append(column)
         buffers.append(library.SourceDestBuffer(file, name, column, len(column), True, True))
     vector = library.CompressedVectorNode(file, prototype, library.VectorNode(file, True))
     scan.set("points", vector)
     scans.append(scan)
     writer = vector.writer(buffers)
-    writer.write(len(columns_kept[0]))
+    writer.write(len(live_columns[0]))
     writer.close()
     return key

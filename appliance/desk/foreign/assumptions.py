@@ -181,7 +181,7 @@ def _check_code(
     share_text = f"{100 * share:.0f} % of {changes} borders are between neighbouring stripes"
     if share < GOOD_CODE:
         # Of several that fit alike, the one nearest to the description.
-        best = max(shares, key=lambda flags_: (shares[flags_], -np.not_equal(flags_, described).sum()))
+        best = max(shares, key=lambda candidate: (shares[candidate], -np.not_equal(candidate, described).sum()))
         if shares[best] <= share + CLEARLY_BETTER:
             return [
                 contradiction(
@@ -193,7 +193,7 @@ def _check_code(
         ]
     results = []
     for k, word in enumerate(CODE):
-        rival = max(shares[flags_] for flags_ in shares if flags_[k] != described[k])
+        rival = max(shares[candidate] for candidate in shares if candidate[k] != described[k])
         name, written = word_for(word, not described[k])
         text = f"{share_text}, {100 * rival:.0f} % with {name} = {toml_value(written)}"
         results.append(fits_or_unchecked(names[k], rival <= share - CLEARLY_BETTER, text))
@@ -281,14 +281,14 @@ def _check_steps(measured: AxisMeasurement, axis: AxisConvention) -> list[Examin
             results.append(fits_or_unchecked(subject, True, residual_text))
         if residual <= BENT:
             continue
-        count, own_steps_deg = len(images) - 1, estimate_steps(stack)
+        count, estimated_deg = len(images) - 1, estimate_steps(stack)
         for end, part in (("first", stack[1:]), ("last", stack[:-1])) if count > 3 else ():
             if (residual_share := misfit(part, equal_steps(count))) < 0.5 * residual:
                 text = f"{residual_text}; without the {end} of its images, steps = {count} leaves {100 * residual_share:.0f} %"
                 results.append(contradiction("images.order", text))
-        better = misfit(stack, own_steps_deg)
+        better = misfit(stack, estimated_deg)
         if residual > MOST_MISFIT and better < min(0.5 * residual, MOST_MISFIT):
-            steps = f"{axis.name}.steps_deg = [{', '.join(f'{step:g}' for step in own_steps_deg)}]"
+            steps = f"{axis.name}.steps_deg = [{', '.join(f'{step:g}' for step in estimated_deg)}]"
             results.append(contradiction(subject, f"{residual_text}; {steps} leaves {100 * better:.0f} %"))
         elif residual > MOST_MISFIT:
             results.append(
@@ -371,7 +371,7 @@ def _check_periods(measured: AxisMeasurement, axis: AxisConvention, coordinate_p
     starts = product((axis.sign, -axis.sign), np.arange(0.0, 360.0, START_DEG).tolist())
     for changes in (
         [{"periods_px": periods_px} for periods_px in orders],
-        [{"sign": sign_, "start_deg": start} for sign_, start in starts],
+        [{"sign": other_sign, "start_deg": start} for other_sign, start in starts],
     ):
         disagreements = [
             disagreement(change) * (NEARLY if change.get("sign", axis.sign) != axis.sign else 1.0) for change in changes

@@ -446,15 +446,17 @@ def _pose(facts: Facts, notes: list[str]) -> dict[str, Array]:
         notes.append(
             f"cameras: rotation and translation: {first['own'][0]} stands in the left camera's file alone; taken as from left to right"
         )
-    for where, rotation2, translation2 in poses[1:]:
+    for where, rival_rotation, rival_translation in poses[1:]:
         first_where, rotation, translation = poses[0]
-        apart_deg = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(rotation @ rotation2.T) - 1.0), -1.0, 1.0))))
-        if apart_deg > MAX_ANGLE_DEG or np.linalg.norm(translation - translation2) > np.radians(
+        apart_deg = float(
+            np.degrees(np.arccos(np.clip(0.5 * (np.trace(rotation @ rival_rotation.T) - 1.0), -1.0, 1.0)))
+        )
+        if apart_deg > MAX_ANGLE_DEG or np.linalg.norm(translation - rival_translation) > np.radians(
             MAX_ANGLE_DEG
         ) * np.linalg.norm(translation):
             raise ForeignError(
                 f"{first_where} and {where} say differently how the two stand to each other: turned by {apart_deg:.2g}°, translations "
-                f"{translation.round(3).tolist()} and {translation2.round(3).tolist()}; leave one out, or say which holds under [cameras.names]"
+                f"{translation.round(3).tolist()} and {rival_translation.round(3).tolist()}; leave one out, or say which holds under [cameras.names]"
             )
     return {"rotation": poses[0][1], "translation": poses[0][2]} if poses else {}
 

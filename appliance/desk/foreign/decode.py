@@ -276,7 +276,7 @@ def _place_by_code(measured: AxisMeasurement, axis: AxisConvention) -> tuple[Flo
         sure &= measured.usable
         coordinate_px, contradicted = _correct_by_neighbours(coordinate_px, sure, axis)
     finer = zip(axis.periods_px, measured.turns, axis.begins_deg, strict=False)
-    for finer_px, turns, begin_deg in sorted(finer, key=lambda period_: -period_[0]):
+    for finer_px, turns, begin_deg in sorted(finer, key=lambda finer_period: -finer_period[0]):
         if finer_px < period:
             off_turns = turns - np.float32(begin_deg / 360.0) - (coordinate_px + np.float32(0.5)) / np.float32(finer_px)
             off_turns -= np.rint(off_turns)

@@ -361,8 +361,8 @@ def _candidates(folder: Path, cameras: Mapping[str, ImageFiles], pictures: _Redu
     )
     best: dict[tuple[ShownImage, ...], TriedSequence] = {}
     # Appearance alone is often wrong about the finest stripes: try those that agree nearly as well, too.
-    for agreement_, sequence in ranked[:MOST_TRIED]:
-        if agreement_ < ranked[0][0] - NEARLY and max((rival.rank for rival in best.values()), default=0.0) > SURE:
+    for score, sequence in ranked[:MOST_TRIED]:
+        if score < ranked[0][0] - NEARLY and max((rival.rank for rival in best.values()), default=0.0) > SURE:
             break
         pictures.progress(f"trying {sequence.program}")
         with suppress(ForeignError):  # steps without a phase, stripes without numbers: no candidate

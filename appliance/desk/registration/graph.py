@@ -155,8 +155,8 @@ def _solve(members: Sequence[int], edges: Sequence[Edge], with_bow: bool, prior_
             blocks.append((size, edge.fit.depth_error.response))
             for row, A in blocks:
                 g[row : row + A.shape[1]] += A.T @ W @ delta
-                for column_, B in blocks:
-                    H[row : row + A.shape[1], column_ : column_ + B.shape[1]] += A.T @ W @ B
+                for first_column, B in blocks:
+                    H[row : row + A.shape[1], first_column : first_column + B.shape[1]] += A.T @ W @ B
             H[size:, size:] += edge.fit.depth_error.information
             g[size:] += edge.fit.depth_error.gradient + edge.fit.depth_error.information @ bow
         step = np.zeros(size + m)

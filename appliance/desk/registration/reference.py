@@ -80,7 +80,7 @@ class OrientedPoints:
     normals: Array
     """(n, 3) float64, unit vectors out of the surface."""
     sigma_mm: Array
-    """(n,) float64, standard deviation along the normal; zeros for a drawing."""
+    """(n,) float64, standard deviation along the normal; zeros for a CAD model."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +113,7 @@ class FreeDirection:
 
     direction: Array
     """(6,) of δ, unit length."""
-    turns: bool
+    is_rotation: bool
     ends: tuple[float, float]
     """Ends of the range from the pose, in degrees for rotations, else in mm."""
     rms_mm: tuple[float, float]
@@ -326,11 +326,11 @@ def _free_way(
 ) -> FreeDirection:
     """Return the range along ``direction`` on which hardly a point changes, with the fit at its ends."""
     range_mm = _largest_amount_mm(fit, direction, rough)
-    share_here = float(_shares(fit, direction, np.zeros(1), slid_points, rough)[0])
+    start_share = float(_shares(fit, direction, np.zeros(1), slid_points, rough)[0])
     ends, rms, fitting = [], [], []
     for sign in (-1.0, 1.0):
         amounts = sign * np.append(np.arange(_SLIDE_STEP_MM, range_mm, _SLIDE_STEP_MM), range_mm)
-        beyond = np.flatnonzero(_shares(fit, direction, amounts, slid_points, rough) < share_here - UNCHANGED)
+        beyond = np.flatnonzero(_shares(fit, direction, amounts, slid_points, rough) < start_share - UNCHANGED)
         reached = len(amounts) if not len(beyond) else int(beyond[0])
         end = float(amounts[reached - 1]) if reached else 0.0
         end_fit = _refine(points, reference, _poses_along(fit, direction, np.array([end]))[0], LAST_GATE_MM)
@@ -545,8 +545,8 @@ def _vote(points: OrientedPoints, model: OrientedPoints, tree: cKDTree, reach_mm
         votes = np.bincount(first[row] * _TURNS + bins, weight, len(model.points_mm) * _TURNS)
         for best in np.argpartition(-votes, 4)[:4]:
             place, bin_ = divmod(int(best), _TURNS)
-            angle_ = 2.0 * np.pi * (bin_ + 0.5) / _TURNS
-            yield _pose_of_pair(points, int(voter), model, place, angle_)
+            rotation_angle = 2.0 * np.pi * (bin_ + 0.5) / _TURNS
+            yield _pose_of_pair(points, int(voter), model, place, rotation_angle)
 
 
 def _key(

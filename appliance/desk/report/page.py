@@ -462,7 +462,7 @@ def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
     scale = min(270.0 / reach[0], 110.0 / reach[1])
     place_of = {name: (320 + scale * p[0], 140 + scale * p[1]) for name, p in zip(placed, flat, strict=True)}
     lines = []
-    for pair in sorted(pairs, key=lambda pair_: pair_.verdict is not ReportVerdict.REFUSED):
+    for pair in sorted(pairs, key=lambda scan_pair: scan_pair.verdict is not ReportVerdict.REFUSED):
         if pair.first in place_of and pair.second in place_of:
             (x1, y1), (x2, y2) = place_of[pair.first], place_of[pair.second]
             dash = ' stroke-dasharray="4 4"' if pair.verdict is ReportVerdict.REFUSED else ""

@@ -37,9 +37,9 @@ def test_a_flange_in_view_holds_a_pipe_and_turning_it_changes_nothing() -> None:
     found = searched()
     assert abs(along(found)) < 0.6, "the flange's sides are not seen: its edges tell to a fraction of a millimetre"
     assert found.fitting > 0.98
-    (turning,) = (way for way in found.free if way.turns)
+    (turning,) = (way for way in found.free if way.is_rotation)
     assert max(turning.rms_mm) < 1.5 * found.rms_mm + 0.02
-    sliding = [way for way in found.free if not way.turns]
+    sliding = [way for way in found.free if not way.is_rotation]
     assert all(abs(end) <= 8.0 for way in sliding for end in way.ends), "the way that is left ends at the flange"
 
 
@@ -48,7 +48,7 @@ def test_a_start_is_kept_along_what_nothing_holds() -> None:
     start = TRUE.then(Rigid(np.eye(3), np.array([-SLID_MM, 0.5, -0.3])))
     found = laid(*pipe(90), points, start)
     assert along(found) == pytest.approx(-SLID_MM, abs=0.5)
-    (sliding,) = (way for way in found.free if not way.turns)
+    (sliding,) = (way for way in found.free if not way.is_rotation)
     assert min(abs(end) for end in sliding.ends) > 30.0
     # At the one end nothing is in its way; at the other it begins to touch the flange, and that is told.
     assert min(sliding.rms_mm) < 1.2 * found.rms_mm < 2.0 * found.rms_mm < max(sliding.rms_mm)
