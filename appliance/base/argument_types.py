@@ -62,7 +62,9 @@ def refuse_wrong_types(function: Callable[P, R], name: str | None = None) -> Cal
         annotations = _annotations(function)
         for argument, value in arguments.items():
             if argument in annotations and not fits(value, annotations[argument]):
-                raise TypeError(f"{shown_name}: {argument} is {shown(value)}; wanted is {named(annotations[argument])}")
+                raise TypeError(
+                    f"{shown_name}: {argument} is {value_text(value)}; wanted is {annotation_text(annotations[argument])}"
+                )
         return function(*args, **kwargs)
 
     return checked
@@ -102,21 +104,21 @@ def fits(value: object, annotation: Any) -> bool:
     return not (inner and isinstance(value, list | tuple)) or all(fits(option, inner[0]) for option in value)
 
 
-def named(annotation: Any) -> str:
+def annotation_text(annotation: Any) -> str:
     """Return an annotation as English text: ``a Mesh, a FusedCloud or None``."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     kind = origin or annotation
     if kind in _UNIONS:
-        *first, last = dict.fromkeys(map(named, inner))
+        *first, last = dict.fromkeys(map(annotation_text, inner))
         return f"{', '.join(first)} or {last}" if first else last
     if kind is typing.Literal:
         return " or ".join(map(repr, inner))
     if kind in _WORDS:
         return _WORDS[kind]
-    return f"several of {named(inner[0])}" if inner else _a(kind.__name__)
+    return f"several of {annotation_text(inner[0])}" if inner else _a(kind.__name__)
 
 
-def shown(value: object) -> str:
+def value_text(value: object) -> str:
     """Return a value and its type as a short text of one line."""
     if value is None:
         return "None"

@@ -31,7 +31,7 @@ def modules_of_face(package: str) -> dict[str, str]:
 
 
 def lazy_face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the package ``room``, after ``modules_of_face``."""
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the package ``room``."""
     modules = modules_of_face(room)
 
     def load(name: str) -> Any:

@@ -147,13 +147,13 @@ class _Team:
         try:
             for _ in range(min(processes, MOST_PROCESSES, self._total)):
                 self._start()
-            self._say()
+            self._report_progress()
             while self._working:
                 for pipe in wait(list(self._working), TICK_S):
                     assert isinstance(pipe, Connection)
-                    self._hear(pipe)
+                    self._receive(pipe)
                 self._end_overdue()
-                self._say()
+                self._report_progress()
         finally:
             for pipe in list(self._working):
                 self._dismiss(pipe)
@@ -179,7 +179,7 @@ class _Team:
         self._working[pipe] = (process, piece, time.monotonic() + PIECE_S)
         pipe.send(piece.function)
 
-    def _hear(self, pipe: Connection) -> None:
+    def _receive(self, pipe: Connection) -> None:
         process, piece, _ = self._working[pipe]
         try:
             error = pipe.recv()
@@ -210,7 +210,7 @@ class _Team:
         process.join(END_S)
         pipe.close()
 
-    def _say(self) -> None:
+    def _report_progress(self) -> None:
         if self._working:
             what = tuple(piece.what for _, piece, _ in self._working.values())
             self._report(Compiling(self._done, self._total, what, time.monotonic() - self._begun_s))

@@ -151,7 +151,7 @@ class SealedFile(Generic[T]):
                 actual = content.pop(key, None)
                 if actual != expected:
                     version = ", which this version reads" if key == "schema" else ""
-                    raise ContentError("", f"{key} {_shown(actual)}", _shown(expected) + version)
+                    raise ContentError("", f"{key} {_short_repr(actual)}", _short_repr(expected) + version)
             stored = shaped(self.kind, content)
             self.check(stored)
             return stored
@@ -199,7 +199,7 @@ def digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def _shown(value: Any) -> str:
+def _short_repr(value: Any) -> str:
     return f"{value!r:.60}"
 
 
@@ -316,12 +316,12 @@ def _hints(kind: Any) -> tuple[tuple[str, Any, bool], ...]:
     """Return for each field: name, type, and whether it must be present."""
     hints = get_type_hints(kind, include_extras=True)
     return tuple(
-        (item.name, _there(hints[item.name], item), item.default is MISSING and item.default_factory is MISSING)
+        (item.name, _present_type(hints[item.name], item), item.default is MISSING and item.default_factory is MISSING)
         for item in fields(kind)
     )
 
 
-def _there(hint: Any, item: Field[Any]) -> Any:
+def _present_type(hint: Any, item: Field[Any]) -> Any:
     """Return the type of a field that is present: null does not stand for one that is left out."""
     if item.metadata == LEFT_OUT and get_origin(hint) in (Union, UnionType):
         return next(option for option in get_args(hint) if option is not NoneType)
@@ -351,4 +351,4 @@ def _single(kind: Any, value: object, path: str) -> Any:
 
 
 def _wrong(path: str, allowed: str, value: object) -> ContentError:
-    return ContentError("", f"{path.lstrip('.') or 'the whole'} is {_shown(value)}", allowed)
+    return ContentError("", f"{path.lstrip('.') or 'the whole'} is {_short_repr(value)}", allowed)

@@ -1,5 +1,4 @@
-"""The running instrument: capture, laser pointers, the reconstruction's process, the machine, its screens, and the
-service that ties them."""
+"""The running instrument: capture, ranging, the worker, the machine, its screens, and the service."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.base.argument_types import fits, named, refuse_wrong_types, shown
+from appliance.base.argument_types import annotation_text, fits, refuse_wrong_types, value_text
 from appliance.desk.comparing import NominalSurface
 from appliance.desk.object_scripting import ObjectOfDive
 from appliance.desk.scripting import Dive, ScanOfDive
@@ -54,7 +54,7 @@ def test_every_public_function_refuses_what_it_does_not_want(name: str) -> None:
     first = next(iter(needed))
     with pytest.raises(TypeError) as refused:
         function(*own, **needed)
-    assert str(refused.value) == f"{name}: {first} is a Wrong; wanted is {named(hints[first])}"
+    assert str(refused.value) == f"{name}: {first} is a Wrong; wanted is {annotation_text(hints[first])}"
     with pytest.raises(TypeError, match=f"^{name}: .*; it is {name}"):
         function(*own, nonsense=1)
 
@@ -102,8 +102,8 @@ def test_what_people_try_first_is_answered_with_what_is_wanted(
 def test_a_value_fits_an_annotation_or_not(wanted: object, good: tuple[object, ...], bad: tuple[object, ...]) -> None:
     assert all(fits(one, wanted) for one in good)
     assert not any(fits(one, wanted) for one in bad)
-    assert named(wanted)
-    assert all("\n" not in shown(one) for one in (*good, *bad))
+    assert annotation_text(wanted)
+    assert all("\n" not in value_text(one) for one in (*good, *bad))
 
 
 def test_a_function_that_is_checked_stays_what_it_was() -> None:

@@ -111,7 +111,7 @@ class Grabber:
         self._order: Literal["idle", "live", "record", "end"] = "idle"
         self._state: Literal["idle", "start", "live", "record"] = "idle"
         self._recording: SideRecording | None = None
-        self._settings = self._wanted = settings
+        self._settings = self._next_settings = settings
         self._timeouts = timeouts
         self._live = np.zeros((2, settings.height_px, settings.width_px), np.uint8)
         self._live_count = 0
@@ -144,7 +144,7 @@ class Grabber:
     def expose(self, exposure_us: float, gain_db: float) -> None:
         """Set the exposure for the next start of the camera; ``live`` and ``record`` start it."""
         with self._changed:
-            self._wanted = replace(self._settings, exposure_us=exposure_us, gain_db=gain_db)
+            self._next_settings = replace(self._settings, exposure_us=exposure_us, gain_db=gain_db)
 
     def live(self) -> None:
         """Record live images, at the rate of the board's pulses."""
@@ -220,18 +220,18 @@ class Grabber:
                 elif order == "record":
                     self._run_record()
                 else:
-                    self._rest()
+                    self._read_temperature()
         except DeviceError as error:
             self._fail(error.message)
 
-    def _rest(self) -> None:
+    def _read_temperature(self) -> None:
         temperature_c = self._camera.temperature_c()
         with self._changed:
             self._temperature_c = temperature_c
 
     def _start(self) -> None:
         with self._changed:
-            settings = self._wanted
+            settings = self._next_settings
         if settings != self._settings:
             self._camera.configure(settings)
             self._settings = settings

@@ -320,7 +320,7 @@ def _begins_late(ledger: Ledger, side: str) -> int:
     By the host's clock; if the cameras' clocks cannot be read, by block ids, which begin alike, since both cameras are
     started again for every sequence.
     """
-    begun_ns = _begun_ns(ledger)
+    begun_ns = _start_times_ns(ledger)
     if len(begun_ns) == 2:
         # In periods: the uncertainty of a camera's clock reading is far less.
         return round((begun_ns[side] - min(begun_ns.values())) / ledger.period_ns)
@@ -384,7 +384,7 @@ def _apart(ledger: Ledger) -> Fault | None:
     Only the cameras' clocks against the host's show that. The two are compared with each other only: which moment of an
     exposure a time stamp means is the maker's choice, and they are alike.
     """
-    begun_ns = _begun_ns(ledger)
+    begun_ns = _start_times_ns(ledger)
     if len(begun_ns) < 2:
         return None
     # The clocks were read before the sequence and drift from then on: their error grows with the wait.
@@ -399,7 +399,7 @@ def _apart(ledger: Ledger) -> Fault | None:
     return _skew(f"all frames of camera.{late} are exposed {abs(apart_ns) / 1e6:.2f} ms late", 0, abs(apart_ns), late)
 
 
-def _begun_ns(ledger: Ledger) -> dict[str, int]:
+def _start_times_ns(ledger: Ledger) -> dict[str, int]:
     """Return the host time of the first exposure of each side, as far as it is known."""
     begun_ns = {}
     for side, clock in ledger.clocks.items():

@@ -84,7 +84,7 @@ class Arming:
         self._slots, self._on_frame = slots, on_frame
         self.recordings: dict[str, SideRecording] = {}
         self.events: list[BoardEvent] = []
-        """Events that the board sent meanwhile, for whoever watches it."""
+        """Events that the board sent meanwhile."""
         self.fault: Fault | None = None
         try:
             self._lights_off()
@@ -223,13 +223,13 @@ class ScanRecorder:
             sync_map = synchronise(self._board, flip, period_ns)
             # The board needs the vsync at which it begins, and the first flip must be queued by then: blanks that
             # passed during the queries are added.
-            lead = LEAD_BLANKS + round((self._clock.now_ns() - flip.time_ns) / period_ns)
-            first_light = sync_map.count + lead + latency
+            lead_blanks = LEAD_BLANKS + round((self._clock.now_ns() - flip.time_ns) / period_ns)
+            first_light = sync_map.count + lead_blanks + latency
             self._board.arm(len(sequence), first_light, self._settings.trigger_delay_us, self._settings.exposure_us)
             sync.append(sync_map)
-            start.append(None if flip.sequence is None else flip.sequence + lead)
+            start.append(None if flip.sequence is None else flip.sequence + lead_blanks)
             start.append(first_light)
-            return (flip.sequence or 0) + lead
+            return (flip.sequence or 0) + lead_blanks
 
         try:
             if fault is None:
@@ -321,7 +321,7 @@ def _first_fault(
                 pass
     if fault is not None:
         return fault
-    if _ended_by_a_frame(ledger):
+    if _stopped_by_frame(ledger):
         frame_faults = [fault for fault in (frame_fault(ledger, side) for side in SIDES) if fault is not None]
         # The other camera was cancelled and lacks frames, too: damage is the cause, missing frames may be the effect.
         frame_faults.sort(key=lambda candidate: candidate.code is FaultCode.FRAME_MISSING)
@@ -329,7 +329,7 @@ def _first_fault(
     return audit(ledger)
 
 
-def _ended_by_a_frame(ledger: Ledger) -> bool:
+def _stopped_by_frame(ledger: Ledger) -> bool:
     """Return True if a bad frame stopped the play: the flips were in time, but not all were played."""
     if len(ledger.flips) == ledger.expected or not ledger.flips:
         return False

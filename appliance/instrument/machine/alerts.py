@@ -129,7 +129,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _REPEAT,
             Words("MOVED", "BEWEGT"),
         ),
-        # The only INFO of the table: nothing is asked of the diver. Where it lost a part, PART_MISSING says so.
+        # The only INFO of the table: the diver need not act. If a part was lost, there is also PART_MISSING.
         FaultCode.COMPENSATED: Rule(
             _I,
             Words("MOTION CORRECTED", "BEWEGUNG BEHOBEN"),
@@ -257,8 +257,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.KEY_STUCK: Rule(
             _W, Words("KEY STUCK", "TASTE KLEMMT"), Words("USE THE KEY WITH ITS LABEL", "BESCHRIFTETE TASTE NEHMEN")
         ),
-        # These two come before a scan and are asked back; SCAN_NEAR and SCAN_FAR come after it, from its own
-        # points.
+        # These two precede a scan, and a second press overrides them; SCAN_NEAR and SCAN_FAR follow it, from its points.
         FaultCode.TOO_NEAR: Rule(
             _W,
             Words("NEAR {distance_mm:.0f} mm", "NAH {distance_mm:.0f} mm"),

@@ -118,7 +118,7 @@ def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
         # it is durable.
         return machine, (do.AcceptRecording(number, check),)
     reason = f"calibration {check.step.value}: {check.refusal.value}: {check.detail}"
-    return _rest(machine, replace(position, latest=check)), (do.Reject(number, reason),)
+    return _end_task(machine, replace(position, latest=check)), (do.Reject(number, reason),)
 
 
 def not_saved(machine: Machine, number: int, reason: str) -> Result:
@@ -126,7 +126,7 @@ def not_saved(machine: Machine, number: int, reason: str) -> Result:
     position = machine.calibrating
     if position is None or position.number != number or machine.state is not State.CALIBRATE:
         return machine, ()
-    return _rest(machine, replace(position, latest=None, failed=Failure(FailureKind.DISK, reason))), ()
+    return _end_task(machine, replace(position, latest=None, failed=Failure(FailureKind.DISK, reason))), ()
 
 
 def session_changed(machine: Machine, session: Session) -> Result:
@@ -137,12 +137,12 @@ def session_changed(machine: Machine, session: Session) -> Result:
         return machine, ()
     # VERIFY may be recorded again and again; `next_step` would lead past its result to the next open step.
     if position.task is Task.ACCEPT and position.step is Step.VERIFY and session.open(Step.RESULT):
-        return _rest(machine, replace(position, step=Step.RESULT)), ()
+        return _end_task(machine, replace(position, step=Step.RESULT)), ()
     if position.task in (Task.ACCEPT, Task.SOLVE, Task.SWITCH):
-        return _rest(machine, replace(position, step=session.next_step)), ()
+        return _end_task(machine, replace(position, step=session.next_step)), ()
     if not session.open(position.step):
         # No answer to a task: a scan of the session was moved away, and the step may no longer be possible.
-        return _rest(machine, replace(position, step=session.next_step)), cancelled(machine, "the session changed")
+        return _end_task(machine, replace(position, step=session.next_step)), cancelled(machine, "the session changed")
     return machine, ()
 
 
@@ -169,7 +169,7 @@ def failed(machine: Machine, failure: Failure) -> Result:
     position = machine.calibrating
     if machine.state is not State.CALIBRATE or position is None or position.task is None:
         return machine, ()
-    return _rest(machine, replace(position, latest=None, failed=failure)), _dropped(position, failure.detail)
+    return _end_task(machine, replace(position, latest=None, failed=failure)), _dropped(position, failure.detail)
 
 
 def late(machine: Machine) -> Result:
@@ -178,7 +178,7 @@ def late(machine: Machine) -> Result:
     if position is None or position.task is None:
         return replace(machine, deadline_ns=None), ()
     reason = f"no answer in time ({position.task.value})"
-    return _rest(machine, replace(position, latest=None, failed=Failure(FailureKind.NO_ANSWER, reason))), cancelled(
+    return _end_task(machine, replace(position, latest=None, failed=Failure(FailureKind.NO_ANSWER, reason))), cancelled(
         machine, reason
     )
 
@@ -215,6 +215,6 @@ def _wait(machine: Machine, task: Task, timeout_s: float, number: int | None = N
     )
 
 
-def _rest(machine: Machine, position: Calibrating) -> Machine:
+def _end_task(machine: Machine, position: Calibrating) -> Machine:
     machine = enter(machine, State.CALIBRATE)
     return replace(machine, calibrating=replace(position, task=None, number=None, progress=None))

@@ -51,7 +51,7 @@ def refusal(machine: Machine) -> Fault | None:
     reasons = [fault for fault in machine.conditions if RULES[fault.code].blocks_scan]
     reasons.sort(key=lambda fault: -RULES[fault.code].severity)
     # Conditions come before lost devices, of which they may be the cause, such as a leak.
-    return next(iter(reasons), None) or missing_device(machine) or _out_of_light(machine)
+    return next(iter(reasons), None) or missing_device(machine) or _spent_ration(machine)
 
 
 def rationed(machine: Machine) -> Fault | None:
@@ -59,7 +59,7 @@ def rationed(machine: Machine) -> Fault | None:
     return next((fault for fault in machine.conditions if fault.code is FaultCode.TEMPERATURE_UNKNOWN), None)
 
 
-def _out_of_light(machine: Machine) -> Fault | None:
+def _spent_ration(machine: Machine) -> Fault | None:
     """Return the reason why a scan must wait for its ration of light."""
     # Checked for the complete sequence, so that the ration never interrupts one.
     left = machine.thermal.ration_s >= machine.settings.light_s(machine.choices.period_px)

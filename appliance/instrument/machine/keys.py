@@ -80,7 +80,7 @@ def labels(machine: Machine) -> Mapping[Key, Label]:
 
     The label of a stuck key moves to its stand-in.
     """
-    labels_by_key = _meant(machine)
+    labels_by_key = _labels_by_key(machine)
     if asking.pending_fault(machine) is not None:
         labels_by_key[Key.BACK] = Text.SEEN
     for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
@@ -93,7 +93,7 @@ def labels(machine: Machine) -> Mapping[Key, Label]:
     return labels_by_key
 
 
-def _meant(machine: Machine) -> dict[Key, Label]:
+def _labels_by_key(machine: Machine) -> dict[Key, Label]:
     if machine.off_question is not None:
         return _question(machine)
     return by_state.labels(machine)

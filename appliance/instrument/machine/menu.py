@@ -100,23 +100,23 @@ def pressed(machine: Machine, key: Key) -> Result:
         return enter(machine, State.AIM), ()
     match key:
         case Key.BACK if menu.draft is not None:
-            return _at(machine, replace(menu, draft=None)), ()
+            return _with_menu(machine, replace(menu, draft=None)), ()
         case Key.BACK if menu.page is not Page.MAIN:
             # Back to the row that opened this page: with gloves each row is a press.
             back = next(row for row, page in PAGES.items() if page is menu.page)
-            return _at(machine, Menu(row=ROWS[Page.MAIN].index(back))), ()
+            return _with_menu(machine, Menu(row=ROWS[Page.MAIN].index(back))), ()
         case Key.BACK:
             return enter(machine, State.AIM), ()
         case Key.SCAN if menu.draft is not None:
             # No effect here: `step._settle` compares the choices before and after each step, so that none can be
             # forgotten.
-            return _at(replace(machine, choices=menu.draft), replace(menu, draft=None)), ()
+            return _with_menu(replace(machine, choices=menu.draft), replace(menu, draft=None)), ()
         case Key.SCAN:
             return _chosen(machine, menu)
         case _ if menu.draft is not None:
-            return _at(machine, replace(menu, draft=_changed(machine, menu, menu.draft, key))), ()
+            return _with_menu(machine, replace(menu, draft=_changed(machine, menu, menu.draft, key))), ()
         case _:
-            return _at(machine, replace(menu, row=_next(menu, key))), ()
+            return _with_menu(machine, replace(menu, row=_next(menu, key))), ()
 
 
 def may_move(machine: Machine, key: Key) -> bool:
@@ -141,7 +141,7 @@ def verb(machine: Machine) -> Text:
     return Text.CHANGE if row in VALUES else Text.OPEN
 
 
-def _at(machine: Machine, menu: Menu) -> Machine:
+def _with_menu(machine: Machine, menu: Menu) -> Machine:
     return replace(machine, menu=menu)
 
 
@@ -156,9 +156,9 @@ def _next(menu: Menu, key: Key) -> int:
 def _chosen(machine: Machine, menu: Menu) -> Result:
     row = row_of(menu)
     if row in VALUES:
-        return _at(machine, replace(menu, draft=machine.choices)), ()
+        return _with_menu(machine, replace(menu, draft=machine.choices)), ()
     if row in PAGES:
-        return _at(machine, Menu(PAGES[row])), ()
+        return _with_menu(machine, Menu(PAGES[row])), ()
     match row:
         case Row.CALIBRATION:
             return calibrate.begin(machine)

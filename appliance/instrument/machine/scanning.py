@@ -36,7 +36,7 @@ READABLE_S = 2.0
 """Least time for which a refusal is shown, even if a device comes back right after the press."""
 
 
-# ------------------------------------------------------------------------------------- asked for
+# ------------------------------------------------------------------------------------- requested
 
 
 def request(machine: Machine) -> Result:
@@ -203,7 +203,7 @@ def apply_fact(machine: Machine, number: int, fact: SequenceFact) -> Result:
                 replace(machine, scan=replace(_with_judgements(scan, judgements), full=cloud.summary, failed=None))
             )
         case Bracket():
-            return _second_known(machine, scan, fact)
+            return _finish_bracket(machine, scan, fact)
         case ReconstructionFailure(fault):
             return _no_points(machine, scan, fault)
         case WorkProgress():
@@ -239,7 +239,7 @@ def _no_points(machine: Machine, scan: ScanInHand, fault: Fault) -> Result:
     return no_cloud(machine, fault, cancel=False)
 
 
-def _second_known(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Result:
+def _finish_bracket(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Result:
     """Go to the review of the merged bracket, or of the first exposure alone."""
     if bracket.found is None:
         return _not_added(machine, scan, bracket.fault)
@@ -306,9 +306,16 @@ def _show(machine: Machine) -> Result:
     scan = machine.scan
     if machine.state in (State.CHECK, State.RECONSTRUCT):
         return enter(machine, State.REVIEW), ()
-    waited = machine.state in (State.SAVING, State.SAFE)
+    is_awaited = machine.state in (State.SAVING, State.SAFE)
     # A failed save is repeated at its own time (`retry_ns`), even if a cloud comes meanwhile.
-    if waited and scan is not None and scan.settled and scan.is_kept and not scan.publishing and scan.retry_ns is None:
+    if (
+        is_awaited
+        and scan is not None
+        and scan.settled
+        and scan.is_kept
+        and not scan.publishing
+        and scan.retry_ns is None
+    ):
         return saving.publish(machine, scan)
     return machine, ()
 

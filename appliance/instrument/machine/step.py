@@ -65,10 +65,10 @@ def step(machine: Machine, event: on.Event) -> Result:
     if after.insists_until_ns is not None and after.now_ns >= after.insists_until_ns:
         after = replace(after, insists_until_ns=None, notice=None)  # the question was not answered
     after = asking.without_acknowledged(asking.unanswered(after))
-    return _settle(machine, _without_answered_refusal(after), (*effects, *more))
+    return _settle(machine, _without_outdated_refusal(after), (*effects, *more))
 
 
-def _without_answered_refusal(machine: Machine) -> Machine:
+def _without_outdated_refusal(machine: Machine) -> Machine:
     """Remove the notice of a refusal once its reason is gone and it could be read."""
     notice = machine.notice
     if notice is None or notice.kind is not NoticeKind.REFUSAL or machine.now_ns < notice.readable_until_ns:
@@ -104,7 +104,7 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.FaultReported(fault):
             return replace(machine, notice=Notice(fault, NoticeKind.NEWS)), ()
         case on.StorageCounted(scans, last_scan, scans_left):
-            return _counted(machine, scans, last_scan, scans_left), ()
+            return _update_storage(machine, scans, last_scan, scans_left), ()
         case on.ObjectsCounted(largest):
             return replace(machine, objects_used=largest), ()
         case Transfer():
@@ -216,7 +216,7 @@ def _tick(machine: Machine, now_ns: int) -> Result:
     return by_state.late(machine)
 
 
-def _counted(machine: Machine, scans: int, last_scan: str | None, scans_left: int | None) -> Machine:
+def _update_storage(machine: Machine, scans: int, last_scan: str | None, scans_left: int | None) -> Machine:
     machine = replace(machine, scans=scans, last_scan=last_scan, scans_left=scans_left)
     # Unknown is not zero: a disk that does not report its space must not block scans.
     if scans_left is None:

@@ -109,7 +109,7 @@ class Text(Enum):
     NO_NETWORK = ("NO CABLE", "KEIN KABEL")
     PLUG_STICK_IN = ("NONE, PLUG STICK IN", "KEINER, STICK EINSTECKEN")
     LANGUAGE = ("LANGUAGE", "SPRACHE")
-    # Each in its own language: whoever cannot read the one that is set finds the other.
+    # Each in its own language, for a diver who cannot read the one that is set.
     ENGLISH = ("ENGLISH", "ENGLISH")
     GERMAN = ("DEUTSCH", "DEUTSCH")
     ABOUT = ("ABOUT", "ÜBER DAS GERÄT")

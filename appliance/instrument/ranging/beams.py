@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigFrame:
-    """Rotation and origin of the rig frame (``docs/conventions.md``) in the left camera frame: p_left = R p_rig + t."""
+    """The rig frame (``docs/conventions.md``) in the left camera frame: p_left = R p_rig + t."""
 
     R: Array
     t_mm: Array

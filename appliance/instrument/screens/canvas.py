@@ -175,7 +175,7 @@ class Canvas:
         # The smaller of both, so that the design fits on a display of any shape.
         self.scale = min(size_px[0] / DESIGN_SIZE_PX[0], size_px[1] / DESIGN_SIZE_PX[1])
         self.width, self.height = size_px[0] / self.scale, size_px[1] / self.scale
-        self._made: list[Any] = []
+        self._resources: list[Any] = []
         target = self._keep(context.renderbuffer(size_px, 4))
         self.framebuffer = self._keep(context.framebuffer([target]))
         self._picture = np.empty((size_px[1], size_px[0], 3), np.uint8)
@@ -376,11 +376,11 @@ class Canvas:
             line.texture.release()
         for texture in self._images.values():
             texture.release()
-        for resource in reversed(self._made):
+        for resource in reversed(self._resources):
             resource.release()
         self._texts.clear()
         self._images.clear()
-        self._made.clear()
+        self._resources.clear()
 
     def _line(self, text: str, size_px: int, weight: int) -> _TextTexture:
         key = (text, size_px, weight)
@@ -413,5 +413,5 @@ class Canvas:
         return program, self._keep(self.context.vertex_array(program, []))
 
     def _keep(self, resource: Any) -> Any:
-        self._made.append(resource)
+        self._resources.append(resource)
         return resource

@@ -170,7 +170,7 @@ class CloudPainter:
     def __init__(self, context: moderngl.Context, size_px: tuple[int, int]) -> None:
         self._context = context
         self._size_px = size_px
-        self._made: list[Any] = []
+        self._resources: list[Any] = []
         keep = self._keep
         self._result = keep(context.texture(size_px, 4, dtype="f4"))
         self._result.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -272,12 +272,12 @@ class CloudPainter:
 
     def close(self) -> None:
         """Release every GL object."""
-        for resource in reversed(self._made):
+        for resource in reversed(self._resources):
             resource.release()
-        self._made.clear()
+        self._resources.clear()
 
     def _keep(self, resource: Any) -> Any:
-        self._made.append(resource)
+        self._resources.append(resource)
         return resource
 
 

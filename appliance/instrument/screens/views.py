@@ -191,7 +191,7 @@ class StoredScan:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GalleryView(View):
-    """One scan on the disk, ``index`` (from 0, the newest first) of ``count``; ``scan`` ``None`` is an empty gallery."""
+    """One scan on the disk, ``index`` of ``count``, the newest first, from 0; ``scan`` ``None``: no scans."""
 
     scan: StoredScan | None = None
     index: int = 0

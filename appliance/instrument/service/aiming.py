@@ -41,7 +41,7 @@ class _JudgedImage:
     live: int
     """Number of the live view of the image."""
     number: int
-    aimed: LiveImage
+    image_measures: LiveImage
     faults: tuple[Fault, ...]
 
 
@@ -123,13 +123,13 @@ class AimingController:
         if error is not None:
             log.error("live images are not judged: %s", error, exc_info=error)
             return []
-        judged = work.result(0.0)
-        if judged.live != self._live:
+        judged_image = work.result(0.0)
+        if judged_image.live != self._live:
             return []
-        self._last = judged
+        self._last = judged_image
         events: list[on.Event] = []
         for code in CODES:
-            fault = next((candidate for candidate in judged.faults if candidate.code is code), None)
+            fault = next((candidate for candidate in judged_image.faults if candidate.code is code), None)
             events += self._voted(code, fault)
         return events
 
@@ -154,15 +154,15 @@ class AimingController:
         # Read once: the service may begin another live view meanwhile, which `poll` recognises.
         seen_by = self._seen_by
         shade, longer = (None, 1.0) if seen_by is None else (self._shade_of(*seen_by[:2]), seen_by[2])
-        aimed = measure_image(image, self._black_dn, shade)
-        faults = [aimed.fault(longer)]
+        image_measures = measure_image(image, self._black_dn, shade)
+        faults = [image_measures.fault(longer)]
         # Images farther apart differ too much to be tracked; numbers begin again when a camera came back.
         if last is not None and 0 < number - last.number <= MOST_APART:
-            moved_px = displacement_px(last.aimed, aimed)
+            moved_px = displacement_px(last.image_measures, image_measures)
             if moved_px is not None:
                 faults.append(too_fast(moved_px * self._mm_per_px / (self._live_s * (number - last.number))))
-        named_faults = tuple(_named(fault) for fault in faults if fault is not None)
-        return _JudgedImage(live, number, aimed, named_faults)
+        named_faults = tuple(_for_live_view(fault) for fault in faults if fault is not None)
+        return _JudgedImage(live, number, image_measures, named_faults)
 
     def _shade_of(self, calibration: Calibration, water_index: float) -> NDArray[np.bool_] | None:
         """Return the pixels that the live light does not reach; takes 20 ms for each calibration and water."""
@@ -171,7 +171,7 @@ class AimingController:
         return self._shade[2]
 
 
-def _named(fault: Fault) -> Fault:
+def _for_live_view(fault: Fault) -> Fault:
     return Fault(fault.code, fault.detail, fault.numbers, DEVICE)
 
 

@@ -92,7 +92,7 @@ class Background:
         try:
             # Messages of earlier jobs are skipped; one message of this job for each cycle is enough.
             while (message := self._child.receive()) is not None:
-                outcome = self._of_this_job(message)
+                outcome = self._result_of(message)
                 if outcome is not None:
                     return outcome
         except ChildGone as gone:
@@ -101,7 +101,7 @@ class Background:
             return Failure(FailureKind.BROKEN_OFF, str(gone)) if was_busy else None
         return None
 
-    def _of_this_job(self, message: object) -> object | None:
+    def _result_of(self, message: object) -> object | None:
         match message:
             case (int(ticket), _) if ticket != self._ticket or not self.busy:
                 return None
@@ -179,13 +179,13 @@ class CalibrationController:
         """Number of the recording that is examined."""
         self._verified: Verified | None = None
         """Length check of the latest recording of VERIFY."""
-        self._passed: deque[str] = deque(maxlen=1)
+        self._right_lengths: deque[str] = deque(maxlen=1)
         """Descriptions of stored length checks with right lengths, from the disk's thread."""
         self._answers: list[Future[_SessionChange]] = []
         self._events: list[on.Event] = []
 
     def __enter__(self) -> Self:
-        self._ask(lambda: _SessionChange(self._store.session()))
+        self._submit(lambda: _SessionChange(self._store.session()))
         return self
 
     def __exit__(
@@ -226,7 +226,7 @@ class CalibrationController:
             session = self._store.write(session)
             if check.step is Step.VERIFY and session.right and session.length_error is not None:
                 # Left for the service's thread, which alone changes the trend of the ray gaps.
-                self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
+                self._right_lengths.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
             return [session]
 
         self._scans.accept(number, verdict, entered)
@@ -241,15 +241,15 @@ class CalibrationController:
         """Put the solved calibration in use; answer the Session or a Failure."""
         date = self._scans.calendar.today().utc.date().isoformat()
         # Read back from the disk after the change, so that the calibration in use is that of the next start.
-        self._ask(lambda: _SessionChange(self._store.use_solved(date), Instrument(self._rig).calibration()))
+        self._submit(lambda: _SessionChange(self._store.use_solved(date), Instrument(self._rig).calibration()))
 
     def restore(self) -> None:
         """Put the former file in use again; answer as ``use_solved``."""
-        self._ask(lambda: _SessionChange(self._store.restore(), Instrument(self._rig).calibration()))
+        self._submit(lambda: _SessionChange(self._store.restore(), Instrument(self._rig).calibration()))
 
     def begin(self) -> None:
         """Begin a new session; answer the Session or a Failure."""
-        self._ask(lambda: _SessionChange(self._store.begin()))
+        self._submit(lambda: _SessionChange(self._store.begin()))
 
     def cancel(self) -> None:
         """Give up the computation, which is no longer needed."""
@@ -264,8 +264,8 @@ class CalibrationController:
         self._answers = [answer for answer in self._answers if not answer.done()]
         for answer in done:
             events += self._changed(answer)
-        while self._passed:
-            events += self._lengths_right(self._passed.popleft())
+        while self._right_lengths:
+            events += self._lengths_right(self._right_lengths.popleft())
         match self._background.poll():
             case on.CalibrationProgressed() as progressed:
                 events.append(progressed)
@@ -307,7 +307,7 @@ class CalibrationController:
             session = replace(self._store.session(), solved=solution.solved, verified=solution.verified)
             return _SessionChange(self._store.write_solved(solution.calibration, session, solution.report))
 
-        self._ask(write)
+        self._submit(write)
 
     def _changed(self, answer: Future[_SessionChange]) -> list[on.Event]:
         try:
@@ -327,7 +327,7 @@ class CalibrationController:
             events += [on.ConditionRaised(fault) for fault in (*faults, alarm) if fault is not None]
         return events
 
-    def _ask(self, work: Callable[[], _SessionChange]) -> None:
+    def _submit(self, work: Callable[[], _SessionChange]) -> None:
         self._answers.append(self._scans.submit(work))
 
 

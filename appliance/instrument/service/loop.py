@@ -117,8 +117,8 @@ class Service:
         }
         self._drawn: State | None = None
         """The state that the diver's display shows."""
-        self._boot_told = False
-        self._stop_told = False
+        self._boot_reported = False
+        self._stop_reported = False
         self._quit: do.Quit | None = None
 
     def run(self, watchdog: Watchdog) -> do.Quit:
@@ -137,7 +137,7 @@ class Service:
         # The cycle goes on: SAVING stays on the screen, and the watchdog does not take a slow disk for a hang.
         while (self._parts.scans.busy or self._parts.calibrating.busy) and self._clock.now_ns() < end_ns:
             beat()
-        self._tell_status()
+        self._write_status()
         return self._quit
 
     def beat(self) -> None:
@@ -149,10 +149,10 @@ class Service:
         # After the tick, so that requests of this cycle begin in it.
         for event in self._recorder.go_on():
             self._handle(event)
-        self._tell_status()
+        self._write_status()
         self._draw()
 
-    def _tell_status(self) -> None:
+    def _write_status(self) -> None:
         gallery = self.machine.gallery
         shown = None if gallery is None else self._parts.gallery.status_of(gallery.scan_id)
         self._status.update(self.machine, self._parts.scans.worker.pid, shown)
@@ -173,11 +173,11 @@ class Service:
         events += parts.aiming.poll()
         events += parts.transfer.poll(self._clock.now_ns(), is_on=self.machine.choices.transfer)
         events += self._live.switch_lasers_on()
-        if not self._boot_told and parts.devices.all_tried:
-            self._boot_told = True
+        if not self._boot_reported and parts.devices.all_tried:
+            self._boot_reported = True
             events.append(on.BootFinished())
-        if self._stop_reason() is not None and not self._stop_told:
-            self._stop_told = True
+        if self._stop_reason() is not None and not self._stop_reported:
+            self._stop_reported = True
             events.append(on.StopRequested())
         return events
 

@@ -306,7 +306,7 @@ class RangingController:
         ignored = [
             side
             for side in SIDES
-            if all(_same_dot(before, after) for before, after in _of(side, self._dark, self._first_on))
+            if all(_same_dot(before, after) for before, after in _dots_of_side(side, self._dark, self._first_on))
         ]
         if not ignored:
             return []
@@ -329,7 +329,7 @@ def _dot_count(beams: tuple[PointerBeam, PointerBeam]) -> int:
     return sum(beam.learned for beam in beams)
 
 
-def _of(side: str, dark: list[Dots], lasers_on: list[Dots]) -> list[tuple[Dot | None, Dot | None]]:
+def _dots_of_side(side: str, dark: list[Dots], lasers_on: list[Dots]) -> list[tuple[Dot | None, Dot | None]]:
     return [(of_side(before, side), of_side(after, side)) for before, after in zip(dark, lasers_on, strict=True)]
 
 

@@ -3,7 +3,7 @@
 view_of                               the view for a machine, with the labels of its keys
 Facts, Surroundings                   data of the service for a view
 menu_view, value_of, question_view    the pages of the menu, with texts and values of their rows
-held_against                          faults of the scan in hand
+scan_faults                           faults of the scan in hand
 """
 
 from __future__ import annotations

@@ -58,8 +58,8 @@ class ServiceManager:
         address = environment.pop(SOCKET, None)
         usec, pid = environment.pop(WATCHDOG_US, ""), environment.pop(WATCHDOG_PID, "")
         # The variables are inherited: with another pid they are for a parent process.
-        meant = usec.isdecimal() and int(usec) > 0 and pid in ("", str(os.getpid()))
-        return cls(address, int(usec) / 1e6 if meant else None)
+        is_for_us = usec.isdecimal() and int(usec) > 0 and pid in ("", str(os.getpid()))
+        return cls(address, int(usec) / 1e6 if is_for_us else None)
 
     def __enter__(self) -> Self:
         return self
@@ -72,21 +72,21 @@ class ServiceManager:
 
     def ready(self) -> None:
         """Report that the start is over."""
-        self._tell("READY=1")
+        self._send("READY=1")
 
     def alive(self) -> None:
         """Send the sign of life."""
-        self._tell("WATCHDOG=1")
+        self._send("WATCHDOG=1")
 
     def status(self, text: str) -> None:
         """Send one line for ``systemctl status``."""
-        self._tell(f"STATUS={' '.join(text.split())}")
+        self._send(f"STATUS={' '.join(text.split())}")
 
     def stopping(self) -> None:
         """Report that the end has begun."""
-        self._tell("STOPPING=1")
+        self._send("STOPPING=1")
 
-    def _tell(self, message: str) -> None:
+    def _send(self, message: str) -> None:
         if self._socket is None or self._address is None:
             return
         try:
@@ -126,7 +126,7 @@ class Watchdog:
         self._now_s = now_s
         self._state: State | None = None
         self._turned_ns: int | None = None
-        self._told_s: float | None = None
+        self._last_sign_s: float | None = None
         self._failed: list[str] | None = None
 
     def report_cycle(self, machine: Machine, *, worker_answers: bool) -> None:
@@ -151,9 +151,9 @@ class Watchdog:
 
     def _sign(self) -> None:
         limit_s, now_s = self._manager.watchdog_s, self._now_s()
-        if limit_s is None or (self._told_s is not None and now_s - self._told_s < limit_s / SIGNS_PER_LIMIT):
+        if limit_s is None or (self._last_sign_s is not None and now_s - self._last_sign_s < limit_s / SIGNS_PER_LIMIT):
             return
-        self._told_s = now_s
+        self._last_sign_s = now_s
         self._manager.alive()
 
     def _test(self, machine: Machine) -> None:

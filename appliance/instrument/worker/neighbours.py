@@ -107,7 +107,7 @@ class Neighbours:
 
 
 @dataclass(slots=True)
-class _Look:
+class _GuidanceTask:
     taken_ns: int
     work: Iterator[Guidance | None]
     spent_s: float = 0.0
@@ -122,7 +122,7 @@ class LiveGuide:
         left, right = (projection_of(camera, water.index, rig.volume) for camera in (rig.left, rig.right))
         self._guide = Guide(Sight(rig.left, water.index, left, right))
         self._neighbours = neighbours
-        self._look: _Look | None = None
+        self._look: _GuidanceTask | None = None
 
     def begin(self) -> None:
         """End the current work: a scan begins, after which the instrument is elsewhere."""
@@ -132,7 +132,9 @@ class LiveGuide:
     def look(self, order: LookAt, picture: NDArray[np.uint8]) -> None:
         """Prepare to evaluate a live ``picture`` (h, w) uint8, in place of the current one."""
         kept_view = self._neighbours.kept_view(order.belongs_to)
-        self._look = _Look(order.taken_ns, iter(()) if kept_view is None else self._guide.look(kept_view, picture))
+        self._look = _GuidanceTask(
+            order.taken_ns, iter(()) if kept_view is None else self._guide.look(kept_view, picture)
+        )
 
     @property
     def has_work(self) -> bool:

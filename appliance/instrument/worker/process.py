@@ -225,7 +225,7 @@ class ReconstructionWorker:
         self._take_in_work(ScanInWork(scan, (first, second), is_wanted=True, has_cloud=self._scan.has_cloud))
         # A process that was started since has no results of the first sequence, and makes them from its frames.
         if not self._scan.has_cloud:
-            self._tell(first)
+            self._announce(first)
         self._send(second)
 
     def _take_in_work(self, scan: ScanInWork) -> None:
@@ -254,7 +254,7 @@ class ReconstructionWorker:
             return
         self._expect()
         if scan.is_unsent:
-            self._tell_again()
+            self._announce_again()
         self._send(Finish())
 
     def drop(self) -> None:
@@ -273,7 +273,7 @@ class ReconstructionWorker:
     def reprocess(self, scan: int, settings: AcquisitionSettings | None = None) -> None:
         """Reconstruct the frames in the store from the first on."""
         self.begin(scan, settings)
-        self._tell_again()
+        self._announce_again()
         self.finish()
 
     def look(self, picture: NDArray[np.uint8], belongs_to: int) -> bool:
@@ -288,13 +288,13 @@ class ReconstructionWorker:
         self._send(self._image_requests.ask(self._memory.put(picture), belongs_to, now_ns))
         return True
 
-    def _tell_again(self) -> None:
+    def _announce_again(self) -> None:
         """Announce all frames of the scan again."""
         self._scan.is_unsent = False
         for order in self._scan.orders:
-            self._tell(order)
+            self._announce(order)
 
-    def _tell(self, order: Begin) -> None:
+    def _announce(self, order: Begin) -> None:
         self._send(order)
         for index in range(self._store.shape[0]):
             for side in SIDES:
@@ -323,7 +323,7 @@ class ReconstructionWorker:
                 return self._restart(str(gone))
             if message is None:
                 return self._check()
-            event = self._heard(message)
+            event = self._handle(message)
             if event is not None:
                 return event
         return None
@@ -337,7 +337,7 @@ class ReconstructionWorker:
                 return event
             self._clock.sleep_s(POLL_S)
 
-    def _heard(self, message: object) -> WorkerEvent | None:
+    def _handle(self, message: object) -> WorkerEvent | None:
         """Process a message, and return its event, if any."""
         event: WorkerEvent | None = None
         match message:
@@ -460,7 +460,7 @@ class ReconstructionWorker:
             scan.attempts += 1
             scan.is_unsent = True
             if scan.is_finishing:
-                self._tell_again()
+                self._announce_again()
                 self._send(Finish())
         return WorkerFailure(why)
 

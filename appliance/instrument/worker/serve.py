@@ -211,36 +211,36 @@ class Server:
     def serve(self) -> None:
         """Serve until the pipe closes: then EOFError or OSError is raised."""
         while True:
-            message = self._put_back.popleft() if self._put_back else self._hear()
+            message = self._put_back.popleft() if self._put_back else self._next_message()
             try:
                 self._do(message)
             except ValueError as error:  # the frames have a wrong form; those of the next scan may be right
                 self._failed, self._in_hand, self._steps = True, False, None
-                self._tell(ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, str(error))))
+                self._send_fact(ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, str(error))))
 
-    def _hear(self) -> ToWorker:
+    def _next_message(self) -> ToWorker:
         """Return the next message.
 
         While there is none, and no sequence in hand: load the rest, then compare scans, then evaluate live images.
         """
-        while not self._in_hand and not self._pipe.poll(0.0) and self._did_one_piece():
+        while not self._in_hand and not self._pipe.poll(0.0) and self._do_one_piece():
             pass
         message: ToWorker = self._pipe.recv()
         return message
 
-    def _did_one_piece(self) -> bool:
+    def _do_one_piece(self) -> bool:
         """Do one piece of deferred work; return False if there is none."""
         if self._remaining:
             self._remaining.popleft()()
         elif self._neighbours is not None and self._neighbours.has_work:
             overlap = self._neighbours.go_on()
             if overlap is not None:
-                self._tell(overlap)
+                self._send_fact(overlap)
         elif self._aiming is not None and self._aiming[0].has_work:
             # Guidance comes last, since the overlap of a scan is already awaited.
             guidance = self._aiming[0].go_on()
             if guidance is not None:
-                self._say(guidance)
+                self._send(guidance)
         else:
             return False
         return True
@@ -275,15 +275,15 @@ class Server:
                 onlooker, picture = self._aiming
                 onlooker.look(message, picture.copy(shape))
             case Ping():
-                self._say(Pong())
+                self._send(Pong())
             case _:
                 pass
 
-    def _say(self, message: FromWorker) -> None:
+    def _send(self, message: FromWorker) -> None:
         self._pipe.send(message)
 
-    def _tell(self, fact: SequenceFact) -> None:
-        self._say(News(self._ticket, fact))
+    def _send_fact(self, fact: SequenceFact) -> None:
+        self._send(News(self._ticket, fact))
 
     def _finish(self) -> None:
         """Send each fact of the sequence as soon as it is known, until another order ends the work on it."""
@@ -298,16 +298,16 @@ class Server:
                     if self._neighbours is not None:
                         self._neighbours.coarse(coarse)
                     # In another place than the full cloud, so that computing goes on before the parent has read it.
-                    self._tell(replace(fact, found=self._coarse.put(coarse)))
+                    self._send_fact(replace(fact, found=self._coarse.put(coarse)))
                 case FullCloud() | Bracket():
-                    self._tell(fact)
+                    self._send_fact(fact)
                     # Copied while the parent copies the points.
                     if self._neighbours is not None and self._first is None:
                         self._neighbours.add_full(self._store.frames("left"))
-                    self._await_taken()
+                    self._await_copy()
                     return
                 case _:
-                    self._tell(fact)
+                    self._send_fact(fact)
             if self._is_unwanted():
                 return
 
@@ -328,7 +328,7 @@ class Server:
                 return True
         return False
 
-    def _await_taken(self) -> None:
+    def _await_copy(self) -> None:
         """Wait until the cloud was copied, or is no longer needed."""
         while True:
             # The parent copies in its next cycle; until then the table in shared memory must not change.
@@ -347,7 +347,7 @@ class Server:
                 # A scan can be kept only after the work on it.
                 self._put_back.append(message)
             case Ping():
-                self._say(Pong())
+                self._send(Pong())
             case _:
                 pass
         return False
