@@ -143,7 +143,7 @@ FELT: dict[str, tuple[tuple[str, str, str, str, str], ...]] = {
         ("felt_verdict_ms", "key to verdict", "ms", "recording", "felt_recording_ms"),
         ("felt_coarse_ms", "key to coarse cloud", "ms", "recording", "felt_recording_ms"),
         ("felt_full_ms", "key to full cloud, 1.4 million points", "ms", "recording", "felt_recording_ms"),
-        ("felt_compensated_ms", "the same with compensation", "ms", "recording", "felt_recording_ms"),
+        ("felt_compensated_ms", "key to full cloud, motion compensated", "ms", "recording", "felt_recording_ms"),
         ("felt_aim_s", "power to AIM, on simulated devices", "s", "worker until warm", "felt_ready_s"),
     ),
     "A desk waits": (
@@ -242,7 +242,7 @@ def _with_targets(said: dict[str, Any], tables: dict[str, tuple[tuple[str, str, 
 
 def _felt(said: dict[str, Any]) -> list[str]:
     """Return the table of waiting, limit and peers."""
-    lines, keys = ["", "| | here | | beside it |", "|---|---:|---|---|"], []
+    lines, keys = ["", "| what | here | unit | beside it |", "|---|---:|---|---|"], []
     for group, rows in FELT.items():
         lines.append(f"| **{group}** | | | |")
         for key, name, unit, beside, other in rows:
@@ -265,13 +265,14 @@ def _version_line(said: dict[str, Any], keys: Sequence[str]) -> list[str]:
 
 
 def _by_scene(said: dict[str, Any]) -> list[str]:
-    """Return tables with a column for each scene; what a scene has not is a dash."""
+    """Return tables with a column for each scene; a figure that a scene lacks is a dash, a row without figures is left out."""
     lines = []
     for title, rows in BY_SCENE.items():
         lines += ["", f"| {title} | {' | '.join(head for _, head in SCENES)} |", "|---|" + "---:|" * len(SCENES)]
         for key, name in rows:
             values = [said.get(scene + key) for scene, _ in SCENES]
-            lines.append(f"| {name} | {' | '.join('—' if value is None else short(value) for value in values)} |")
+            if any(value is not None for value in values):
+                lines.append(f"| {name} | {' | '.join('—' if value is None else short(value) for value in values)} |")
         lines += _version_line(said, [scene + key for key, _ in rows for scene, _ in SCENES])
     return lines
 
