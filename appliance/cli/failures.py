@@ -83,7 +83,7 @@ MOST_CHARACTERS = 600
 
 
 @contextmanager
-def last_words(environment: Mapping[str, str]) -> Iterator[None]:
+def error_file_for_safe_screen(environment: Mapping[str, str]) -> Iterator[None]:
     """Write an error that ends the block to the error file, and raise it again.
 
     Nothing is written unless ``environment`` is that of a service.

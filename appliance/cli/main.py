@@ -59,7 +59,7 @@ def _run(arguments: Sequence[str]) -> Exit:
     typed = _parser().parse_args([*arguments[1:], "--help"] if arguments[:1] == ["help"] else arguments)
     kind: type[Verb] = typed.verb
     verb = collect(kind, typed)
-    with log_lines(as_json=verb.json, service=verb.says_news), _last_words(verb):
+    with log_lines(as_json=verb.json, service=verb.says_news), _error_file(verb):
         if kind.kernels:
             from appliance.cli.kernels import find_kernels
 
@@ -69,15 +69,15 @@ def _run(arguments: Sequence[str]) -> Exit:
 
 
 @contextmanager
-def _last_words(verb: Verb) -> Iterator[None]:
+def _error_file(verb: Verb) -> Iterator[None]:
     if not verb.service:
         yield
         return
     from appliance.base import use_one_blas_thread
-    from appliance.cli.failures import last_words
+    from appliance.cli.failures import error_file_for_safe_screen
 
     use_one_blas_thread(os.environ)
-    with last_words(os.environ):
+    with error_file_for_safe_screen(os.environ):
         yield
 
 

@@ -52,7 +52,7 @@ log = logging.getLogger("kingfisher")
 
 PRESENT_TIMEOUT_S, PRESENT_PERIODS = 0.5, 4
 """Longest time to show a picture on the diver's display, in s and in periods: the longer of both holds."""
-BEAT_WITHOUT_DISPLAY_S = 0.05
+CYCLE_WITHOUT_DISPLAY_S = 0.05
 QUIT_TIMEOUT_S = 30.0
 
 
@@ -124,23 +124,23 @@ class Service:
     def run(self, watchdog: Watchdog) -> do.Quit:
         """Run cycles until the machine wants to quit, then finish pending writes."""
 
-        def beat() -> None:
-            self.beat()
+        def cycle() -> None:
+            self.run_cycle()
             watchdog.report_cycle(self.machine, worker_answers=self._parts.scans.worker.answers)
 
         self._parts.scans.test_storage()
         self._parts.scans.count_objects()
         while self._quit is None:
-            beat()
+            cycle()
         watchdog.stopping()
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
         # The cycle goes on: SAVING stays on the screen, and the watchdog does not take a slow disk for a hang.
         while (self._parts.scans.busy or self._parts.calibrating.busy) and self._clock.now_ns() < end_ns:
-            beat()
+            cycle()
         self._write_status()
         return self._quit
 
-    def beat(self) -> None:
+    def run_cycle(self) -> None:
         """Run one cycle. It waits only for the display and, during a sequence, for the projector."""
         for event in self._gather():
             self._handle(event)
@@ -289,7 +289,7 @@ class Service:
         display = self._parts.devices.display
         if display.value is None:
             # Without a display the cycle has no pace: this pause keeps it from using a full processor.
-            self._clock.sleep_s(BEAT_WITHOUT_DISPLAY_S)
+            self._clock.sleep_s(CYCLE_WITHOUT_DISPLAY_S)
             return
         self._live.take()
         telemetry = self._inputs.telemetry

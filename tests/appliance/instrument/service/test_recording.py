@@ -250,7 +250,7 @@ class Running:
         end_ns = clock.now_ns() + int(timeout_s * 1e9)
         while not then():
             assert clock.now_ns() < end_ns, self.service.machine.state
-            self.service.beat()
+            self.service.run_cycle()
 
     def tell(self, *events: on.Event) -> None:
         """As if the process for points had said so, which cannot live here."""
