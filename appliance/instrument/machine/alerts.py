@@ -387,7 +387,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             blocks_scan=True,
             forbids_light=True,
         ),
-        # Neither forbids light nor blocks a scan: `thermal` rations the light, and `permissions` refuses when
+        # Neither forbids light nor blocks a scan: `thermal` rations the light, and `conditions` refuses when
         # none is left.
         FaultCode.TEMPERATURE_UNKNOWN: Rule(
             _W, Words("TEMP ?", "TEMPERATUR ?"), Words("LIGHT IS RATIONED", "LICHT WIRD EINGETEILT")

@@ -120,7 +120,10 @@ def _ordered_off(machine: Machine) -> Result:
 
 
 def stop(machine: Machine, how: Ending) -> Result:
-    """End. A scan that the diver kept is saved first; without a decision, a recorded scan is saved, too."""
+    """End the dive or the service.
+
+    A scan that the diver kept is saved first; if a fault ends the dive, so is one without a decision.
+    """
     scan = machine.scan
     # The diver cannot be asked when a fault ends the dive: a recorded scan is kept rather than lost.
     if scan is not None and (scan.is_kept or machine.ended_by is not None):
