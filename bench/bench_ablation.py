@@ -1,8 +1,8 @@
-"""Which constants of the judges still decide anything: each is halved and doubled, and the scans are counted that are judged otherwise.
+"""Effect of each constant of the judges: it is halved and doubled, and scans with another decision are counted.
 
-A decision is what a verdict says (passed or not, and its fault), the grade, and the first reason. Scans are the scenes of
-the parts ``motion`` (each at rest and moving) and ``causes``. A constant whose change changes nothing on scenes that carry
-its own fault is a candidate to go.
+A decision is the verdict (passed or not, and its fault), the grade, and the first cause. Scans are the scenes of the
+parts ``motion`` (each at rest and moving) and ``causes``. A constant without effect on scenes that have its own fault
+may be removed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ Decisions = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A scan as it is given to the judges, decoded once."""
+    """A scan as the judges get it, decoded once."""
 
     images: ScanImages
     coarse: Cloud
@@ -66,9 +66,9 @@ class Scene:
     water: Water
     pipeline: Pipeline
     summary: CloudSummary
-    """Of the full cloud."""
-    there: NDArray[np.bool_]
-    """(h, w): left pixels with a point in it."""
+    """Summary of the full cloud."""
+    has_point: NDArray[np.bool_]
+    """(h, w): left pixels with a point in the full cloud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,21 +81,21 @@ class Rule:
     in_kernel: bool
 
     def times(self, factor: float) -> Any:
-        """Return the value so many times as large, of the same type."""
+        """Return the value times ``factor``, of the same type."""
         if isinstance(self.value, tuple):
-            return tuple(type(one)(one * factor) for one in self.value)
+            return tuple(type(part)(part * factor) for part in self.value)
         return type(self.value)(
             max(1, round(self.value * factor)) if isinstance(self.value, int) else self.value * factor
         )
 
 
 def measure() -> Iterator[Measured]:
-    """How many constants the judges have. What each decides takes hours: see ``main``."""
+    """Yield the number of constants of the judges. Their effects take hours: see ``main``."""
     yield Measured("constants of the judges", float(len(list(rules()))), "")
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench ablation --help``."""
+    """Run the command line: ``./dev bench ablation --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench ablation", description=__doc__)
     parser.add_argument(
         "--scans", type=int, default=100, help="scenes in motion, and of the causes; default: %(default)s"
@@ -105,32 +105,32 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--rules", default="", help="those whose module or name has this; default: all")
     parser.add_argument("--world", choices=WORLDS, default=ORDINARY)
     parser.add_argument("--out", type=Path, default=Path("bench/out/ablation.md"), help="default: %(default)s")
-    wanted = parser.parse_args(arguments)
-    if wanted.scans < 1:
-        parser.error(f"--scans {wanted.scans}: allowed are 1 and more")
-    listed = [rule for rule in rules() if wanted.rules in f"{rule.module}.{rule.name}"]
+    options = parser.parse_args(arguments)
+    if options.scans < 1:
+        parser.error(f"--scans {options.scans}: allowed are 1 and more")
+    listed = [rule for rule in rules() if options.rules in f"{rule.module}.{rule.name}"]
     if not listed:
-        parser.error(f"--rules {wanted.rules}: no constant of the judges has that in its name")
+        parser.error(f"--rules {options.rules}: no constant of the judges has that in its name")
     progress = Progress(1)
-    found = []
-    for scene in scenes(wanted.scans, wanted.seed, wanted.keep, wanted.world):
-        found.append(scene)
-        progress.show(f"{len(found)} scans decoded", 0.0)
-    before = [decisions(scene) for scene in found]
+    decoded = []
+    for scene in scenes(options.scans, options.seed, options.keep, options.world):
+        decoded.append(scene)
+        progress.show(f"{len(decoded)} scans decoded", 0.0)
+    before = [decisions(scene) for scene in decoded]
     lines = [
-        f"Of {len(found)} scans, those that are judged otherwise with half, and with twice the value:",
+        f"Of {len(decoded)} scans, those that are judged otherwise with half, and with twice the value:",
         "",
         "| module | constant | value | half | twice |",
         "|---|---|---|---|---|",
     ]
     for number, rule in enumerate(listed):
         progress.show(f"{rule.module} {rule.name}", number / len(listed))
-        half, twice = (_changed(rule, rule.times(factor), found, before) for factor in FACTORS)
+        half, twice = (_changed(rule, rule.times(factor), decoded, before) for factor in FACTORS)
         lines.append(
             f"| `{rule.module.partition('verdicts.')[2]}` | `{rule.name}` | {rule.value!r} | {half} | {twice} |"
         )
-        wanted.out.parent.mkdir(parents=True, exist_ok=True)
-        wanted.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     progress.close()
     sys.stdout.write("\n".join(lines) + "\n")
     return 0
@@ -138,15 +138,15 @@ def main(arguments: Sequence[str]) -> int:
 
 def scenes(scans: int, seed: int, keep: Path | None, world: str) -> Iterator[Scene]:
     """Yield the scans, those in motion first."""
-    kept = scans_of(world, keep)
+    scan_source = scans_of(world, keep)
     for number in range(scans):
         case = case_of(seed, number)
-        calibration = complete_calibration(kept.renderer(case, Take.REST).truth)
+        calibration = complete_calibration(scan_source.renderer(case, Take.REST).truth)
         for take in Take:
-            taken = kept.recorded(case, take)
-            exposure = Exposure(round(1e6 * taken.exposure_s), case.gain_db)
-            settings = AcquisitionSettings(exposure, FRAME_S, kept.noise(case), steps=STEPS)
-            yield _scene(taken.noisy, settings, calibration, kept.water(case), case.period_px)
+            recorded = scan_source.recorded(case, take)
+            exposure = Exposure(round(1e6 * recorded.exposure_s), case.gain_db)
+            settings = AcquisitionSettings(exposure, FRAME_S, scan_source.noise(case), steps=STEPS)
+            yield _scene(recorded.noisy, settings, calibration, scan_source.water(case), case.period_px)
     yield from islice(_of_causes(seed, keep, world), scans)
 
 
@@ -170,63 +170,66 @@ def _scene(
             pipeline.push(side, frames[side], index)
     coarse = pipeline.table.cloud(pipeline.find_coarse())
     images = ScanImages(sequence, frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
-    with Pipeline(calibration, water, sequence, noise=settings.noise, helpers=0) as other:
+    with Pipeline(calibration, water, sequence, noise=settings.noise, helpers=0) as full_pipeline:
         # Its maps are changed for the full cloud.
         for index in range(len(sequence)):
             for side in SIDES:
-                other.push(side, frames[side], index)
-        other.find_coarse()
-        full = other.table.cloud(other.find_full())
-    there = np.zeros(frames["left"].shape[1:], np.bool_)
-    there.reshape(-1)[full.pixel] = True
-    return Scene(images, coarse, calibration, water, pipeline, full.summary, there)
+                full_pipeline.push(side, frames[side], index)
+        full_pipeline.find_coarse()
+        full = full_pipeline.table.cloud(full_pipeline.find_full())
+    has_point = np.zeros(frames["left"].shape[1:], np.bool_)
+    has_point.reshape(-1)[full.pixel] = True
+    return Scene(images, coarse, calibration, water, pipeline, full.summary, has_point)
 
 
 def decisions(scene: Scene) -> Decisions:
-    """Return what is decided of a scan, by the judges as they are now."""
+    """Return the decisions on a scan by the judges with their present constants."""
     images, settings, sequence = scene.images, scene.images.settings, scene.images.sequence
     frames, rig = images.frames, scene.calibration.rig
     gathered = {side: gather(frames[side], sequence, of_side(settings.noise, side)) for side in SIDES}
-    lines = {side: one.lines for side, one in gathered.items()}
+    lines = {side: samples.lines for side, samples in gathered.items()}
     identity = judge_identity(frames, sequence, settings.noise, settings.exposure, lines)
-    given = JudgeInput(images, gathered, scene.coarse, rig, scene.water.index, identity, scene.pipeline)
-    said: dict[str, Judgement | None] = {}
+    inputs = JudgeInput(images, gathered, scene.coarse, rig, scene.water.index, identity, scene.pipeline)
+    judgements: dict[str, Judgement | None] = {}
     for judge in sorted(JUDGES, key=lambda judge: len(judge.needs)):
-        said[judge.name] = judge.judge(given, {name: said[name] for name in judge.needs})
+        judgements[judge.name] = judge.judge(inputs, {name: judgements[name] for name in judge.needs})
     step = grid_step_px(frames["left"].shape[2])
     grid = np.s_[::step, ::step]
-    known = [one for judge in JUDGES if (one := said[judge.name]) is not None]
-    known.append(judge_holes(images.decoded["left"].mask[grid], frames["left"][sequence.dark][grid], scene.there[grid]))
-    known.append(judge_distance(scene.summary, rig.volume))
-    weighed = (identity, *with_causes(tuple(known), scene.summary, settings.exposure, settings.steps))
-    faults = [one.fault.code for one in weighed if one.fault is not None]
-    found: Decisions = {
-        one.verdict.name: (one.verdict.passed, one.fault and one.fault.code) for one in (identity, *known)
+    made_judgements = [judgement for judge in JUDGES if (judgement := judgements[judge.name]) is not None]
+    made_judgements.append(
+        judge_holes(images.decoded["left"].mask[grid], frames["left"][sequence.dark][grid], scene.has_point[grid])
+    )
+    made_judgements.append(judge_distance(scene.summary, rig.volume))
+    weighed = (identity, *with_causes(tuple(made_judgements), scene.summary, settings.exposure, settings.steps))
+    faults = [weighed_one.fault.code for weighed_one in weighed if weighed_one.fault is not None]
+    result: Decisions = {
+        judged.verdict.name: (judged.verdict.passed, judged.fault and judged.fault.code)
+        for judged in (identity, *made_judgements)
     }
-    found["grade"] = grade(scene.summary.coverage_percent, scene.summary.noise_mm, set(faults))
-    found["first"] = faults[0] if faults else None
-    return found
+    result["grade"] = grade(scene.summary.coverage_percent, scene.summary.noise_mm, set(faults))
+    result["first"] = faults[0] if faults else None
+    return result
 
 
 def rules() -> Iterator[Rule]:
-    """Yield every number, or tuple of numbers, that a module of the verdicts names in capitals."""
+    """Yield every constant of the verdicts' modules that is a number or a tuple of numbers."""
     for path in sorted(VERDICTS.rglob("*.py")):
         module = ".".join(path.relative_to(VERDICTS.parents[2]).with_suffix("").parts)
         tree, values = ast.parse(path.read_text(encoding="utf-8")), vars(importlib.import_module(module))
-        kernels = [one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef) and one.decorator_list]
-        compiled = {one.id for kernel in kernels for one in ast.walk(kernel) if isinstance(one, ast.Name)}
+        kernels = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.decorator_list]
+        compiled = {node.id for kernel in kernels for node in ast.walk(kernel) if isinstance(node, ast.Name)}
         for line in tree.body:
             targets = line.targets if isinstance(line, ast.Assign) else []
-            for name in (one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)):
+            for name in (node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)):
                 parts = values[name] if isinstance(values[name], tuple) else (values[name],)
                 if name.isupper() and all(type(part) in (int, float) for part in parts):
                     yield Rule(module, name, values[name], name in compiled)
 
 
-def _changed(rule: Rule, value: Any, found: list[Scene], before: list[Decisions]) -> int:
-    """Return how many of the scans are judged otherwise with ``value``, in a process of its own."""
+def _changed(rule: Rule, value: Any, decoded: list[Scene], before: list[Decisions]) -> int:
+    """Return how many of the scans have another decision with ``value``, computed in another process."""
     ours, theirs = multiprocessing.Pipe(duplex=False)
-    child = multiprocessing.get_context("fork").Process(target=_count, args=(rule, value, found, before, theirs))
+    child = multiprocessing.get_context("fork").Process(target=_count, args=(rule, value, decoded, before, theirs))
     child.start()
     theirs.close()
     try:
@@ -234,20 +237,22 @@ def _changed(rule: Rule, value: Any, found: list[Scene], before: list[Decisions]
             raise TimeoutError(f"{rule.module} {rule.name} = {value!r}: not judged within {ENOUGH_S:g} s")
         return int(ours.recv())
     except EOFError:
-        # What cannot even be judged is a decision of every scan.
-        return len(found)
+        # If the judges fail with it, the decision on every scan changes.
+        return len(decoded)
     finally:
         child.kill()
         child.join()
 
 
-def _count(rule: Rule, value: Any, found: list[Scene], before: list[Decisions], answer: Connection) -> None:
-    where = [one for name, one in sys.modules.items() if name.startswith("appliance.") and _holds(vars(one), rule)]
+def _count(rule: Rule, value: Any, decoded: list[Scene], before: list[Decisions], answer: Connection) -> None:
+    where = [
+        module for name, module in sys.modules.items() if name.startswith("appliance.") and _holds(vars(module), rule)
+    ]
     for module in where:
         setattr(module, rule.name, value)
     if rule.in_kernel:
         _compile_again([vars(module) for module in where])
-    answer.send(sum(decisions(scene) != known for scene, known in zip(found, before, strict=True)))
+    answer.send(sum(decisions(scene) != old_decisions for scene, old_decisions in zip(decoded, before, strict=True)))
 
 
 def _holds(names: Mapping[str, Any], rule: Rule) -> bool:
@@ -255,9 +260,12 @@ def _holds(names: Mapping[str, Any], rule: Rule) -> bool:
 
 
 def _compile_again(modules: list[dict[str, Any]]) -> None:
-    """Compile the kernels of these modules again, and leave what is kept on the disk as it is."""
+    """Compile the kernels of these modules again, without changing the cache on the disk."""
     for kernel in {
-        id(one): one for names in modules for one in names.values() if isinstance(one, CPUDispatcher)
+        id(kernel_object): kernel_object
+        for names in modules
+        for kernel_object in names.values()
+        if isinstance(kernel_object, CPUDispatcher)
     }.values():
         vars(kernel)["_cache"] = NullCache()
         kernel.recompile()

@@ -1,4 +1,4 @@
-"""How does the code lie before a reader? Files, lines, small files, importers, homonyms, fragments and comments of each package."""
+"""Readability of the code: files, lines, small files, importers, homonyms, fragments and comments of each package."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NO_COMMENT = re.compile(r"#\s*(type:|noqa|fmt:|pragma)|#!")
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What is counted of one package."""
+    """Counts of one package."""
 
     files: int
     lines: int
@@ -44,9 +44,9 @@ class Figures:
     docstrings: int
     """Docstrings of modules, classes, functions, fields and constants."""
     fragments: int
-    """Those that begin with Of, As, By, So or From."""
+    """Docstrings that begin with Of, As, By, So or From."""
     comments: int
-    """Lines that are a comment and nothing else; directives to tools do not count."""
+    """Lines with only a comment; directives to tools do not count."""
 
     @property
     def comment_percent(self) -> float:
@@ -94,26 +94,30 @@ def _module(root: Path, path: Path) -> str:
 
 
 def _importers(root: Path, trees: dict[Path, ast.Module]) -> Counter[str]:
-    """Count for each module how many others import it or something of it."""
+    """Count for each module how many others import it or a part of it."""
     names = {_module(root, path) for path in trees}
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for path, tree in trees.items():
-        wanted: set[str] = set()
+        imported: set[str] = set()
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
-                wanted |= {alias.name for alias in node.names}
+                imported |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                wanted |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-        found.update(wanted & names - {_module(root, path)})
-    return found
+                imported |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        counts.update(imported & names - {_module(root, path)})
+    return counts
 
 
 def _docstrings(tree: ast.Module) -> Iterator[str]:
-    """Yield every string that stands alone: of modules, classes and functions, and below fields and constants."""
+    """Yield every string statement: of modules, classes and functions, and below fields and constants."""
     for node in ast.walk(tree):
-        for one in getattr(node, "body", ()) if not isinstance(node, ast.Lambda | ast.IfExp) else ():
-            if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str):
-                yield one.value.value.strip()
+        for statement in getattr(node, "body", ()) if not isinstance(node, ast.Lambda | ast.IfExp) else ():
+            if (
+                isinstance(statement, ast.Expr)
+                and isinstance(statement.value, ast.Constant)
+                and isinstance(statement.value.value, str)
+            ):
+                yield statement.value.value.strip()
 
 
 def _comment_lines(text: str) -> int:
@@ -135,14 +139,14 @@ def figures_of_revision(revision: str) -> dict[str, Figures]:
 
 
 ROWS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
-    ("files", lambda one: str(one.files)),
-    ("lines", lambda one: f"{one.lines:,}"),
-    (f"files under {SMALL_LINES} lines", lambda one: str(one.small)),
-    ("modules with at most one importer", lambda one: str(one.one_importer)),
-    ("class names that occur twice", lambda one: str(one.homonyms)),
-    ("docstrings", lambda one: f"{one.docstrings:,}"),
-    ("of these, fragments (Of, As, By, So, From …)", lambda one: str(one.fragments)),
-    ("comment lines", lambda one: f"{one.comment_percent:.1f} %"),
+    ("files", lambda package: str(package.files)),
+    ("lines", lambda package: f"{package.lines:,}"),
+    (f"files under {SMALL_LINES} lines", lambda package: str(package.small)),
+    ("modules with at most one importer", lambda package: str(package.one_importer)),
+    ("class names that occur twice", lambda package: str(package.homonyms)),
+    ("docstrings", lambda package: f"{package.docstrings:,}"),
+    ("of these, fragments (Of, As, By, So, From …)", lambda package: str(package.fragments)),
+    ("comment lines", lambda package: f"{package.comment_percent:.1f} %"),
 )
 
 
@@ -159,31 +163,31 @@ def table(before: dict[str, Figures] | None, after: dict[str, Figures]) -> str:
 
 
 def measure() -> Iterable[Measured]:
-    """The promise about fragments, and what is counted besides, of each package as it lies here."""
-    for package, one in figures(ROOT).items():
-        yield Measured(f"{package}: files", one.files, "")
-        yield Measured(f"{package}: files under {SMALL_LINES} lines", one.small, "")
-        yield Measured(f"{package}: comment lines", one.comment_percent, "%")
-        yield Measured(f"{package}: fragments among docstrings", one.fragments, "", at_most=0)
-        yield Measured(f"{package}: class names that occur twice", one.homonyms, "")
+    """Yield the counts of each package, with the limit of fragments."""
+    for package, counts in figures(ROOT).items():
+        yield Measured(f"{package}: files", counts.files, "")
+        yield Measured(f"{package}: files under {SMALL_LINES} lines", counts.small, "")
+        yield Measured(f"{package}: comment lines", counts.comment_percent, "%")
+        yield Measured(f"{package}: fragments among docstrings", counts.fragments, "", at_most=0)
+        yield Measured(f"{package}: class names that occur twice", counts.homonyms, "")
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench architecture --help``."""
+    """Run the command line: ``./dev bench architecture --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench architecture", description=__doc__)
     parser.add_argument("--since", metavar="REV", help="show the figures of this revision beside those of now")
     parser.add_argument("--write-docs", action="store_true", help=f"write the table into {PAGE}")
-    wanted = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        before = None if wanted.since is None else figures_of_revision(wanted.since)
+        before = None if options.since is None else figures_of_revision(options.since)
     except subprocess.CalledProcessError as error:
         parser.error(
-            f"--since {wanted.since}: {error.stderr.decode(errors='replace').strip()}; `git log` lists revisions"
+            f"--since {options.since}: {error.stderr.decode(errors='replace').strip()}; `git log` lists revisions"
         )
     written = table(before, figures(ROOT)) + f"\n*Figures of {version()}.*\n"
     sys.stdout.write(written)
-    if wanted.write_docs:
+    if options.write_docs:
         page = ROOT / PAGE
-        head, rest = page.read_text(encoding="utf-8").split(BEGIN)
-        page.write_text(head + BEGIN + written + END + rest.split(END)[1], encoding="utf-8")
+        head, remainder = page.read_text(encoding="utf-8").split(BEGIN)
+        page.write_text(head + BEGIN + written + END + remainder.split(END)[1], encoding="utf-8")
     return 0

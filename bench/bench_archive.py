@@ -1,4 +1,4 @@
-"""Measures how small packed scans are."""
+"""Size of packed scans."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def measure() -> Iterable[Measured]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench archive --help``."""
+    """Run the command line: ``./dev bench archive --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench archive", description=__doc__)
     parser.add_argument("--count", type=int, default=36, help="full-size scans of each world (36: six of each object)")
     parser.add_argument(
@@ -34,16 +34,18 @@ def main(arguments: Sequence[str]) -> int:
         "--keep", type=Path, required=True, help="folder of drawn scans, used and added to: 92 MB a scan"
     )
     parser.add_argument("--json", type=Path, help="write the figures there")
-    wanted = parser.parse_args(arguments)
-    found: list[Measured] = []
-    wanted.keep.mkdir(parents=True, exist_ok=True)
-    for world in wanted.worlds.split(","):
-        for one in _ratio(world, wanted.count, wanted.keep):
-            found.append(one)
-            print(one.line(), flush=True)
-    if wanted.json is not None:
-        wanted.json.write_text(json.dumps([one.as_dict() for one in found], indent=1) + "\n", encoding="utf-8")
-    return 0 if all(one.kept for one in found) else 1
+    options = parser.parse_args(arguments)
+    measured: list[Measured] = []
+    options.keep.mkdir(parents=True, exist_ok=True)
+    for world in options.worlds.split(","):
+        for number in _ratio(world, options.count, options.keep):
+            measured.append(number)
+            print(number.line(), flush=True)
+    if options.json is not None:
+        options.json.write_text(
+            json.dumps([number.as_dict() for number in measured], indent=1) + "\n", encoding="utf-8"
+        )
+    return 0 if all(number.kept for number in measured) else 1
 
 
 def _ratio(world: str, count: int, keep: Path) -> Iterable[Measured]:

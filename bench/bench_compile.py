@@ -1,6 +1,6 @@
-"""What a first run compiles: every kernel into an empty folder, on all processors at once, piece by piece and kernel by kernel.
+"""Cost of the first run: every kernel compiled into an empty folder, on all processors, piece by piece.
 
-Processor time of all processes, importing included; it is what somebody waits for with a new clone, divided by the processors.
+CPU time of all processes, imports included; divided by the processors, it is the waiting time with a new clone.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ STAGES = {
 
 @dataclass(frozen=True, slots=True)
 class Compiled:
-    """What one piece cost."""
+    """Cost of one piece."""
 
     what: str
     cpu_s: float
     kernels: Sequence[tuple[str, float]]
-    """Names with their module, and processor time without that of what they call, s."""
+    """Names with their module, and CPU time without that of the functions they call, s."""
     stages_s: Mapping[str, float]
-    """Processor time by numba's own name of each stage of its work."""
+    """CPU time by numba's name of each stage."""
 
 
 def measure() -> Iterator[Measured]:
@@ -60,7 +60,7 @@ def measure() -> Iterator[Measured]:
 
 
 def compiled(pieces: Sequence[tuple[str, str]], processes: int) -> list[Compiled]:
-    """Compile ``pieces`` (what for, function) into an empty folder, as many at once; in their order. Raises RuntimeError."""
+    """Compile ``pieces`` (text, function) into an empty folder by ``processes``. Raises RuntimeError."""
     left: queue.SimpleQueue[int] = queue.SimpleQueue()
     for number in range(len(pieces)):
         left.put(number)
@@ -121,12 +121,14 @@ def _asked(process: subprocess.Popen[bytes], function: str) -> dict[str, Any]:
 
 
 def figures(done: Sequence[Compiled], taken_s: float) -> Iterator[Measured]:
-    """Yield the whole, the pieces and what numba compiles of its own."""
+    """Yield the total, the pieces, and the functions of numba itself."""
     whole_s = sum(piece.cpu_s for piece in done)
     yield Measured("all kernels compiled, processor time", whole_s, "s CPU", key="compile_cpu_s")
     yield Measured("by the clock", taken_s, "s", key="compile_wall_s")
-    own = [own_s for piece in done for name, own_s in piece.kernels if name.startswith("numba.")]
-    yield Measured(f"of it numba's own array functions, {len(own)}", sum(own), "s CPU", key="compile_of_numba_cpu_s")
+    numba_s = [own_s for piece in done for name, own_s in piece.kernels if name.startswith("numba.")]
+    yield Measured(
+        f"of it numba's own array functions, {len(numba_s)}", sum(numba_s), "s CPU", key="compile_of_numba_cpu_s"
+    )
     yield Measured("functions compiled", sum(len(piece.kernels) for piece in done), "", key="compile_functions")
     for name, key in STAGES.items():
         spent_s = sum(piece.stages_s.get(name, 0.0) for piece in done)
@@ -178,6 +180,6 @@ def _words(kernels: Sequence[tuple[str, float, int]], code: str = "") -> str:
 
 
 def _short(name: str) -> str:
-    """Return the last part of the module and the function's own name, without what only says where it is nested."""
+    """Return the last part of the module and the function's name, without the scopes around it."""
     module, _, function = name.replace(".<locals>", "").rpartition(".")
     return f"{module.rpartition('.')[2]}.{function}"

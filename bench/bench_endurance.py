@@ -34,20 +34,20 @@ def measure() -> Iterator[Measured]:
 
 
 def dive(root: Path, scans: int, size: str) -> dict[str, Any]:
-    """Run the dive in a process of its own. Raises RuntimeError when it does not come to its end."""
+    """Run the dive in another process. Raises RuntimeError if it does not finish."""
     command = [sys.executable, "-m", "bench.dive_at_rate", "--scans", str(scans), "--size", size, "--root", str(root)]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=180.0 + SECONDS_PER_SCAN * scans, check=False)
-    said = ran.stdout.strip().splitlines()
-    if not said:
+    lines = ran.stdout.strip().splitlines()
+    if not lines:
         raise RuntimeError(f"the dive ended with code {ran.returncode}: {ran.stderr[-600:]}")
-    log: dict[str, Any] = json.loads(said[-1])
+    log: dict[str, Any] = json.loads(lines[-1])
     if log["error"] is not None:
         raise RuntimeError(f"the dive ended early: {log['error']}; {ran.stderr[-600:]}")
     return log
 
 
 def judged(log: dict[str, Any]) -> Iterator[Measured]:
-    """What the log of a dive says."""
+    """Yield the figures of the log of a dive."""
     yield Measured("scans recorded in real time", log["scans"], "scans", key="endurance_scans")
     lost = log["lost_frames"]
     yield Measured("frames lost in them", lost, "frames", at_most=0.0, key="endurance_lost_frames")
@@ -72,7 +72,7 @@ def judged(log: dict[str, Any]) -> Iterator[Measured]:
     late = np.abs(log["late_us"])
     yield Measured("latest flip", float(late.max()), "us", key="endurance_latest_flip_us")
     for name, key in (("coarse", "coarse_latency"), ("full", "full_latency"), ("saved", "saved_latency")):
-        # Of those scans that got so far: a stage that one has not reached is not another one's.
+        # Only of scans that reached the stage.
         latency_ms = [1e3 * (scan[name] - scan["last_frame"]) for scan in log["times_s"] if name in scan]
         if not latency_ms:
             continue

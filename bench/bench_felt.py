@@ -1,9 +1,9 @@
-"""The waiting that a diver and a desk feel, by the clock, beside the time that no program can fall below.
+"""Waiting times of a diver and at a desk, by the clock, beside the least possible time.
 
-A diver's times begin with the key: the recording of the sequence, then the product's own worker, as
-``bench.whole_scan`` paces it. The appliance starts on simulated devices, whose world shares the processors with it. A
-desk's verbs are processes of their own, with warm files and compiled kernels; CPU is that of all their processes. Each
-time is the median of a few repetitions.
+A diver's times begin with the key: the recording of the sequence, then the product's worker, as ``bench.whole_scan``
+paces it. The appliance starts on simulated devices, whose world shares the processors with it. A desk's verbs are
+processes of their own, with warm files and compiled kernels; CPU is that of all their processes. Each time is the
+median of a few repetitions.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def key_to_answers(disc: TimedScene, effort: Effort, out: Path) -> Iterator[Meas
             shared_mb.append(worker.peak_mb - worker.own_peak_mb)
     recording_ms = 1e3 * FRAME_S * len(disc.sequence)
     yield Measured("recording of the sequence", recording_ms, "ms", key="felt_recording_ms")
-    for words, key, after_ms in ANSWERS:
-        yield median_of(f"key to {words}", [recording_ms + after_ms(scan) for scan in scans], "ms", key)
+    for label, key, after_ms in ANSWERS:
+        yield median_of(f"key to {label}", [recording_ms + after_ms(scan) for scan in scans], "ms", key)
     if effort.compensated:
         with paced_worker(timed_scene(MOVING, effort.width_px, effort.folder), out) as worker:
             compensated = [worker.scan() for _ in range(effort.scans)]
@@ -133,11 +133,11 @@ def desk(folder: Path, disc: TimedScene, repetitions: int) -> Iterator[Measured]
     with tarfile.open(RECORDINGS) as packed:
         packed.extractall(folder / SMALL_SCANS, filter="data")
     _run(NEW_OBJECT, folder)
-    for words, name, arguments in DESK:
+    for label, name, arguments in DESK:
         _run(arguments, folder)  # warms the files, and compiles a kernel that is missing
         times_s = [_run(arguments, folder) for _ in range(repetitions)]
-        yield median_of(words, [wall_s for wall_s, _ in times_s], "s", f"felt_{name}_s")
-        yield median_of(f"{words}, CPU", [cpu_s for _, cpu_s in times_s], "s CPU", f"felt_{name}_cpu_s")
+        yield median_of(label, [wall_s for wall_s, _ in times_s], "s", f"felt_{name}_s")
+        yield median_of(f"{label}, CPU", [cpu_s for _, cpu_s in times_s], "s CPU", f"felt_{name}_cpu_s")
 
 
 def store(scene: TimedScene, root: Path) -> None:

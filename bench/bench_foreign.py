@@ -1,4 +1,5 @@
-"""Image sets of six foreign conventions by the simulator: how complete and how accurate their points are, and which wrong words are named."""
+"""Images of six foreign conventions by the simulator: completeness and accuracy of points, and detection of wrong
+descriptions."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ LEAST_PERCENT, LEAST_COARSE_PERCENT = 97.0, 95.0
 """Share of the pixels that all eyes see: at 800 px, a ring of one to two pixels about each edge is 1 % to 3 % of them. Of stripes alone the
 ends of each surface, half a stripe, are drawn from one side only, and their points rejected."""
 MOST_PIXELS = 0.1
-"""Median distance from the surface, in pixels of disparity: a tenth is what a rig as good as this one's calibration is worth."""
+"""Largest median distance from the surface, in pixels of disparity, for a calibration as good as this one's."""
 NORMAL_MEDIAN = 0.6745
 MOST_OF_NOISE = 2.0
 """Median distance over that of normal noise of the size that the points say; phases of three steps have ripple of the projector besides."""
@@ -52,91 +53,103 @@ WRONG: tuple[tuple[str, str, str], ...] = (
 
 
 def measure() -> Iterator[Measured]:
-    """Every convention as described and as guessed, and every wrong word."""
+    """Yield the figures of every convention, described and guessed, and of wrong descriptions."""
     with tempfile.TemporaryDirectory() as root:
-        made = {one.name: make_set(one, Path(root) / one.name, WIDTH_PX) for one in CONVENTIONS}
-        for one in CONVENTIONS:
-            yield from _measured(one, made[one.name])
-            if one.coarse:
-                yield from _at_half_size(one, make_set(one, Path(root) / f"{one.name}-half", HALF_WIDTH_PX))
-        named = [_is_named(made[name], before, after) for name, before, after in WRONG]
+        sets = {
+            convention.name: make_set(convention, Path(root) / convention.name, WIDTH_PX) for convention in CONVENTIONS
+        }
+        for convention in CONVENTIONS:
+            yield from _measured(convention, sets[convention.name])
+            if convention.coarse:
+                yield from _at_half_size(
+                    convention, make_set(convention, Path(root) / f"{convention.name}-half", HALF_WIDTH_PX)
+                )
+        named = [_is_named(sets[name], before, after) for name, before, after in WRONG]
         yield Measured("wrong words that are named", float(sum(named)), f"of {len(named)}", at_least=float(len(named)))
-        refused = sum(bool(read_foreign(one.description, silent).wrong) for one in made.values())
-        yield Measured("right descriptions that are refused", float(refused), f"of {len(made)}", at_most=0.0)
+        refused = sum(bool(read_foreign(convention.description, silent).wrong) for convention in sets.values())
+        yield Measured("right descriptions that are refused", float(refused), f"of {len(sets)}", at_most=0.0)
 
 
-def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
+def _measured(convention: Convention, image_set: ForeignSet) -> Iterator[Measured]:
     begin_s = process_time()
-    found = _judged(made, read_foreign(made.description, silent))
+    judged = _judged(image_set, read_foreign(image_set.description, silent))
     cpu_s = process_time() - begin_s
-    least_percent = LEAST_COARSE_PERCENT if one.coarse else LEAST_PERCENT
-    yield Measured(f"{one.name}: points of what all see", found.complete_percent, "%", at_least=least_percent)
-    yield Measured(f"{one.name}: distance from the surface", found.off_mm, "mm")
+    least_percent = LEAST_COARSE_PERCENT if convention.coarse else LEAST_PERCENT
+    yield Measured(f"{convention.name}: points of what all see", judged.complete_percent, "%", at_least=least_percent)
+    yield Measured(f"{convention.name}: distance from the surface", judged.off_mm, "mm")
     yield Measured(
-        f"{one.name}: distance in pixels of disparity", found.off_mm / found.pixel_mm, "px", at_most=MOST_PIXELS
+        f"{convention.name}: distance in pixels of disparity",
+        judged.off_mm / judged.pixel_mm,
+        "px",
+        at_most=MOST_PIXELS,
     )
-    yield Measured(f"{one.name}: noise that points say", found.noise_mm, "mm")
-    of_noise = found.off_mm / (NORMAL_MEDIAN * found.noise_mm)
-    yield Measured(f"{one.name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_NOISE)
+    yield Measured(f"{convention.name}: noise that points say", judged.noise_mm, "mm")
+    of_noise = judged.off_mm / (NORMAL_MEDIAN * judged.noise_mm)
+    yield Measured(f"{convention.name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_NOISE)
     yield Measured(
-        f"{one.name}: points farther away than {OUTLIER_MM:g} mm", found.outliers_ppm, "ppm", at_most=MOST_OUTLIERS_PPM
+        f"{convention.name}: points farther away than {OUTLIER_MM:g} mm",
+        judged.outliers_ppm,
+        "ppm",
+        at_most=MOST_OUTLIERS_PPM,
     )
-    yield Measured(f"{one.name}: CPU, tests and points", cpu_s, "s")
-    guess = made.description.with_name("guess.toml")
-    best = guess_sequence(made.description.parent, silent)[0]
+    yield Measured(f"{convention.name}: CPU, tests and points", cpu_s, "s")
+    guess = image_set.description.with_name("guess.toml")
+    best = guess_sequence(image_set.description.parent, silent)[0]
     guess.write_text(describe_guess(best, guess.parent), encoding="utf-8")
-    guessed = _judged(made, read_foreign(guess, silent))
-    yield Measured(f"{one.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
+    guessed = _judged(image_set, read_foreign(guess, silent))
+    yield Measured(f"{convention.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
 
 
-def _at_half_size(one: Convention, made: ForeignSet) -> Iterator[Measured]:
-    """Stripes that the simulator's pixels sample at a point: it does not take the mean of a pattern that is finer than they are, so that
-    borders lie a tenth of a pixel off instead of a hundredth. The points must say so."""
-    found = _judged(made, read_foreign(made.description, silent))
-    name = f"{one.name}, images {HALF_WIDTH_PX} px wide"
+def _at_half_size(convention: Convention, image_set: ForeignSet) -> Iterator[Measured]:
+    """Measure with stripes finer than the simulator's pixels, which sample them at a point.
+
+    So their edges lie a tenth of a pixel off instead of a hundredth; the points must state that.
+    """
+    judged = _judged(image_set, read_foreign(image_set.description, silent))
+    name = f"{convention.name}, images {HALF_WIDTH_PX} px wide"
     yield Measured(
-        f"{name}: distance in pixels of disparity", found.off_mm / found.pixel_mm, "px", at_most=2.0 * MOST_PIXELS
+        f"{name}: distance in pixels of disparity", judged.off_mm / judged.pixel_mm, "px", at_most=2.0 * MOST_PIXELS
     )
-    of_noise = found.off_mm / (NORMAL_MEDIAN * found.noise_mm)
+    of_noise = judged.off_mm / (NORMAL_MEDIAN * judged.noise_mm)
     yield Measured(f"{name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_STRIPES)
 
 
 @dataclass(frozen=True)
 class _Judged:
-    """How good a set's points are."""
+    """Quality of the points of a set."""
 
     complete_percent: float
     off_mm: float
     """Median distance from the true surface."""
     noise_mm: float
-    """Median of the standard deviations that the points say."""
+    """Median of the points' standard deviations."""
     outliers_ppm: float
     pixel_mm: float
-    """What a pixel of disparity is worth in depth: z² / (f b)."""
+    """Depth of a pixel of disparity: z² / (f b)."""
 
 
-def _judged(made: ForeignSet, scan: ForeignScan) -> _Judged:
-    found = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras["right"])
-    seen, there = made.renderer.view("left", 0.0).seen_by_all, found.cloud.mask
-    points_mm = left_to_rig(made.renderer.truth, found.cloud.points_mm[there])
-    distance_mm = np.abs(made.renderer.surface(0.0).distance_mm(points_mm))
+def _judged(image_set: ForeignSet, scan: ForeignScan) -> _Judged:
+    points = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras["right"])
+    visible, has_point = image_set.renderer.view("left", 0.0).seen_by_all, points.cloud.mask
+    points_mm = left_to_rig(image_set.renderer.truth, points.cloud.points_mm[has_point])
+    distance_mm = np.abs(image_set.renderer.surface(0.0).distance_mm(points_mm))
     rig = scan.rig.rig
     baseline_mm = float(np.linalg.norm(rig.right.translation_mm))
-    depth_mm = float(np.median(found.cloud.points_mm[there][:, 2]))
+    depth_mm = float(np.median(points.cloud.points_mm[has_point][:, 2]))
     return _Judged(
-        100.0 * float((there & seen).sum()) / float(seen.sum()), float(np.median(distance_mm)),
-        float(np.median(found.cloud.sigma_mm[there])), 1e6 * float(np.mean(distance_mm > OUTLIER_MM)),
+        100.0 * float((has_point & visible).sum()) / float(visible.sum()), float(np.median(distance_mm)),
+        float(np.median(points.cloud.sigma_mm[has_point])), 1e6 * float(np.mean(distance_mm > OUTLIER_MM)),
         depth_mm**2 / (rig.left.lens.f_px[0] * baseline_mm),
     )  # fmt: skip
 
 
-def _is_named(made: ForeignSet, before: str, after: str) -> bool:
-    """Tell whether a wrong word in place of a right one is called wrong."""
+def _is_named(image_set: ForeignSet, before: str, after: str) -> bool:
+    """Tell whether a wrong word in place of a right one is reported."""
     changes = [(before, after)]
     if before.startswith("left = "):
         # Both names, or one camera's images would be there twice.
         changes = [('left = "left/', 'left = "xx/'), ('right = "right/', 'right = "left/'), ("xx/", "right/")]
     try:
-        return bool(read_foreign(made.described(*changes), silent).wrong)
+        return bool(read_foreign(image_set.described(*changes), silent).wrong)
     except ForeignError:
         return False

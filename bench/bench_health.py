@@ -1,5 +1,5 @@
-"""Which changes of the instrument the gaps of rays and projector see from which size on, what that is in length, and how often
-they err."""
+"""Sizes from which changes of the instrument are detected by ray gaps and third gaps, their length errors, and false
+alarms."""
 
 from __future__ import annotations
 
@@ -29,31 +29,32 @@ NORMAL_SCANS = 100
 CHAINS, LINKS = 1000, 1000
 OUT = Path("bench/out")
 LENGTH_THAT_MATTERS_PERCENT = 0.05
-"""Half of what a length check may find: a change that costs more before the gaps see it needs the check."""
+"""Half of the smallest error that a length check detects: a change with a larger one before its detection needs the
+check."""
 LENGTH_LEFT_OUT_PERCENT = 0.03
 """A change that costs less before the gaps see it is not in the table."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What was found about one change, median over the rigs; ``None``: not within the sizes asked for."""
+    """Result for one change, median over the rigs; ``None`` if it is outside the tested sizes."""
 
     change: Change
     second: float | None
-    """Size that the second scan sees at the latest."""
+    """Size that the second scan detects."""
     length_percent: float
     """Length error per unit of size."""
 
 
 def measure() -> Iterator[Measured]:
-    made = [calibrated(seed) for seed in RIGS]
-    found = [_seen(change, made) for change in changes()]
-    for one in found:
+    rigs = [calibrated(seed) for seed in RIGS]
+    results = [_seen(change, rigs) for change in changes()]
+    for result in results:
         yield Measured(
-            f"seen at the second scan: {one.change.name}",
-            float("nan") if one.second is None else one.second,
-            one.change.unit,
-            why=None if one.second is not None else f"not up to {one.change.most:g} {one.change.unit}",
+            f"seen at the second scan: {result.change.name}",
+            float("nan") if result.second is None else result.second,
+            result.change.unit,
+            why=None if result.second is not None else f"not up to {result.change.largest:g} {result.change.unit}",
         )
     largest = []
     for method in (Method.SPLINE, Method.PORTS):
@@ -73,22 +74,22 @@ def measure() -> Iterator[Measured]:
             "alarms",
         )
     OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "health.md").write_text(_table(found, largest[0]), encoding="utf-8")
-    draw_health(OUT / "health.png", made[0].modes, _story(made[0]))
+    (OUT / "health.md").write_text(_table(results, largest[0]), encoding="utf-8")
+    draw_health(OUT / "health.png", rigs[0].modes, _story(rigs[0]))
 
 
-def _seen(change: Change, made: list[Calibrated]) -> Seen:
+def _seen(change: Change, rigs: list[Calibrated]) -> Seen:
     sizes: list[float | None] = []
     lengths = []
-    for one in made:
-        changed = change.make(one.truth, change.size)
-        lengths.append(length_error_percent(one.truth, changed, one.rig) / change.size)
-        trend, eye = _learnt(one)
+    for rig in rigs:
+        changed = change.make(rig.truth, change.size)
+        lengths.append(length_error_percent(rig.truth, changed, rig.rig) / change.size)
+        trend, eye = _learnt(rig)
         pairs = []
         for trial in range(2 * TRIALS):
-            seen = [scan(one, t, np.random.default_rng([9, trial]), pattern=True) for t in (one.truth, changed)]
-            third = [eye.gaps(one.rig, gaps) for gaps in seen]
-            pairs.append((_Change(*seen), _Change(*third)))
+            gaps_of_both = [scan(rig, t, np.random.default_rng([9, trial]), pattern=True) for t in (rig.truth, changed)]
+            third = [eye.gaps(rig.rig, gaps) for gaps in gaps_of_both]
+            pairs.append((_Change(*gaps_of_both), _Change(*third)))
         sizes.append(_smallest(trend, pairs, change))
     return Seen(change, _median(sizes), float(np.median(lengths)))
 
@@ -96,11 +97,11 @@ def _seen(change: Change, made: list[Calibrated]) -> Seen:
 class _Change:
     """One kind of gap of a scan before and after a change, with the patches that both have."""
 
-    def __init__(self, normal: PatchGaps | None, other: PatchGaps | None) -> None:
-        if normal is None or other is None:
+    def __init__(self, normal: PatchGaps | None, changed: PatchGaps | None) -> None:
+        if normal is None or changed is None:
             raise ValueError("the projector is not learnt; give more normal scans")
-        shared = np.intersect1d(normal.patch, other.patch)
-        self._normal, self._other = (_only(one, np.isin(one.patch, shared)) for one in (normal, other))
+        shared = np.intersect1d(normal.patch, changed.patch)
+        self._normal, self._other = (_only(gaps, np.isin(gaps.patch, shared)) for gaps in (normal, changed))
 
     def at(self, share: float) -> PatchGaps:
         """The gaps after so much of the change."""
@@ -108,36 +109,38 @@ class _Change:
         return replace(self._normal, gap_um=self._normal.gap_um + share * moved_um)
 
 
-def _learnt(made: Calibrated) -> tuple[HealthTrend, ThirdEye]:
-    """What is remembered after twelve normal scans."""
-    rng = np.random.default_rng([1, made.truth.seed])
-    *_, (trend, eye, _) = _followed(made, (scan(made, made.truth, rng, pattern=True) for _ in range(12)))
+def _learnt(rig: Calibrated) -> tuple[HealthTrend, ThirdEye]:
+    """Return trend and third eye after twelve normal scans."""
+    rng = np.random.default_rng([1, rig.truth.seed])
+    *_, (trend, eye, _) = _followed(rig, (scan(rig, rig.truth, rng, pattern=True) for _ in range(12)))
     return trend, eye
 
 
-def _followed(made: Calibrated, scans: Iterable[PatchGaps]) -> Iterator[tuple[HealthTrend, ThirdEye, HealthJudgement]]:
+def _followed(rig: Calibrated, scans: Iterable[PatchGaps]) -> Iterator[tuple[HealthTrend, ThirdEye, HealthJudgement]]:
     trend, eye = HealthTrend(), ThirdEye()
     for gaps in scans:
-        trend, eye, said = judge_with_projector(trend, eye, made.rig, gaps)
-        yield trend, eye, said
+        trend, eye, judgement = judge_with_projector(trend, eye, rig.rig, gaps)
+        yield trend, eye, judgement
 
 
 def _smallest(trend: HealthTrend, pairs: list[tuple[_Change, _Change]], change: Change) -> float | None:
-    """Return, by bisection, the size that alarms at the second scan in 95 of 100 trials."""
+    """Return, by bisection, the size that raises an alarm at the second scan in 95 of 100 trials."""
 
     def seen(size: float) -> bool:
         hits = 0
         blocks = range(0, len(pairs), 2)
         for k in blocks:
-            at = trend
+            trend_after = trend
             for rays, third in pairs[k : k + 2]:
-                at, said = judge_health(at, rays.at(size / change.size), None, third.at(size / change.size))
-                if said.alarm:
+                trend_after, judgement = judge_health(
+                    trend_after, rays.at(size / change.size), None, third.at(size / change.size)
+                )
+                if judgement.alarm:
                     hits += 1
                     break
         return hits >= SEEN * len(blocks)
 
-    low, high = 0.0, change.most
+    low, high = 0.0, change.largest
     if not seen(high):
         return None
     for _ in range(14):
@@ -157,14 +160,14 @@ def _only(gaps: PatchGaps, which: NDArray[np.bool_]) -> PatchGaps:
 
 
 def _median(values: list[float | None]) -> float | None:
-    known = [v for v in values if v is not None]
-    return float(np.median(known)) if len(known) == len(values) else None
+    sizes = [v for v in values if v is not None]
+    return float(np.median(sizes)) if len(sizes) == len(values) else None
 
 
-def _normal(made: Calibrated) -> list[float]:
-    rng = np.random.default_rng([77, made.truth.seed])
-    scans = (scan(made, made.truth, rng, pattern=True) for _ in range(NORMAL_SCANS))
-    return [said.point.total for _, _, said in _followed(made, scans) if said.point is not None]
+def _normal(rig: Calibrated) -> list[float]:
+    rng = np.random.default_rng([77, rig.truth.seed])
+    scans = (scan(rig, rig.truth, rng, pattern=True) for _ in range(NORMAL_SCANS))
+    return [judgement.point.total for _, _, judgement in _followed(rig, scans) if judgement.point is not None]
 
 
 def _false_alarms(bias: float) -> int:
@@ -183,27 +186,27 @@ def _false_alarms(bias: float) -> int:
     return alarms
 
 
-def _story(made: Calibrated) -> HealthTrend:
-    """Thirty normal scans, then the right camera turned by 0.02° about y."""
+def _story(rig: Calibrated) -> HealthTrend:
+    """Return the trend of thirty normal scans and six after a turn of the right camera by 0.02° about y."""
     rng = np.random.default_rng(3)
-    turned = with_mount_shifted(made.truth, MountShift("right", yaw_deg=0.02))
-    scans = [scan(made, made.truth if k < 30 else turned, rng) for k in range(36)]
+    turned = with_mount_shifted(rig.truth, MountShift("right", yaw_deg=0.02))
+    scans = [scan(rig, rig.truth if k < 30 else turned, rng) for k in range(36)]
     return [trend for trend, _ in follow(HealthTrend(), scans)][-1]
 
 
-def _table(found: list[Seen], largest: float) -> str:
-    """Return the table of the page: what the second scan sees, and what it costs by then."""
+def _table(results: list[Seen], largest: float) -> str:
+    """Return the table of the page: sizes that the second scan detects, and their length errors."""
     lines = ["| change | seen from | E_L | |", "|---|---:|---:|---|"]
-    for one in found:
-        unit, change = one.change.unit, one.change
-        size = one.second if one.second is not None else change.most
-        percent = one.length_percent * size
+    for result in results:
+        unit, change = result.change.unit, result.change
+        size = result.second if result.second is not None else change.largest
+        percent = result.length_percent * size
         if percent < LENGTH_LEFT_OUT_PERCENT:
             continue
-        seen = "—" if one.second is None else f"{one.second:.2g} {unit}"
-        length = f"{percent:.2g} %" if one.second is not None else f"more than {percent:.2g} %"
+        size_text = "—" if result.second is None else f"{result.second:.2g} {unit}"
+        length = f"{percent:.2g} %" if result.second is not None else f"more than {percent:.2g} %"
         check = "" if percent <= LENGTH_THAT_MATTERS_PERCENT else "**length check**"
-        lines.append(f"| {change.name} | {seen} | {length} | {check} |")
+        lines.append(f"| {change.name} | {size_text} | {length} | {check} |")
     normal = f"The largest sum of {NORMAL_SCANS * len(RIGS)} normal scans was {largest:.1f}."
     lines += ["", f"{normal} Changes whose E_L is below {LENGTH_LEFT_OUT_PERCENT:g} % are left out."]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""A set of 72 pictures of 16 megapixels by one command: processor time and memory of all, and the points that come of it."""
+"""CPU time, memory and points of an import of 72 pictures of 16 megapixels."""
 
 from __future__ import annotations
 
@@ -40,30 +40,30 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--out", default="cloud.npz", metavar="NAME", help="cloud.ply: as PLY")
     chosen = parser.parse_args(arguments)
-    kept = True
-    for one in measure(chosen.width, chosen.out):
-        kept &= one.kept
-        print(one.line(), flush=True)
-    return 0 if kept else 1
+    all_kept = True
+    for number in measure(chosen.width, chosen.out):
+        all_kept &= number.kept
+        print(number.line(), flush=True)
+    return 0 if all_kept else 1
 
 
 def measure(width_px: int = WIDTH_PX, out: str = "cloud.npz") -> Iterator[Measured]:
-    """Draw the set, and import it by a process of its own."""
-    whole = width_px == WIDTH_PX
+    """Draw the set, and import it by another process."""
+    is_full_size = width_px == WIDTH_PX
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "set"
         draw(folder, width_px)
-        words = ("-m", "appliance.cli", "import", str(folder), "--out", str(folder.with_name(out)), "--json")
-        between = (sys.executable, "-c", BETWEEN, sys.executable, *words)
-        done = subprocess.run(between, check=True, capture_output=True, timeout=3600)
-    points, cpu_s, memory_gb = json.loads(done.stdout)
+        arguments = ("-m", "appliance.cli", "import", str(folder), "--out", str(folder.with_name(out)), "--json")
+        between = (sys.executable, "-c", BETWEEN, sys.executable, *arguments)
+        result = subprocess.run(between, check=True, capture_output=True, timeout=3600)
+    points, cpu_s, memory_gb = json.loads(result.stdout)
     yield Measured("points", points, f"of {width_px * width_px * 3 // 4} pixels")
-    yield Measured("processor time", cpu_s, "s CPU", at_most=MOST_CPU_S if whole else None)
-    yield Measured("largest memory", memory_gb, "GB", at_most=MOST_GB if whole else None)
+    yield Measured("processor time", cpu_s, "s CPU", at_most=MOST_CPU_S if is_full_size else None)
+    yield Measured("largest memory", memory_gb, "GB", at_most=MOST_GB if is_full_size else None)
 
 
 def draw(folder: Path, width_px: int) -> None:
-    """Draw both cameras' pictures of three periods in one direction, with blur and noise, and their calibration beside them."""
+    """Draw both cameras' pictures of three periods in one direction, with blur and noise, and their calibration."""
     drawn = draw_laboratory(width_px, PROJECTOR_PX, two_cameras=True, linear=False, seed=21)
     shown = [drawn.shown(pattern) for pattern in of_periods(*FRINGES, steps=STEPS)(PROJECTOR_PX)]
     folder.mkdir()
@@ -74,10 +74,10 @@ def draw(folder: Path, width_px: int) -> None:
             K = camera.K.copy()
             K[1, 2] -= row
             strip = replace(camera, K=K, height_px=min(STRIP_PX, camera.height_px - row))
-            seen = strangers.photographs(
+            strip_pictures = strangers.photographs(
                 strip, drawn.bench.projector, shown, 1000 * n + row, noise=drawn.noise, texture=drawn.texture
             )
-            pictures[:, row : row + strip.height_px] = seen
+            pictures[:, row : row + strip.height_px] = strip_pictures
             strangers.lit.cache_clear()
         (folder / side).mkdir()
         for k, picture in enumerate(pictures):

@@ -1,4 +1,5 @@
-"""Twenty sequences of other programs, drawn with a seed, by one command and no word: guessed whole, asked, or wrong without a note."""
+"""Import of twenty random sequences of other programs without a description: complete, asked, or wrong with or without
+a note."""
 
 from __future__ import annotations
 
@@ -22,15 +23,15 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", metavar="TEXT", default="", help="programs whose name has it")
     parser.add_argument("--keep", metavar="FOLDER", type=Path, help="where sets and clouds stay")
     chosen = parser.parse_args(arguments)
-    kept = True
-    for one in measure(chosen.seed, chosen.only, chosen.keep):
-        kept &= one.kept
-        print(one.line(), flush=True)
-    return 0 if kept else 1
+    all_kept = True
+    for number in measure(chosen.seed, chosen.only, chosen.keep):
+        all_kept &= number.kept
+        print(number.line(), flush=True)
+    return 0 if all_kept else 1
 
 
 def measure(seed: int = SEED, only: str = "", keep: Path | None = None) -> Iterator[Measured]:
-    """Draw, import and judge each of them; what was said of those that are not whole stands below their figures."""
+    """Draw, import and judge each sequence; messages about incomplete ones stand below their figures."""
     outcomes: list[Import] = []
     with tempfile.TemporaryDirectory() as temporary:
         root = keep or Path(temporary)
@@ -39,15 +40,15 @@ def measure(seed: int = SEED, only: str = "", keep: Path | None = None) -> Itera
                 continue
             drawn = program.make(root / f"{k:02d}", 100 * seed + k)
             begin_s = process_time()
-            found = import_folder(root / f"{k:02d}", root / f"{k:02d}.npz", drawn)
+            result = import_folder(root / f"{k:02d}", root / f"{k:02d}.npz", drawn)
             cpu_s = process_time() - begin_s
-            outcomes.append(found)
+            outcomes.append(result)
             yield Measured(
-                f"{program.name}: {found.outcome}",
-                found.complete_percent,
-                f"%, {found.off_px:.2f} px off, {cpu_s:.1f} s CPU",
+                f"{program.name}: {result.outcome}",
+                result.complete_percent,
+                f"%, {result.off_px:.2f} px off, {cpu_s:.1f} s CPU",
             )
-            for line in found.said if found.outcome != "whole" else ():
+            for line in result.said if result.outcome != "whole" else ():
                 yield Measured(f"    {line}", float("nan"), "", why="")
     for outcome, bound in (
         ("whole", LEAST_WHOLE * len(outcomes) / len(PROGRAMS)),
@@ -56,7 +57,7 @@ def measure(seed: int = SEED, only: str = "", keep: Path | None = None) -> Itera
         ("wrong, with a note", None),
     ):
         yield Measured(
-            outcome, float(sum(one.outcome == outcome for one in outcomes)), f"of {len(outcomes)}", at_least=bound
+            outcome, float(sum(each.outcome == outcome for each in outcomes)), f"of {len(outcomes)}", at_least=bound
         )
-    silent = sum(one.outcome == "wrong without a note" for one in outcomes)
+    silent = sum(each.outcome == "wrong without a note" for each in outcomes)
     yield Measured("wrong without a note", float(silent), f"of {len(outcomes)}", at_most=0.0)

@@ -1,4 +1,5 @@
-"""Forty wrong words and wrong cameras' numbers, drawn with a seed over sets of one and two directions: named, unchecked or silent."""
+"""Forty random mistakes in descriptions and calibrations, over sets of one and two directions: reported, unchecked or
+silent."""
 
 from __future__ import annotations
 
@@ -21,53 +22,54 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
     chosen = parser.parse_args(arguments)
-    kept = True
-    for one in measure(chosen.seed, chosen.count):
-        kept &= one.kept
-        print(one.line(), flush=True)
-    return 0 if kept else 1
+    all_kept = True
+    for number in measure(chosen.seed, chosen.count):
+        all_kept &= number.kept
+        print(number.line(), flush=True)
+    return 0 if all_kept else 1
 
 
 def measure(seed: int = SEED, count: int = COUNT) -> Iterator[Measured]:
-    """Every set rightly described, then ``count`` of all mistakes that fit a set; what was said stands behind those that are not named."""
+    """Yield the result of every correct set, and of ``count`` mistakes, with the messages of those that are not
+    reported."""
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
-        sets = [*(drawn_set(own, root, 10 * seed + k) for k, own in enumerate(DRAWN)), *real_sets(root)]
+        sets = [*(drawn_set(drawing, root, 10 * seed + k) for k, drawing in enumerate(DRAWN)), *real_sets(root)]
         doubted = 0
-        for one in sets:
-            said = call(one, None, root / "cloud.npz")
-            doubted += len(told_words(said, "fits") & told_words(said, "unchecked"))
-            yield Measured(f"{one.name}: described rightly", float(said.code), "errors", at_most=0.0)
-            if said.code:
-                yield _told(said.error)
+        for described in sets:
+            answer = call(described, None, root / "cloud.npz")
+            doubted += len(told_words(answer, "fits") & told_words(answer, "unchecked"))
+            yield Measured(f"{described.name}: described rightly", float(answer.code), "errors", at_most=0.0)
+            if answer.code:
+                yield _told(answer.error)
         counts = dict.fromkeys(("named", "unchecked", "refused by another word", "silent"), 0)
-        for one, wrong in _drawn(sets, seed, count):
-            said = call(one, wrong, root / "cloud.npz")
-            found = outcome(said, wrong)
-            counts[found] += 1
-            yield Measured(f"{one.name}: {wrong.name}: {found}", float("nan"), "", why="")
-            if found != "named":
-                yield _told(said.error or " | ".join(said.unchecked))
+        for described, wrong in _drawn(sets, seed, count):
+            answer = call(described, wrong, root / "cloud.npz")
+            result = outcome(answer, wrong)
+            counts[result] += 1
+            yield Measured(f"{described.name}: {wrong.name}: {result}", float("nan"), "", why="")
+            if result != "named":
+                yield _told(answer.error or " | ".join(answer.unchecked))
         total = sum(counts.values())
         for name, number in counts.items():
-            least = LEAST_NAMED * total / COUNT if name == "named" else None
+            target = LEAST_NAMED * total / COUNT if name == "named" else None
             yield Measured(
-                name, float(number), f"of {total}", at_most=0.0 if name == "silent" else None, at_least=least
+                name, float(number), f"of {total}", at_most=0.0 if name == "silent" else None, at_least=target
             )
         yield Measured("words of right sets that fit and are unchecked", float(doubted), "", at_most=0.0)
 
 
 def _drawn(sets: Sequence[Described], seed: int, count: int) -> list[tuple[Described, Wrong]]:
-    """Draw from all that fit; each kind comes once before any comes twice."""
+    """Return random mistakes that fit; each kind comes once before any comes twice."""
     random = np.random.default_rng(seed)
-    left = [(one, wrong) for one in sets for wrong in WRONG if wrong.fits(one)]
+    left = [(described, wrong) for described in sets for wrong in WRONG if wrong.fits(described)]
     order = [left[k] for k in random.permutation(len(left))]
     times: dict[str, int] = {}
     ranked = []
-    for one, wrong in order:
+    for described, wrong in order:
         times[wrong.name] = times.get(wrong.name, 0) + 1
-        ranked.append((times[wrong.name], one, wrong))
-    return [(one, wrong) for _, one, wrong in sorted(ranked, key=lambda each: each[0])[:count]]
+        ranked.append((times[wrong.name], described, wrong))
+    return [(described, wrong) for _, described, wrong in sorted(ranked, key=lambda each: each[0])[:count]]
 
 
 def _told(text: str) -> Measured:

@@ -1,4 +1,4 @@
-"""Do many scans become one object? Pairs of views of all shapes, and rows of scans along a pipe, against where they were taken from."""
+"""Objects from many scans: scan pairs of all shapes, and rows of scans along a pipe, against their true poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def measure() -> Iterable[Measured]:
 
 
 def main(arguments: list[str]) -> int:
-    """``./dev bench merge --seed S [--parts pairs,row,large,guide,dive,loops,overlaps] [--pairs N] [--rigs SET] [--size WxH] [--calibrated N] [--keep DIR] [--json F]``."""
+    """Run the command line: ``./dev bench merge --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench merge", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--parts", default=f"{PAIRS},{ROW}", help=f"default: {PAIRS},{ROW}")
@@ -45,34 +45,36 @@ def main(arguments: list[str]) -> int:
     )
     parser.add_argument("--keep", type=Path, help="keep the views there; they are taken from there the next time")
     parser.add_argument("--json", type=Path, help="write everything there")
-    wanted = parser.parse_args(arguments)
-    found: list[Measured] = []
-    whole: dict[str, Any] = {"seed": wanted.seed}
-    if PAIRS in wanted.parts.split(","):
-        figures, whole[PAIRS] = pairs.measure(wanted.pairs, wanted.seed, wanted.keep)
-        found += figures
-    if ROW in wanted.parts.split(","):
-        width, height = (int(part) for part in wanted.size.split("x"))
-        figures, whole[ROW] = row.measure(wanted.seed, wanted.rigs, (width, height), wanted.keep, wanted.calibrated)
-        found += figures
-    if LARGE in wanted.parts.split(","):
-        found += large.measure(wanted.seed, wanted.keep)
-    if GUIDE in wanted.parts.split(","):
-        width, height = (int(part) for part in wanted.size.split("x"))
-        figures, whole[GUIDE] = guide.measure(wanted.seed, (width, height))
-        found += figures
-    width, height = (int(part) for part in wanted.size.split("x"))
-    if DIVE in wanted.parts.split(","):
-        found += dive.measure(wanted.seed, (width, height), wanted.keep)
-    if LOOPS in wanted.parts.split(","):
-        figures, whole[LOOPS] = loops.measure(wanted.seed, (width, height), wanted.keep)
-        found += figures
-    if OVERLAPS in wanted.parts.split(","):
-        figures, whole[OVERLAPS] = overlaps.measure(wanted.seed, (width, height), wanted.overlaps)
-        found += figures
-    for one in found:
-        print(one.line())
-    if wanted.json is not None:
-        whole["figures"] = {one.name: one.value for one in found}
-        wanted.json.write_text(json.dumps(whole, indent=1) + "\n")
-    return 0 if all(one.kept for one in found) else 1
+    options = parser.parse_args(arguments)
+    measured: list[Measured] = []
+    content: dict[str, Any] = {"seed": options.seed}
+    if PAIRS in options.parts.split(","):
+        figures, content[PAIRS] = pairs.measure(options.pairs, options.seed, options.keep)
+        measured += figures
+    if ROW in options.parts.split(","):
+        width, height = (int(part) for part in options.size.split("x"))
+        figures, content[ROW] = row.measure(
+            options.seed, options.rigs, (width, height), options.keep, options.calibrated
+        )
+        measured += figures
+    if LARGE in options.parts.split(","):
+        measured += large.measure(options.seed, options.keep)
+    if GUIDE in options.parts.split(","):
+        width, height = (int(part) for part in options.size.split("x"))
+        figures, content[GUIDE] = guide.measure(options.seed, (width, height))
+        measured += figures
+    width, height = (int(part) for part in options.size.split("x"))
+    if DIVE in options.parts.split(","):
+        measured += dive.measure(options.seed, (width, height), options.keep)
+    if LOOPS in options.parts.split(","):
+        figures, content[LOOPS] = loops.measure(options.seed, (width, height), options.keep)
+        measured += figures
+    if OVERLAPS in options.parts.split(","):
+        figures, content[OVERLAPS] = overlaps.measure(options.seed, (width, height), options.overlaps)
+        measured += figures
+    for number in measured:
+        print(number.line())
+    if options.json is not None:
+        content["figures"] = {number.name: number.value for number in measured}
+        options.json.write_text(json.dumps(content, indent=1) + "\n")
+    return 0 if all(number.kept for number in measured) else 1

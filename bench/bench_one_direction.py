@@ -1,5 +1,7 @@
-"""Does one direction of fringes measure as completely and as finely as two on scenes at rest? Scans of the simulated world, both ways: of
-our own four steps, and of three, five and eight as others project them."""
+"""Completeness and noise with fringes of one direction over those of two, at rest, in the simulated world.
+
+Sequences have our own four steps, and three, five and eight as of other rigs.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,7 @@ WITHIN = 0.05
 
 
 def measure() -> Iterable[Measured]:
-    """Completeness against what both cameras and the projector truly see, and noise against the true surface, of both ways."""
+    """Yield completeness against the truth, and noise against the true surface, with one and two directions."""
     noise = noise_of(0.0)
     for name, scene in SCENES.items():
         scan = kept_scan(FOLDER, scene, TRUTH_SET, SEED, WIDTH_PX, PERIOD_PX, 0.0)
@@ -61,34 +63,39 @@ def measure() -> Iterable[Measured]:
             pipeline.coarse()
             two = judge(scan, pipeline.full())
         begun_s = time.process_time()
-        cloud, found = first_direction_cloud(scan.frames, scan.sequence, calibration, water, noise)
+        cloud, matching = first_direction_cloud(scan.frames, scan.sequence, calibration, water, noise)
         cpu_s = time.process_time() - begun_s
-        one = judge(scan, cloud)
+        one_direction = judge(scan, cloud)
         yield Measured(f"{name}: completeness, two directions", two.completeness_percent, "%")
-        yield Measured(f"{name}: completeness, one direction", one.completeness_percent, "%")
+        yield Measured(f"{name}: completeness, one direction", one_direction.completeness_percent, "%")
         yield Measured(
-            f"{name}: one over two", one.completeness_percent / two.completeness_percent, "", at_least=1.0 - WITHIN
+            f"{name}: one over two",
+            one_direction.completeness_percent / two.completeness_percent,
+            "",
+            at_least=1.0 - WITHIN,
         )
         yield Measured(f"{name}: noise, two directions", 1000.0 * two.rms_mm, "um")
-        yield Measured(f"{name}: noise, one direction", 1000.0 * one.rms_mm, "um")
-        yield Measured(f"{name}: one over two", one.rms_mm / two.rms_mm, "", at_most=1.0 + WITHIN)
+        yield Measured(f"{name}: noise, one direction", 1000.0 * one_direction.rms_mm, "um")
+        yield Measured(f"{name}: one over two", one_direction.rms_mm / two.rms_mm, "", at_most=1.0 + WITHIN)
         yield Measured(f"{name}: farther off than 1 mm, two directions", two.outliers_ppm, "ppm")
-        yield Measured(f"{name}: farther off than 1 mm, one direction", one.outliers_ppm, "ppm")
-        yield Measured(f"{name}: several crossings", 1e6 * found.count(NoPoint.SEVERAL) / found.reason.size, "ppm")
+        yield Measured(f"{name}: farther off than 1 mm, one direction", one_direction.outliers_ppm, "ppm")
+        yield Measured(
+            f"{name}: several crossings", 1e6 * matching.count(NoPoint.SEVERAL) / matching.reason.size, "ppm"
+        )
         yield Measured(f"{name}: CPU of decoding and matching, one direction", 1000.0 * cpu_s, "ms")
     for steps in STEPS:
         yield from _of_steps(steps)
 
 
 def _of_steps(steps: int) -> Iterable[Measured]:
-    """The same of another rig's images with so many steps, in air: described as two directions, and the second one left out."""
+    """Yield the figures of another rig's images with ``steps`` steps, in air, with and without the second direction."""
     convention = Convention(f"{steps} steps", partial(_patterns, steps), "", one_direction=False)
     with TemporaryDirectory() as folder:
-        made = make_set(convention, Path(folder), WIDTH_PX, described=_described(steps, "xy"))
+        image_set = make_set(convention, Path(folder), WIDTH_PX, described=_described(steps, "xy"))
         complete, rms_mm, far_ppm = {}, {}, {}
         for name in ("xy", "x"):
-            made.description.write_text(_described(steps, name), encoding="utf-8")
-            complete[name], rms_mm[name], far_ppm[name] = _judged(made)
+            image_set.description.write_text(_described(steps, name), encoding="utf-8")
+            complete[name], rms_mm[name], far_ppm[name] = _judged(image_set)
     yield Measured(f"{steps} steps: completeness, two directions", complete["xy"], "%")
     yield Measured(f"{steps} steps: completeness, one direction", complete["x"], "%")
     yield Measured(f"{steps} steps: one over two", complete["x"] / complete["xy"], "", at_least=1.0 - WITHIN)
@@ -100,10 +107,10 @@ def _of_steps(steps: int) -> Iterable[Measured]:
 
 
 def _patterns(steps: int) -> list[Pattern]:
-    found = [even(HIGH), even(0)]
+    patterns = [even(HIGH), even(0)]
     for axis in "xy":
-        found += [*sines(axis, OTHERS_PERIOD_PX, steps), *stripes(axis, OTHERS_PERIOD_PX / 2, OTHERS_BITS)]
-    return found
+        patterns += [*sines(axis, OTHERS_PERIOD_PX, steps), *stripes(axis, OTHERS_PERIOD_PX / 2, OTHERS_BITS)]
+    return patterns
 
 
 def _described(steps: int, axes: str) -> str:
@@ -117,13 +124,13 @@ def _described(steps: int, axes: str) -> str:
     )
 
 
-def _judged(made: ForeignSet) -> tuple[float, float, float]:
-    """Return completeness in percent of what all see, the root mean square distance of points from the surface, and ppm that are far."""
-    scan = read_foreign(made.description, silent)
+def _judged(image_set: ForeignSet) -> tuple[float, float, float]:
+    """Return completeness in percent of the visible surface, RMS distance of points from it, and ppm of far points."""
+    scan = read_foreign(image_set.description, silent)
     cloud = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras["right"]).cloud
-    seen = made.renderer.view("left", 0.0).seen_by_all
-    points_mm = left_to_rig(made.renderer.truth, cloud.points_mm[cloud.mask])
-    off_mm = np.abs(made.renderer.surface(0.0).distance_mm(points_mm))
+    visible = image_set.renderer.view("left", 0.0).seen_by_all
+    points_mm = left_to_rig(image_set.renderer.truth, cloud.points_mm[cloud.mask])
+    off_mm = np.abs(image_set.renderer.surface(0.0).distance_mm(points_mm))
     near = off_mm < FAR_MM
-    complete = 100.0 * float((cloud.mask & seen).sum()) / float(seen.sum())
+    complete = 100.0 * float((cloud.mask & visible).sum()) / float(visible.sum())
     return complete, float(np.sqrt(np.mean(np.square(off_mm[near])))), 1e6 * float(np.mean(~near))

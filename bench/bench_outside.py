@@ -1,4 +1,4 @@
-"""What the instrument is worth in the harsher simulated world ``outside``: scenes, milk, calibration health, part by part and seed by seed."""
+"""Accuracy in the harsher simulated world ``outside``: scenes, milk, calibration health, part by part."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ PAGE, PICTURES = Path("docs/outside.md"), Path("docs/pictures")
 
 
 def measure() -> Iterator[Measured]:
-    """Every part with a few scenes: whether the instrument still does what it is for."""
+    """Yield every part with a few scenes, as a quick check."""
     for name, entry in PARTS.items():
-        found, _ = measure_part(name, entry.few, 1, lambda what, share: None, None, USUAL_NOISE)
-        yield from found
+        measured, _ = measure_part(name, entry.few, 1, lambda what, share: None, None, USUAL_NOISE)
+        yield from measured
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench outside --help``."""
+    """Run the command line: ``./dev bench outside --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench outside", description=__doc__)
     parser.add_argument(
         "--seed",
@@ -63,46 +63,46 @@ def main(arguments: Sequence[str]) -> int:
         action="store_true",
         help=f"measure nothing; write figures of what --json has into {PAGE}; rows of other parts stay",
     )
-    wanted = parser.parse_args(arguments)
-    if wanted.write_docs:
-        write_page(wanted.json, PAGE, PICTURES)
+    options = parser.parse_args(arguments)
+    if options.write_docs:
+        write_page(options.json, PAGE, PICTURES)
         return 0
-    names = wanted.parts.split(",")
+    names = options.parts.split(",")
     for name in names:
         if name not in PARTS:
             parser.error(f"--parts: {name!r} is unknown; allowed are {', '.join(PARTS)}")
-    if wanted.count is not None and not 1 <= wanted.count <= 100_000:
-        parser.error(f"--count {wanted.count}: allowed are 1 to 100000")
-    if not 0 <= wanted.seed < 1 << 31:
-        parser.error(f"--seed {wanted.seed}: allowed are 0 to {(1 << 31) - 1}")
-    return 0 if run(names, wanted.count, wanted.seed, wanted.json, wanted.keep, wanted.noise) else 1
+    if options.count is not None and not 1 <= options.count <= 100_000:
+        parser.error(f"--count {options.count}: allowed are 1 to 100000")
+    if not 0 <= options.seed < 1 << 31:
+        parser.error(f"--seed {options.seed}: allowed are 0 to {(1 << 31) - 1}")
+    return 0 if run(names, options.count, options.seed, options.json, options.keep, options.noise) else 1
 
 
 def run(
     names: Sequence[str], count: int | None, seed: int, path: Path, keep: Path | None, noise: str = USUAL_NOISE
 ) -> bool:
-    """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
+    """Measure part by part; the file is written after each. Return True if every limit was kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {**(read(path) if path.exists() else {"parts": {}}), "machine": machine()}
-    kept = True
-    for done, name in enumerate(names):
+    all_kept = True
+    for finished, name in enumerate(names):
         progress = Progress(1)
-        say = partial(_show, progress, done, len(names))
+        say = partial(_show, progress, finished, len(names))
         try:
-            found, data = measure_part(name, count, seed, say, keep, noise)
+            measured, data = measure_part(name, count, seed, say, keep, noise)
         finally:
             progress.close()
         sys.stdout.write(f"{name}: {PARTS[name].subject}\n")
-        sys.stdout.writelines(number.line() + "\n" for number in found)
+        sys.stdout.writelines(number.line() + "\n" for number in measured)
         sys.stdout.flush()
-        kept = kept and all(number.kept for number in found)
+        all_kept = all_kept and all(number.kept for number in measured)
         many = PARTS[name].count if count is None else count
-        said = {"count": many, "noise": noise, "measured_on": date.today().isoformat(), "data": data}
-        content = added(content, name, seed, found, said)
+        settings = {"count": many, "noise": noise, "measured_on": date.today().isoformat(), "data": data}
+        content = added(content, name, seed, measured, settings)
         draft = path.with_name(f".{path.name}")
         draft.write_text(json.dumps(content) + "\n", encoding="utf-8")
         draft.replace(path)
-    return kept
+    return all_kept
 
 
 def _show(progress: Progress, done: int, parts: int, what: str, share: float) -> None:

@@ -1,4 +1,4 @@
-"""What bends the phase besides noise (response, defocus, paint), and what drawing patterns for the response removes."""
+"""Systematic phase errors (response, defocus, borders of albedo), and the effect of corrected patterns."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ ROWS, PICTURE = "phase_bias-rows.json", "phase_bias.png"
 
 
 def measure() -> Iterator[Measured]:
-    """All tables; bounds for what is promised."""
+    """Yield all tables, with limits."""
     yield from measured(tuple(TABLES))
 
 
 def measured(tables: Sequence[str]) -> Iterator[Measured]:
-    """Some of ``TABLES``; the rows of the others stay as they were in ``ROWS``."""
+    """Yield some of ``TABLES``; the rows of the others stay as they were in ``ROWS``."""
     OUT.mkdir(parents=True, exist_ok=True)
     rows = [row for row in earlier() if row.table not in (*tables, "response")]
     response, recorded = measured_response()
@@ -53,7 +53,7 @@ def measured(tables: Sequence[str]) -> Iterator[Measured]:
         for row in TABLES[table](response):
             rows.append(row)
             (OUT / ROWS).write_text(
-                json.dumps({"rows": [asdict(one) for one in rows]}, indent=1) + "\n", encoding="utf-8"
+                json.dumps({"rows": [asdict(table_row) for table_row in rows]}, indent=1) + "\n", encoding="utf-8"
             )
             for name, value in row.values.items():
                 at_most, at_least = bounds(row, name)
@@ -81,18 +81,20 @@ def bounds(row: Row, name: str) -> tuple[float | None, float | None]:
 
 
 def panels(rows: Sequence[Row]) -> list[Panel]:
-    """Depth: ripple by cause, then all errors by cause and noise."""
-    least = 0.01
+    """Return the panels: ripple of depth by cause, then all errors by cause and noise."""
+    smallest = 0.01
     causes_um = [row for row in rows if row.table == "causes"]
     return [
-        Panel("Ripple of depth by cause, um, no noise", [_bar(row, "ripple of depth, µm", least) for row in causes_um]),
+        Panel(
+            "Ripple of depth by cause, um, no noise", [_bar(row, "ripple of depth, µm", smallest) for row in causes_um]
+        ),
         Panel(
             "Errors of points, rms, um, as the instrument is",
-            [_bar(row, "rms, µm", least) for row in rows if row.table in ("periods", "distances")],
+            [_bar(row, "rms, µm", smallest) for row in rows if row.table in ("periods", "distances")],
         ),
         Panel(
             "Points on borders of paint, rms, um",
-            [_bar(r, "rms on borders, µm", least) for r in rows if r.table == "paint"],
+            [_bar(r, "rms on borders, µm", smallest) for r in rows if r.table == "paint"],
         ),
     ]
 
@@ -107,30 +109,30 @@ SHORTER = {
 """For the picture, whose font knows no degree sign and whose labels are short."""
 
 
-def _bar(row: Row, name: str, least: float) -> Bar:
+def _bar(row: Row, name: str, smallest: float) -> Bar:
     label = row.name
     for long, short in SHORTER.items():
         label = label.replace(long, short)
-    return Bar(label, max(row.values[name], least))
+    return Bar(label, max(row.values[name], smallest))
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench phase_bias --help``."""
+    """Run the command line: ``./dev bench phase_bias --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench phase_bias", description=__doc__)
     parser.add_argument("--tables", default=",".join(TABLES), help="names with commas between; default: %(default)s")
     parser.add_argument(
         "--write-docs", action="store_true", help="measure nothing; write docs/phase-bias.md from bench/out"
     )
-    wanted = parser.parse_args(arguments)
-    if wanted.write_docs:
+    options = parser.parse_args(arguments)
+    if options.write_docs:
         write_page(OUT / ROWS, Path("docs/phase-bias.md"))
         return 0
-    tables = wanted.tables.split(",")
+    tables = options.tables.split(",")
     for table in tables:
         if table not in TABLES:
             parser.error(f"--tables: {table!r} is unknown; allowed are {', '.join(TABLES)}")
-    kept = True
+    all_kept = True
     for number in measured(tables):
         sys.stdout.write(number.line() + "\n")
-        kept = kept and number.kept
-    return 0 if kept else 1
+        all_kept = all_kept and number.kept
+    return 0 if all_kept else 1

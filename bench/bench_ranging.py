@@ -1,4 +1,4 @@
-"""The distance from the laser dots against where the beams truly end: objects, textures, waters, light, hands, hidden dots."""
+"""Measured distances by laser dots against the true ones: objects, textures, waters, light, motion, hidden dots."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PICTURE = Path("docs/pictures/ranging.png")
 FEW_SCENES = 20
 WIDTH_PX = 400
 WRONG_MM = 10.0
-"""A distance so far off is false: something else was taken for a dot."""
+"""Error above which a distance is false, because something else was taken for a dot."""
 
 
 def measure() -> Iterator[Measured]:
@@ -33,15 +33,15 @@ def measure() -> Iterator[Measured]:
 
 
 def judged(rows: Sequence[dict[str, Any]], posed: str = POSED[0]) -> list[Measured]:
-    """What the rows say. No beam meets a bar that is held as the sketches show it and nobody aims at."""
-    told = [row for row in rows if row["distance_mm"] is not None]
-    errors = np.abs([row["error_mm"] if row["error_mm"] is not None else math.inf for row in told])
-    planes = [row for row in told if row["object"] in ("plane", "board") and row["tilt_error_deg"] is not None]
+    """Return the figures of the rows. No beam hits a bar that is held as in the sketches unless it is aimed at."""
+    with_distance = [row for row in rows if row["distance_mm"] is not None]
+    errors = np.abs([row["error_mm"] if row["error_mm"] is not None else math.inf for row in with_distance])
+    planes = [row for row in with_distance if row["object"] in ("plane", "board") and row["tilt_error_deg"] is not None]
     tilts = np.abs([row["tilt_error_deg"] for row in planes])
     could = [row for row in rows if row["both_see"] > 0]
-    sigmas = [math.inf if row["error_mm"] is None else abs(row["error_mm"]) / row["sigma_mm"] for row in told]
+    sigmas = [math.inf if row["error_mm"] is None else abs(row["error_mm"]) / row["sigma_mm"] for row in with_distance]
     bars = [row for row in rows if row["object"] == "ballbar"]
-    lit = [row for row in rows if row["true_mm"] is not None]
+    with_truth = [row for row in rows if row["true_mm"] is not None]
     nan = float("nan")
 
     def of(values: Any, share: float) -> float:
@@ -53,7 +53,7 @@ def judged(rows: Sequence[dict[str, Any]], posed: str = POSED[0]) -> list[Measur
             "distance reported of these", 100.0 * _share(could), "%", at_least=None if len(bars) == len(rows) else 90.0
         ),
         Measured("distance reported of all", 100.0 * _share(rows), "%"),
-        Measured("distance reported where a beam meets the object", 100.0 * _share(lit), "%"),
+        Measured("distance reported where a beam meets the object", 100.0 * _share(with_truth), "%"),
         Measured("scenes of the ball bar", float(len(bars)), ""),
         Measured(
             "distance reported of these",
@@ -83,7 +83,7 @@ def _share(rows: Sequence[dict[str, Any]]) -> float:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench ranging --help``."""
+    """Run the command line: ``./dev bench ranging --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench ranging", description=__doc__)
     parser.add_argument("--scenes", type=int, default=FEW_SCENES, help="drawn at random; default: %(default)s")
     parser.add_argument("--seed", type=int, default=1, help="of the draws; default: %(default)s")
@@ -92,27 +92,27 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--object", choices=OBJECTS, help="that is looked at in every scene; default: at random")
     parser.add_argument("--posed", choices=POSED, default=POSED[0], help="how; default: as it comes")
     parser.add_argument("--picture", action="store_true", help=f"draw {PICTURE}")
-    wanted = parser.parse_args(arguments)
-    if not 1 <= wanted.scenes <= 100_000:
-        parser.error(f"--scenes {wanted.scenes}: allowed are 1 to 100000")
-    if wanted.seed < 0:
-        parser.error(f"--seed {wanted.seed}: allowed are 0 and more")
-    if wanted.width not in (400, 800, 1600):
-        parser.error(f"--width {wanted.width}: allowed are 400, 800 and 1600")
+    options = parser.parse_args(arguments)
+    if not 1 <= options.scenes <= 100_000:
+        parser.error(f"--scenes {options.scenes}: allowed are 1 to 100000")
+    if options.seed < 0:
+        parser.error(f"--seed {options.seed}: allowed are 0 and more")
+    if options.width not in (400, 800, 1600):
+        parser.error(f"--width {options.width}: allowed are 400, 800 and 1600")
     progress = Progress(1)
     try:
-        rows = rows_of(wanted.scenes, wanted.seed, wanted.width, progress.show, wanted.posed, wanted.object)
+        rows = rows_of(options.scenes, options.seed, options.width, progress.show, options.posed, options.object)
     finally:
         progress.close()
-    found = judged(rows, wanted.posed)
-    wanted.json.parent.mkdir(parents=True, exist_ok=True)
+    measured = judged(rows, options.posed)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
     content = {
-        "machine": machine(), "scenes": wanted.scenes, "seed": wanted.seed, "width_px": wanted.width,
-        "posed": wanted.posed, "object": wanted.object,
-        "measured": [number.as_dict() for number in found], "rows": rows,
+        "machine": machine(), "scenes": options.scenes, "seed": options.seed, "width_px": options.width,
+        "posed": options.posed, "object": options.object,
+        "measured": [number.as_dict() for number in measured], "rows": rows,
     }  # fmt: skip
-    wanted.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    if wanted.picture:
+    options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    if options.picture:
         draw(PICTURE, rows)
-    sys.stdout.writelines(number.line() + "\n" for number in found)
-    return 0 if all(number.kept for number in found) else 1
+    sys.stdout.writelines(number.line() + "\n" for number in measured)
+    return 0 if all(number.kept for number in measured) else 1

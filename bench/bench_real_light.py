@@ -1,4 +1,5 @@
-"""Sets that other laboratories took, by one command: points, distance from their own clouds or a flat board, and whether sigma is as large as that."""
+"""Image sets of other laboratories by one command: points, distance from their own clouds or a plane, and sigma against
+it."""
 
 from __future__ import annotations
 
@@ -36,11 +37,12 @@ class Set:
     """Folders; of several, each names its pictures."""
     cameras: tuple[str, ...]
     against: str
-    """``peer``: the peer's cloud; ``codes``: the same thing by another code, whose set is ``other``; ``board``: a plane."""
-    other: str = ""
+    """``peer``: the peer's cloud; ``codes``: the same object by another code, whose set is ``second_set``; ``board``: a
+    plane."""
+    second_set: str = ""
     picture: str | None = None
-    words: str | None = None
-    """What is described by hand where the one command asks."""
+    description: str | None = None
+    """Description by hand where the one command asks for it."""
 
 
 SLSTUDIO = "slstudio/calibration/calibration.xml"
@@ -56,8 +58,8 @@ SETS = (
     Set("skull, 1 fringe x 3", ("slstudio/skull_3ps",), (SLSTUDIO,), "peer", "skull, Gray code"),
     Set("skull, micro phase shifting", ("slstudio/skull_microps",), (SLSTUDIO,), "peer", "skull, Gray code"),
     Set("skull, modulated phase shifting", ("slstudio/skull_modulatedps",), (SLSTUDIO,), "peer", "skull, Gray code"),
-    Set("board, first pose", ("slstudio/calibration/calseq1",), (SLSTUDIO,), "board", words=BOARD),
-    Set("board, second pose", ("slstudio/calibration/calseq2",), (SLSTUDIO,), "board", words=BOARD),
+    Set("board, first pose", ("slstudio/calibration/calseq1",), (SLSTUDIO,), "board", description=BOARD),
+    Set("board, second pose", ("slstudio/calibration/calseq2",), (SLSTUDIO,), "board", description=BOARD),
     Set("face, two cameras", ("slmaster/binocular/L", "slmaster/binocular/R"), ("slmaster/binocular/caliInfo.yml",), "", picture="real-face.png"),
     Set("relief, camera and projector", ("slmaster/monocular",), ("slmaster/monocular/caliInfo.yml",), ""),
     Set("dragon of a renderer, Gray and 64 fringes", ("rendered/gray", "rendered/64"), BLENDER, ""),
@@ -83,104 +85,110 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--only", metavar="TEXT", default="", help="sets whose name has it")
     chosen = parser.parse_args(arguments)
-    for one in measure(chosen.pictures, chosen.only):
-        print(one.line(), flush=True)
+    for number in measure(chosen.pictures, chosen.only):
+        print(number.line(), flush=True)
     return 0
 
 
 def measure(pictures: Path | None = None, only: str = "") -> Iterator[Measured]:
-    """Every set that is there; nothing where ``KINGFISHER_REAL_PICTURES`` names no folder."""
+    """Yield the figures of every set below ``KINGFISHER_REAL_PICTURES``."""
     if "KINGFISHER_REAL_PICTURES" not in os.environ:
         yield Measured("sets of others", float("nan"), "", why="KINGFISHER_REAL_PICTURES names no folder")
         return
     root = Path(os.environ["KINGFISHER_REAL_PICTURES"])
     clouds: dict[str, Grid] = {}
     with tempfile.TemporaryDirectory() as temporary:
-        for k, one in enumerate(SETS):
-            if only.lower() in one.name.lower():
-                yield from _measured(one, root, Path(temporary) / str(k), clouds, pictures)
+        for k, image_set in enumerate(SETS):
+            if only.lower() in image_set.name.lower():
+                yield from _measured(image_set, root, Path(temporary) / str(k), clouds, pictures)
 
 
-def _measured(one: Set, root: Path, folder: Path, clouds: dict[str, Grid], pictures: Path | None) -> Iterator[Measured]:
-    _linked(one, root, folder)
+def _measured(
+    image_set: Set, root: Path, folder: Path, clouds: dict[str, Grid], pictures: Path | None
+) -> Iterator[Measured]:
+    _linked(image_set, root, folder)
     begin_s = process_time()
-    said = kingfisher("import", folder, "--out", folder.with_suffix(".npz"))
-    words = "no word"
-    if said.code:
-        yield Measured(f"{one.name}: asked", float("nan"), "", why=" ".join(said.error.split())[:300])
-        if one.words is None:
+    answer = kingfisher("import", folder, "--out", folder.with_suffix(".npz"))
+    described = "no word"
+    if answer.code:
+        yield Measured(f"{image_set.name}: asked", float("nan"), "", why=" ".join(answer.error.split())[:300])
+        if image_set.description is None:
             return
-        words, begin_s = "described by hand", process_time()
-        (folder / "described.toml").write_text(one.words, encoding="utf-8")
-        said = kingfisher("import", folder / "described.toml", "--out", folder.with_suffix(".npz"))
-        assert not said.code, said.error
+        described, begin_s = "described by hand", process_time()
+        (folder / "described.toml").write_text(image_set.description, encoding="utf-8")
+        answer = kingfisher("import", folder / "described.toml", "--out", folder.with_suffix(".npz"))
+        assert not answer.code, answer.error
     cpu_s = process_time() - begin_s
     with np.load(folder.with_suffix(".npz")) as file:
         points_mm = np.stack([np.asarray(file[f"{axis}_mm"], np.float64) for axis in "xyz"], -1)
-        grid = clouds[one.name] = Grid(
+        grid = clouds[image_set.name] = Grid(
             points_mm, np.asarray(file["sigma_mm"], np.float64), np.asarray(file["mask"], bool)
         )
-    yield Measured(f"{one.name}: points", float(grid.mask.sum()), f"in {cpu_s:.1f} s CPU, {words}")
-    yield Measured(f"{one.name}: depth", float(np.median(grid.points_mm[grid.mask][:, 2])), "mm")
-    yield Measured(f"{one.name}: sigma", float(np.median(grid.sigma_mm[grid.mask])), "mm")
-    if one.against == "peer":
+    yield Measured(f"{image_set.name}: points", float(grid.mask.sum()), f"in {cpu_s:.1f} s CPU, {described}")
+    yield Measured(f"{image_set.name}: depth", float(np.median(grid.points_mm[grid.mask][:, 2])), "mm")
+    yield Measured(f"{image_set.name}: sigma", float(np.median(grid.sigma_mm[grid.mask])), "mm")
+    if image_set.against == "peer":
         peer = scipy.io.loadmat(str(root / "slstudio/skull_gray/pointCloud.mat"))["xyz"].reshape(-1, 3)
         peer = peer[np.isfinite(peer).all(1) & (peer[:, 2] > 0)]
         off_mm = cKDTree(grid.points_mm[grid.mask]).query(peer)[0]
-        yield Measured(f"{one.name}: from the peer's cloud", float(np.median(off_mm)), "mm")
-    if one.against == "board":
-        yield from _board(one, grid)
-    if one.other in clouds:
-        yield from _between(one, grid, clouds[one.other])
-    for line in said.unchecked:
+        yield Measured(f"{image_set.name}: from the peer's cloud", float(np.median(off_mm)), "mm")
+    if image_set.against == "board":
+        yield from _board(image_set, grid)
+    if image_set.second_set in clouds:
+        yield from _between(image_set, grid, clouds[image_set.second_set])
+    for line in answer.unchecked:
         yield Measured(f"    {line[:300]}", float("nan"), "", why="")
-    if one.picture and pictures:
+    if image_set.picture and pictures:
         picture = relief(grid)
-        assert cv2.imwrite(str(pictures / one.picture), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        assert cv2.imwrite(str(pictures / image_set.picture), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
-def _linked(one: Set, root: Path, folder: Path) -> None:
+def _linked(image_set: Set, root: Path, folder: Path) -> None:
     folder.mkdir()
-    for pictures in one.pictures:
+    for pictures in image_set.pictures:
         side = Path(pictures).name
         for path in (root / pictures).iterdir():
             if path.suffix == ".png":
                 into = folder / side if side in "LR" else folder
                 into.mkdir(exist_ok=True)
-                (into / (path.name if len(one.pictures) == 1 else f"{side}_{path.name}")).symlink_to(path)
-    for path in (root / name for name in one.cameras):
+                (into / (path.name if len(image_set.pictures) == 1 else f"{side}_{path.name}")).symlink_to(path)
+    for path in (root / name for name in image_set.cameras):
         (folder / path.name).symlink_to(path)
 
 
-def _board(one: Set, grid: Grid) -> Iterator[Measured]:
-    """The plane that most points lie on (of 500 through three points each), fitted to those within four robust deviations."""
+def _board(image_set: Set, grid: Grid) -> Iterator[Measured]:
+    """Yield the distance from the plane with most points (of 500 through three points each), fitted robustly."""
     points, sigma_mm = grid.points_mm[grid.mask], grid.sigma_mm[grid.mask]
     random = np.random.default_rng(0)
     some = points[random.permutation(len(points))[:20000]]
-    there, most = np.zeros(len(points), bool), 0
+    is_near, most_points = np.zeros(len(points), bool), 0
     for _ in range(500):
         first, second, third = some[random.integers(0, len(some), 3)]
         normal = np.cross(second - first, third - first)
         normal /= np.linalg.norm(normal) + 1e-12
-        if (found := int((np.abs((some - first) @ normal) < NEAR_MM).sum())) > most:
-            there, most = np.abs((points - first) @ normal) < NEAR_MM, found
+        if (count := int((np.abs((some - first) @ normal) < NEAR_MM).sum())) > most_points:
+            is_near, most_points = np.abs((points - first) @ normal) < NEAR_MM, count
     for _ in range(6):
-        middle = points[there].mean(0)
-        off_mm = np.abs((points - middle) @ np.linalg.eigh(np.cov((points[there] - middle).T))[1][:, 0])
-        there = off_mm < 4.0 * float(np.median(off_mm[there])) / NORMAL_MEDIAN
-    rms_mm = float(np.sqrt(np.mean(off_mm[there] ** 2)))
-    yield Measured(f"{one.name}: from a plane", rms_mm, f"mm rms, {there.sum()} points, {100.0 * there.mean():.0f} %")
-    of_sigma = float(np.median(off_mm[there] / sigma_mm[there])) / NORMAL_MEDIAN
-    yield Measured(f"{one.name}: error over sigma", of_sigma, "")
+        middle = points[is_near].mean(0)
+        off_mm = np.abs((points - middle) @ np.linalg.eigh(np.cov((points[is_near] - middle).T))[1][:, 0])
+        is_near = off_mm < 4.0 * float(np.median(off_mm[is_near])) / NORMAL_MEDIAN
+    rms_mm = float(np.sqrt(np.mean(off_mm[is_near] ** 2)))
+    yield Measured(
+        f"{image_set.name}: from a plane", rms_mm, f"mm rms, {is_near.sum()} points, {100.0 * is_near.mean():.0f} %"
+    )
+    of_sigma = float(np.median(off_mm[is_near] / sigma_mm[is_near])) / NORMAL_MEDIAN
+    yield Measured(f"{image_set.name}: error over sigma", of_sigma, "")
 
 
-def _between(one: Set, grid: Grid, other: Grid) -> Iterator[Measured]:
-    """The same pixel by two codes: along its ray, so that its depths differ by no more than both sigmas say."""
-    both = grid.mask & other.mask
-    off_mm = np.linalg.norm(grid.points_mm[both] - other.points_mm[both], axis=-1)
-    sigma_mm = np.hypot(grid.sigma_mm[both], other.sigma_mm[both])
-    yield Measured(f"{one.name}: from {one.other}", float(np.median(off_mm)), f"mm, {both.sum()} pixels")
-    yield Measured(f"{one.name}: error over sigma", float(np.median(off_mm / sigma_mm)) / NORMAL_MEDIAN, "")
+def _between(image_set: Set, grid: Grid, second: Grid) -> Iterator[Measured]:
+    """Yield the difference of the same pixels by two codes, which lies along their rays, against both sigmas."""
+    common = grid.mask & second.mask
+    off_mm = np.linalg.norm(grid.points_mm[common] - second.points_mm[common], axis=-1)
+    sigma_mm = np.hypot(grid.sigma_mm[common], second.sigma_mm[common])
+    yield Measured(
+        f"{image_set.name}: from {image_set.second_set}", float(np.median(off_mm)), f"mm, {common.sum()} pixels"
+    )
+    yield Measured(f"{image_set.name}: error over sigma", float(np.median(off_mm / sigma_mm)) / NORMAL_MEDIAN, "")
 
 
 def relief(grid: Grid) -> NDArray[np.uint8]:

@@ -1,7 +1,7 @@
-"""What a scan costs from its first frame to its last point, against other ways and against what memory allows.
+"""Cost of a scan from its first frame to its last point, against other programs and the limit of memory.
 
-Everything is measured in one run, in turns, so that a busy machine slows all of it alike. Times are CPU milliseconds of
-the whole process, threads included.
+All are measured in one run, in turns, so that a busy machine slows them equally. Times are CPU milliseconds of the
+process, threads included.
 """
 
 from __future__ import annotations
@@ -73,14 +73,14 @@ def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
 
 
 def with_a_bar(pipeline: Pipeline, effort: Effort) -> tuple[ScanFrames, Cloud]:
-    """A second scene, to see what happens at depth steps."""
+    """Return a second scene with depth discontinuities, and its cloud."""
     scan = make_scan(effort.width_px, effort.height_px, bar_height_mm=BAR_HEIGHT_MM)
     one_scan(pipeline, scan)
     return scan, pipeline.full()
 
 
 def stages(rounds: Rounds) -> Iterator[Measured]:
-    """What each part of a scan costs here."""
+    """Yield the cost of each part of a scan."""
     pairs = np.array([scan.pairs_ms for scan in rounds.scans])
     dearest = int(np.argmax(np.median(pairs, 0)))
     name = f"dearest pair of frames (number {dearest})"
@@ -98,8 +98,8 @@ def stages(rounds: Rounds) -> Iterator[Measured]:
 
 
 def compared(rounds: Rounds) -> Iterator[Measured]:
-    """Yield what the other ways cost, and how often ours would fit in."""
-    whole = rounds.scan_ms(lambda s: s.whole_ms)
+    """Yield the cost of other programs, and its ratio to ours."""
+    whole_ms = rounds.scan_ms(lambda s: s.whole_ms)
     decode = rounds.taken_ms["decode"]
     yield median_of("one camera decoded", decode, "ms CPU", "decode_cpu_ms")
     opencv, plain = rounds.taken_ms["opencv_decode"], rounds.taken_ms["numpy_decode"]
@@ -109,9 +109,9 @@ def compared(rounds: Rounds) -> Iterator[Measured]:
     yield median_of("that against ours", rounds.ratios("numpy_decode", decode), "times", "ratio_numpy_decode")
     slow = rounds.taken_ms["numpy_kdtree"]
     yield median_of("whole scan, float64 NumPy and KD-tree", slow, "ms CPU", "numpy_kdtree_cpu_ms")
-    ratio = rounds.ratios("numpy_kdtree", whole)
+    ratio = rounds.ratios("numpy_kdtree", whole_ms)
     yield median_of("that against ours", ratio, "times", "ratio_numpy_kdtree", at_least=KDTREE_TARGET)
-    ours = {"cv2_structured_light": whole, "fringes": decode}
+    ours = {"cv2_structured_light": whole_ms, "fringes": decode}
     for name in foreign.PROGRAMS:
         label = f"{name} {rounds.versions.get(name, '')}".strip()
         if name in rounds.absent:
@@ -126,14 +126,14 @@ def compared(rounds: Rounds) -> Iterator[Measured]:
 
 
 def least(rounds: Rounds, scan: ScanFrames, lit_px: Sequence[int], points: int) -> Iterator[Measured]:
-    """What memory alone would need, at the best speed seen in this run."""
+    """Yield the time that memory alone needs, at the highest speed of this run."""
     read_gb_s, write_gb_s = (float(best) for best in np.max(rounds.bandwidth_gb_s, 0))
     frames = scan.frames["left"]
     least_ms = roofline.scan_ms(frames[0].size, len(frames), points, read_gb_s, write_gb_s)
     yield Measured("memory reads", read_gb_s, "GB/s", key="memory_read_gb_s")
     yield Measured("memory writes", write_gb_s, "GB/s", key="memory_write_gb_s")
     yield Measured("whole scan, if memory alone counted", least_ms, "ms", key="roofline_scan_ms")
-    ratio = [whole / least_ms for whole in rounds.scan_ms(lambda s: s.whole_ms)]
+    ratio = [scan_ms / least_ms for scan_ms in rounds.scan_ms(lambda s: s.whole_ms)]
     yield median_of("ours against that", ratio, "times", "ratio_roofline")
     left_px, right_px = lit_px
     least_ms = roofline.full_cloud_ms(left_px, right_px, points, read_gb_s, write_gb_s)
@@ -143,7 +143,7 @@ def least(rounds: Rounds, scan: ScanFrames, lit_px: Sequence[int], points: int) 
 
 
 def panels(numbers: dict[str, Measured], rounds: Rounds) -> list[Panel]:
-    """Return the parts of the picture: the steps of a scan, then the other ways."""
+    """Return the panels of the picture: the steps of a scan, then other programs."""
 
     def bar(name: str, key: str, ratio: str | None = None) -> Bar:
         number = numbers[key]
@@ -155,7 +155,7 @@ def panels(numbers: dict[str, Measured], rounds: Rounds) -> list[Panel]:
         bar("OpenCV vector operations", "opencv_decode_cpu_ms", ratio="ratio_opencv_decode"),
         bar("NumPy float32", "numpy_decode_cpu_ms", ratio="ratio_numpy_decode"),
     ]
-    whole = [
+    both_cameras = [
         bar("memory traffic alone", "roofline_scan_ms"),
         bar("Kingfisher", "scan_cpu_ms"),
     ]
@@ -164,8 +164,8 @@ def panels(numbers: dict[str, Measured], rounds: Rounds) -> list[Panel]:
         one_camera.append(bar(label, "fringes_cpu_ms", ratio="ratio_fringes"))
     if "cv2_structured_light" in rounds.versions and "cv2_structured_light" not in rounds.absent:
         label = "cv2.structured_light (whole px)"
-        whole.append(bar(label, "cv2_structured_light_cpu_ms", ratio="ratio_cv2_structured_light"))
-    whole.append(bar("float64 NumPy and KD-tree", "numpy_kdtree_cpu_ms", ratio="ratio_numpy_kdtree"))
+        both_cameras.append(bar(label, "cv2_structured_light_cpu_ms", ratio="ratio_cv2_structured_light"))
+    both_cameras.append(bar("float64 NumPy and KD-tree", "numpy_kdtree_cpu_ms", ratio="ratio_numpy_kdtree"))
     return [
         Panel(
             "One scan here, CPU ms",
@@ -180,5 +180,5 @@ def panels(numbers: dict[str, Measured], rounds: Rounds) -> list[Panel]:
             ],
         ),
         Panel("One camera decoded, CPU ms", one_camera),
-        Panel("Both cameras to correspondences or points, CPU ms", whole),
+        Panel("Both cameras to correspondences or points, CPU ms", both_cameras),
     ]

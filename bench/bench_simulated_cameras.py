@@ -1,4 +1,4 @@
-"""What images of the simulated cameras cost: 24 of both, at rest and in motion; and how exact their short cut is."""
+"""Cost of images by the simulated cameras, 24 of both, at rest and in motion, and the error of their approximation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOVING_STONES = Scene(object="stones", motion=HAND)
 
 @dataclass(frozen=True, slots=True)
 class Spent:
-    """Time that something took."""
+    """Time of an action."""
 
     wall_s: float
     cpu_s: float
@@ -39,7 +39,7 @@ class Spent:
 
     @property
     def two_cores_s(self) -> float:
-        """Wall time on two cores with nothing else to do."""
+        """Wall time on two idle cores."""
         return max(self.cpu_s / CORES, self.longest_thread_s)
 
 
@@ -86,17 +86,17 @@ def record(renderer: Renderer, frames: int) -> Spent:
 
 
 def projection() -> Iterator[Measured]:
-    """Where points are seen: the table against exact tracing."""
+    """Yield the error and the time of projection by table against exact tracing."""
     truth = draw_truth("realistic", 1, *FULL, FIRST.water.index)
     eye = truth.projector.packed(truth.n_water)
     uv = np.random.default_rng(1).uniform(0, [1023, 767], (50_000, 2))
     origin, direction = ray(truth, "projector", uv)
     points = origin + direction * np.random.default_rng(2).uniform(300.0, 700.0, (len(uv), 1))
-    found = np.empty_like(uv)
+    pixels = np.empty_like(uv)
     table = fit_table(eye)
-    look_up_all(eye, table, points, found)
-    yield Measured("projection by table, largest error", float(np.abs(found - uv).max()), "px", at_most=1e-4)
+    look_up_all(eye, table, points, pixels)
+    yield Measured("projection by table, largest error", float(np.abs(pixels - uv).max()), "px", at_most=1e-4)
     begun_s = time.thread_time()
     for _ in range(5):
-        look_up_all(eye, table, points, found)
+        look_up_all(eye, table, points, pixels)
     yield Measured("projection by table", (time.thread_time() - begun_s) * 1e9 / (5 * len(uv)), "ns", at_most=300.0)

@@ -1,4 +1,4 @@
-"""The phase of N steps: one kernel for any number against one that is compiled for each, paired, and our own for four steps of 90°."""
+"""Phase of N steps: one kernel for any number against one compiled for each, and our own for four steps of 90°."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def specialised(count: int) -> Kernel:
 
 
 def measure() -> Iterator[Measured]:
-    """CPU of both for a whole image in blocks of rows, in turns; of converting its grey values; and of compiling."""
+    """Yield CPU times of both kernels for a whole image in blocks of rows, of the conversion, and of compiling."""
     random = np.random.default_rng(1)
     for count in COUNTS:
         images = random.integers(0, 256, (count, HEIGHT_PX, WIDTH_PX), np.uint8)
@@ -77,18 +77,18 @@ def measure() -> Iterator[Measured]:
         angles = np.deg2rad(np.asarray(steps_deg))
         columns = np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
         blocks = [images[:, k : k + ROWS_AT_ONCE].astype(np.float32) for k in range(0, HEIGHT_PX, ROWS_AT_ONCE)]
-        found = [np.empty((4, *block.shape[1:]), np.float32) for block in blocks]
+        outputs = [np.empty((4, *block.shape[1:]), np.float32) for block in blocks]
         saturated = [np.empty(block.shape[1:], np.bool_) for block in blocks]
         kernel = specialised(count)
 
-        def whole(one: Kernel, blocks: list[Any] = blocks, weights: Any = weights, columns: Any = columns,
-                  found: list[Any] = found, saturated: list[Any] = saturated) -> None:  # fmt: skip
-            for block, out, full in zip(blocks, found, saturated, strict=True):
-                one(block, weights, columns, WHITE, out, full)
+        def fit_image(fit: Kernel, blocks: list[Any] = blocks, weights: Any = weights, columns: Any = columns,
+                  outputs: list[Any] = outputs, saturated: list[Any] = saturated) -> None:  # fmt: skip
+            for block, out, full in zip(blocks, outputs, saturated, strict=True):
+                fit(block, weights, columns, WHITE, out, full)
 
-        compiling_ms = cpu_ms(partial(whole, kernel))
-        whole(fit_steps)
-        pairs = [(_of(whole, fit_steps), _of(whole, kernel)) for _ in range(PAIRS)]
+        compiling_ms = cpu_ms(partial(fit_image, kernel))
+        fit_image(fit_steps)
+        pairs = [(_of(fit_image, fit_steps), _of(fit_image, kernel)) for _ in range(PAIRS)]
         general, special = np.array(pairs).T
         all_of_it = [cpu_ms(partial(fit_sine, list(images), steps_deg, float(WHITE))) for _ in range(PAIRS)]
         yield median_of(f"{count} steps: one kernel for any number", general, "ms")
@@ -97,15 +97,15 @@ def measure() -> Iterator[Measured]:
         yield median_of(f"{count} steps: with conversion of the images", all_of_it, "ms")
         yield Measured(f"{count} steps: compiling a kernel of its own", compiling_ms, "ms")
         if count == 4:
-            yield from _ours(images, general, whole)
+            yield from _ours(images, general, fit_image)
 
 
-def _of(whole: Callable[[Kernel], None], kernel: Kernel) -> float:
-    return cpu_ms(partial(whole, kernel))
+def _of(fit_image: Callable[[Kernel], None], kernel: Kernel) -> float:
+    return cpu_ms(partial(fit_image, kernel))
 
 
-def _ours(images: NDArray[np.uint8], general: NDArray[Any], whole: Callable[[Kernel], None]) -> Iterator[Measured]:
-    """Our own kernel reads 8 bits as they are, writes phase and modulation, and nothing about what is left."""
+def _ours(images: NDArray[np.uint8], general: NDArray[Any], fit_image: Callable[[Kernel], None]) -> Iterator[Measured]:
+    """Yield the time of our own kernel, which reads 8 bits, writes phase and modulation, and no residual."""
     row = np.zeros(max(COORDINATE, MODULATION_HALF_DN) + 2 * WIDTH_PX + 64, np.float32)
 
     def ours() -> None:
@@ -113,7 +113,7 @@ def _ours(images: NDArray[np.uint8], general: NDArray[Any], whole: Callable[[Ker
             phase(images[0, y], images[1, y], images[2, y], images[3, y], row)
 
     ours()
-    pairs = [(_of(whole, fit_steps), cpu_ms(ours)) for _ in range(PAIRS)]
-    any_number, own = np.array(pairs).T
-    yield median_of("4 steps: our own kernel, 8 bits", own, "ms")
-    yield median_of("4 steps: general over our own, paired", any_number / own, "")
+    pairs = [(_of(fit_image, fit_steps), cpu_ms(ours)) for _ in range(PAIRS)]
+    any_number, ours_ms = np.array(pairs).T
+    yield median_of("4 steps: our own kernel, 8 bits", ours_ms, "ms")
+    yield median_of("4 steps: general over our own, paired", any_number / ours_ms, "")

@@ -1,4 +1,4 @@
-"""Does a dive of 100 scans stay inside its temperatures? In cold and warm water, after an hour on deck, and without sensors."""
+"""Temperatures of a dive of 100 scans: in cold and warm water, after an hour on deck, and without sensors."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ PAGE, PICTURE = Path("docs", "thermal.md"), Path("docs", "pictures", "thermal.pn
 
 
 def dives(scans: int = SCANS) -> Iterator[tuple[str, Dive]]:
-    """Each case with what it is called on the page."""
+    """Yield each case with its name on the page."""
     for water_c in (4.0, 20.0, 30.0):
         yield f"{scans} scans in water of {water_c:g} °C", dive_of(scans, water_c)
     yield f"{scans} scans in water of 20 °C, no sensor answers", dive_of(scans, 20.0, sensors=False)
     yield "an hour on deck in 42 °C, then in water of 30 °C", boat_then_dive(scans // 2, 42.0, 30.0, DECK_MINUTES)
-    lit = boat_then_dive(scans // 2, 42.0, 30.0, DECK_MINUTES, policy=False)
-    yield "the same, were its light never to rest", lit
+    always_on = boat_then_dive(scans // 2, 42.0, 30.0, DECK_MINUTES, policy=False)
+    yield "the same, were its light never to rest", always_on
 
 
 def measure() -> Iterable[Measured]:
@@ -41,19 +41,19 @@ def measure() -> Iterable[Measured]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench thermal --help``."""
+    """Run the command line: ``./dev bench thermal --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench thermal", description=__doc__)
     parser.add_argument("--scans", type=int, default=SCANS, help="of a dive")
     parser.add_argument("--write-docs", action="store_true", help=f"write {PAGE} and its picture")
-    wanted = parser.parse_args(arguments)
-    if not 2 <= wanted.scans <= 1000:
-        parser.error(f"--scans {wanted.scans}: allowed are 2 to 1000")
-    done = list(dives(wanted.scans))
-    table = rows(done)
+    options = parser.parse_args(arguments)
+    if not 2 <= options.scans <= 1000:
+        parser.error(f"--scans {options.scans}: allowed are 2 to 1000")
+    results = list(dives(options.scans))
+    table = rows(results)
     sys.stdout.write("\n".join(table) + "\n")
-    if wanted.write_docs:
+    if options.write_docs:
         PAGE.write_text(page(table), encoding="utf-8")
-        draw(PICTURE, [panel(name, dive) for name, dive in done])
+        draw(PICTURE, [panel(name, dive) for name, dive in results])
     return 0
 
 

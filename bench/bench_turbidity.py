@@ -1,4 +1,4 @@
-"""What turbid water costs: noise, completeness, lengths and flatness against attenuation, veil and blur."""
+"""Effect of turbid water: noise, completeness, lengths and flatness over attenuation, backscatter and blur."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _known(value: float | None) -> float:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench turbidity --help``."""
+    """Run the command line: ``./dev bench turbidity --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench turbidity", description=__doc__)
     parser.add_argument("--rigs", type=int, default=1, help="hidden rigs for the plane, with successive seeds")
     parser.add_argument("--artefact-rigs", type=int, default=1, help="of them, how many also measure ball bars")
@@ -42,23 +42,23 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--write-docs", action="store_true", help=f"measure nothing; write {PAGE} and its pictures from {DATA}"
     )
-    wanted = parser.parse_args(arguments)
-    if wanted.write_docs:
+    options = parser.parse_args(arguments)
+    if options.write_docs:
         write_page(DATA, PAGE, PICTURES)
         return 0
-    if not 1 <= wanted.rigs <= 100 or not 0 <= wanted.artefact_rigs <= wanted.rigs:
+    if not 1 <= options.rigs <= 100 or not 0 <= options.artefact_rigs <= options.rigs:
         parser.error(
-            f"--rigs {wanted.rigs} --artefact-rigs {wanted.artefact_rigs}: allowed are 1 to 100, and 0 to --rigs"
+            f"--rigs {options.rigs} --artefact-rigs {options.artefact_rigs}: allowed are 1 to 100, and 0 to --rigs"
         )
-    if wanted.seed < 0:
-        parser.error(f"--seed {wanted.seed}: allowed are 0 and more")
-    run(range(wanted.seed, wanted.seed + wanted.rigs), wanted.artefact_rigs, wanted.json)
-    sys.stdout.write(f"{wanted.json}\n")
+    if options.seed < 0:
+        parser.error(f"--seed {options.seed}: allowed are 0 and more")
+    run(range(options.seed, options.seed + options.rigs), options.artefact_rigs, options.json)
+    sys.stdout.write(f"{options.json}\n")
     return 0
 
 
 def run(seeds: Sequence[int], artefact_rigs: int, path: Path) -> None:
-    """Rig by rig; the file is written after each, so that what is done is kept."""
+    """Measure rig by rig; the file is written after each, so that results are kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {
         "plane": {"width_px": SMALL_PX, "rows": []},

@@ -1,4 +1,4 @@
-"""Is the veil of the harsher world that of photons? Single rays, all orders of scattering, against a Monte Carlo."""
+"""Backscatter of the harsher world against a photon Monte Carlo: single rays, all orders of scattering."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ def measure() -> Iterable[Measured]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench veil --help``."""
+    """Run the command line: ``./dev bench veil --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench veil", description=__doc__)
     parser.add_argument("--photons", type=int, default=PHOTONS, help="along each ray; default: %(default)s")
     parser.add_argument("--write-docs", action="store_true", help=f"write the table of {PAGE}, too")
-    wanted = parser.parse_args(arguments)
-    if not 1_000 <= wanted.photons <= 100_000_000:
-        parser.error(f"--photons {wanted.photons}: allowed are 1000 to 100000000")
-    rows = list(checked(wanted.photons))
-    found = list(figures(rows))
-    sys.stdout.writelines(number.line() + "\n" for number in found)
-    if wanted.write_docs:
+    options = parser.parse_args(arguments)
+    if not 1_000 <= options.photons <= 100_000_000:
+        parser.error(f"--photons {options.photons}: allowed are 1000 to 100000000")
+    rows = list(checked(options.photons))
+    measured = list(figures(rows))
+    sys.stdout.writelines(number.line() + "\n" for number in measured)
+    if options.write_docs:
         write_page(rows, PAGE)
-    return 0 if all(number.kept for number in found) else 1
+    return 0 if all(number.kept for number in measured) else 1
 
 
 def checked(photons: int = PHOTONS) -> Iterator[Checked]:
-    """Follow ``photons`` along each of ``PIXELS`` through each of ``WATERS``, and draw the same."""
+    """Yield photons and simulator along each of ``PIXELS`` through each of ``WATERS``."""
     stage = Stage(draw_truth("realistic", 1, WIDTH_PX, HEIGHT_PX, Water().index))
     rays = stage.rays("left")
     black = (END_Z_MM - rays[..., 2]) / rays[..., 5]
@@ -70,18 +70,19 @@ def checked(photons: int = PHOTONS) -> Iterator[Checked]:
         contrast = [[_contrast(veil, rows, period, black) for period in PERIODS_PX] for veil in veils]
         for u, v in PIXELS:
             tally = follow(rays[v, u], stage.lamp, particles, per_m, END_Z_MM, np.array(PERIODS_PX), photons, seed=1)
-            more, made = tally.white[1] / tally.white[0], float(white[v, u]) * veils[1].unit_mm_per_sr
-            single, every = (tuple(float(one) for one in np.array(of) * drawn) for of in tally.contrasts)
-            simulated = [tuple(float(picture[v, u]) for picture in of) for of in contrast]
-            # A turn by less than the photons know is none for them: their single scattering has a little more light.
+            more, simulated_light = tally.white[1] / tally.white[0], float(white[v, u]) * veils[1].unit_mm_per_sr
+            single, every = (tuple(float(value) for value in np.array(values) * drawn) for values in tally.contrasts)
+            simulated = [tuple(float(picture[v, u]) for picture in values) for values in contrast]
+            # Deflections below the photons' limit do not count as scattering there, so that their single scattering has
+            # a little more light.
             yield Checked(
-                per_m, index, (u, v), more, tally.errors[0] * more, made / tally.white[1],
+                per_m, index, (u, v), more, tally.errors[0] * more, simulated_light / tally.white[1],
                 (single, every), (simulated[0], simulated[1]), tally.errors[1],
             )  # fmt: skip
 
 
 def figures(rows: Iterable[Checked]) -> Iterator[Measured]:
-    """Return what is judged of each ray."""
+    """Yield the figures of each ray."""
     for row in rows:
         what = f"{row.per_m:g}/m, n {row.index:g}, at {row.pixel[0]},{row.pixel[1]}"
         yield Measured(f"{what}: photons, all over single", row.more, "", spread=_around(row.more, row.more_error))
@@ -89,11 +90,11 @@ def figures(rows: Iterable[Checked]) -> Iterator[Measured]:
         for k, period in enumerate(PERIODS_PX):
             for order, name in enumerate(("single", "all")):
                 drawn, simulated = row.photons[order][k], row.simulated[order][k]
-                said = f"{what}, {period:g} px, {name}"
+                label = f"{what}, {period:g} px, {name}"
                 spread = _around(drawn, row.errors[k]) if order else None
-                yield Measured(f"{said}: photons' contrast", drawn, "", spread=spread)
+                yield Measured(f"{label}: photons' contrast", drawn, "", spread=spread)
                 yield Measured(
-                    f"{said}: simulator's less photons'", simulated - drawn, "", at_least=-0.06, at_most=0.06
+                    f"{label}: simulator's less photons'", simulated - drawn, "", at_least=-0.06, at_most=0.06
                 )
 
 

@@ -1,4 +1,4 @@
-"""What the verdict on a scan is worth: identity, motion, compensation, light, water, uncertainty, against the truth."""
+"""Accuracy of the verdicts on a scan against the truth: identity, motion, compensation, light, water, uncertainty."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FEW_SCANS = 20
 
 
 def measure() -> Iterator[Measured]:
-    """Every part with a few scans: whether the verdict still does what it is for."""
+    """Yield every part with a few scans, as a quick check."""
     for name in PARTS:
-        found, _ = part(name).measure(FEW_SCANS, 1, lambda what, share: None)
-        yield from found
+        measured, _ = part(name).measure(FEW_SCANS, 1, lambda what, share: None)
+        yield from measured
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench verdict --help``."""
+    """Run the command line: ``./dev bench verdict --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench verdict", description=__doc__)
     parser.add_argument(
         "--scans", type=int, default=FEW_SCANS, help="drawn at random for each part; default: %(default)s"
@@ -52,49 +52,51 @@ def main(arguments: Sequence[str]) -> int:
         action="store_true",
         help="measure nothing; write the figures of docs/motion.md and compensation.md from --json",
     )
-    wanted = parser.parse_args(arguments)
-    if wanted.write_docs:
-        content = json.loads(wanted.json.read_text(encoding="utf-8"))
+    options = parser.parse_args(arguments)
+    if options.write_docs:
+        content = json.loads(options.json.read_text(encoding="utf-8"))
         if "motion" in content["parts"]:
             write_motion(content, Path("docs"))
         write_compensation(content, Path("docs"))
         return 0
-    if not 1 <= wanted.scans <= 100_000:
-        parser.error(f"--scans {wanted.scans}: allowed are 1 to 100000")
-    if wanted.seed < 0:
-        parser.error(f"--seed {wanted.seed}: allowed are 0 and more")
-    names = wanted.parts.split(",")
+    if not 1 <= options.scans <= 100_000:
+        parser.error(f"--scans {options.scans}: allowed are 1 to 100000")
+    if options.seed < 0:
+        parser.error(f"--seed {options.seed}: allowed are 0 and more")
+    names = options.parts.split(",")
     for name in names:
         if name not in PARTS:
             parser.error(f"--parts: {name!r} is unknown; allowed are {', '.join(PARTS)}")
-    if wanted.world != ORDINARY:
+    if options.world != ORDINARY:
         for name in names:
             if name not in IN_WORLDS:
-                parser.error(f"--world {wanted.world}: {name!r} has no scans there; allowed are {', '.join(IN_WORLDS)}")
-    return 0 if run(names, wanted.scans, wanted.seed, wanted.json, wanted.keep, wanted.world) else 1
+                parser.error(
+                    f"--world {options.world}: {name!r} has no scans there; allowed are {', '.join(IN_WORLDS)}"
+                )
+    return 0 if run(names, options.scans, options.seed, options.json, options.keep, options.world) else 1
 
 
 def run(
     names: Sequence[str], scans: int, seed: int, path: Path, keep: Path | None = None, world: str = ORDINARY
 ) -> bool:
-    """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
+    """Measure part by part; the file is written after each. Return True if every limit was kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {"machine": machine(), "scans": scans, "seed": seed, "world": world, "parts": {}}
-    kept = True
-    for done, name in enumerate(names):
+    all_kept = True
+    for finished, name in enumerate(names):
         progress = Progress(1)
-        say = partial(_show, progress, done, len(names))
+        say = partial(_show, progress, finished, len(names))
         try:
-            found, data = measure_part(name, scans, seed, say, keep, None if world == ORDINARY else world)
+            measured, data = measure_part(name, scans, seed, say, keep, None if world == ORDINARY else world)
         finally:
             progress.close()
         sys.stdout.write(f"{name}: {PARTS[name]}\n")
-        sys.stdout.writelines(number.line() + "\n" for number in found)
+        sys.stdout.writelines(number.line() + "\n" for number in measured)
         sys.stdout.flush()
-        kept = kept and all(number.kept for number in found)
-        content["parts"][name] = {"measured": [number.as_dict() for number in found], "data": data}
+        all_kept = all_kept and all(number.kept for number in measured)
+        content["parts"][name] = {"measured": [number.as_dict() for number in measured], "data": data}
         path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    return kept
+    return all_kept
 
 
 def _show(progress: Progress, done: int, parts: int, what: str, share: float) -> None:

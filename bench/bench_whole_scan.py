@@ -1,9 +1,10 @@
-"""What a scan costs with all its judges, on the product's own worker: from the last frame to coarse cloud, verdict, full cloud, disk.
+"""Cost of a scan with all judges, on the product's worker: from the last frame to coarse cloud, verdict, full cloud,
+disk.
 
-Four scenes (``bench.whole_scan.scenes``), one after the other in turns. Times by the clock and CPU of all threads are the
-worker process's own; the disk's writer runs beside it, as in the service. Times by the clock are also stated for a reference
-machine, on which OpenCV's vector operations and NumPy decode one camera in 41 and 103 ms: they are divided by the quotient of
-both times here and there, taken anew after each scan.
+Four scenes (``bench.whole_scan.scenes``), one after the other in turns. Times by the clock and CPU of all threads are
+those of the worker process; the disk's writer runs beside it, as in the service. Times by the clock are also stated for
+a reference machine, on which OpenCV's vector operations and NumPy decode one camera in 41 and 103 ms: they are divided
+by the quotient of both times here and there, measured anew after each scan.
 """
 
 from __future__ import annotations
@@ -70,12 +71,12 @@ class Effort:
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """What was measured of one scene."""
+    """Measurements of one scene."""
 
     scene: TimedScene
     scans: Sequence[PacedScan]
     slower: Sequence[float]
-    """This machine's times against the reference machine's, one of each scan."""
+    """This machine's times over those of the reference machine, one of each scan."""
     parts_ms: Mapping[str, Sequence[float]]
     peak_mb: float
     own_peak_mb: float
@@ -87,7 +88,7 @@ def measure() -> Iterator[Measured]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command line: ``./dev bench whole_scan --against REV``."""
+    """Run the command line: ``./dev bench whole_scan --against REV``."""
     parser = argparse.ArgumentParser(
         prog="./dev bench whole_scan",
         description="CPU time of each part of a scan over that of another revision: both run in turns on the same frames.",
@@ -99,34 +100,34 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--scenes", default=",".join(NAMES), help="names with commas between; default: all, %(default)s"
     )
-    wanted = parser.parse_args(arguments)
-    scenes = wanted.scenes.split(",")
+    options = parser.parse_args(arguments)
+    scenes = options.scenes.split(",")
     for name in scenes:
         if name not in NAMES:
             parser.error(f"--scenes: {name!r} is no scene; allowed: {', '.join(NAMES)}")
-    if wanted.rounds < 1:
-        parser.error(f"--rounds is {wanted.rounds}; at least 1 is needed")
+    if options.rounds < 1:
+        parser.error(f"--rounds is {options.rounds}; at least 1 is needed")
 
-    found: list[Measured] = []
+    numbers: list[Measured] = []
     try:
         sys.stdout.write(
-            f"{wanted.against}: its tree is made, and its kernels are compiled, which takes minutes the first time\n"
+            f"{options.against}: its tree is made, and its kernels are compiled, which takes minutes the first time\n"
         )
-        theirs = other_tree(wanted.against)
+        theirs = other_tree(options.against)
     except NoComparison as error:
         sys.stderr.write(f"{error}\n")
         return 2
 
     def measured() -> Iterator[Measured]:
-        for number in compared(theirs, wanted.rounds, scenes):
-            found.append(number)
+        for number in compared(theirs, options.rounds, scenes):
+            numbers.append(number)
             yield number
 
     paired = Benchmark("whole_scan_against", f"each part of a scan, CPU over that of {theirs.revision[:8]}", measured)
-    kept = run([paired], OUT, sys.stdout.write)
-    if kept:
-        (OUT / AGAINST).write_text(table(theirs.revision, wanted.rounds, found), encoding="utf-8")
-    return 0 if kept else 1
+    all_kept = run([paired], OUT, sys.stdout.write)
+    if all_kept:
+        (OUT / AGAINST).write_text(table(theirs.revision, options.rounds, numbers), encoding="utf-8")
+    return 0 if all_kept else 1
 
 
 def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
@@ -143,24 +144,26 @@ def key_of(scene: str, key: str) -> str:
 
 
 def figures(timed: Timed) -> Iterator[Measured]:
-    """Yield what the scans of one scene say."""
+    """Yield the figures of the scans of one scene."""
     name, scans = timed.scene.name, timed.scans
-    words = WORDS[name]
+    label = WORDS[name]
     points = [scan.points for scan in scans]
-    said = ", ".join(sorted({code for scan in scans for code in scan.faults})) or "nothing"
-    yield median_of(f"{words}: points (held against it: {said})", points, "points", key_of(name, "complete_points"))
+    fault_names = ", ".join(sorted({code for scan in scans for code in scan.faults})) or "nothing"
+    yield median_of(
+        f"{label}: points (held against it: {fault_names})", points, "points", key_of(name, "complete_points")
+    )
     for key, row, part, unit in ROWS:
         yield median_of(f"{name}: {row}", [part(scan) for scan in scans], unit, key_of(name, key))
     if name == DISC:
-        words = "this machine's times against the reference machine's"
-        yield median_of(words, timed.slower, "times", "complete_machine_factor")
+        label = "this machine's times against the reference machine's"
+        yield median_of(label, timed.slower, "times", "complete_machine_factor")
     for key, row, part in NORMALISED.get(name, ()):
-        there = [part(scan) / slower for scan, slower in zip(scans, timed.slower, strict=True)]
-        yield median_of(f"{name}: {row}, by the clock of the reference machine", there, "ms", key)
-    for called, taken_ms in timed.parts_ms.items():
-        yield median_of(f"{name}, {called}", taken_ms, "ms CPU", key_of(name, part_key(called)))
-    words = f"{name}: peak memory of the worker, frames included"
-    yield Measured(words, timed.peak_mb, "MB", key=key_of(name, "complete_peak_mb"))
+        reference_ms = [part(scan) / slower for scan, slower in zip(scans, timed.slower, strict=True)]
+        yield median_of(f"{name}: {row}, by the clock of the reference machine", reference_ms, "ms", key)
+    for part_name, taken_ms in timed.parts_ms.items():
+        yield median_of(f"{name}, {part_name}", taken_ms, "ms CPU", key_of(name, part_key(part_name)))
+    label = f"{name}: peak memory of the worker, frames included"
+    yield Measured(label, timed.peak_mb, "MB", key=key_of(name, "complete_peak_mb"))
     yield Measured(
         f"{name}: without what it shares", timed.own_peak_mb, "MB", WorkLimits().memory_mb,
         key=key_of(name, "complete_own_peak_mb"),

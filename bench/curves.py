@@ -1,4 +1,4 @@
-"""Owns the picture of an endurance run: how soon flips followed their blanks, and memory from scan to scan; drawn with OpenCV."""
+"""Picture of an endurance run: delays of the flips after their blanks, and memory over scans; drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -61,5 +61,5 @@ def _lines(image: np.ndarray, memory_mb: Mapping[str, Sequence[float]]) -> None:
     _write(image, "Own memory from scan to scan, MB", (LEFT_PX, 26), 0.6)
 
 
-def _write(image: np.ndarray, text: str, at: tuple[int, int], size: float = 0.5) -> None:
-    cv2.putText(image, text, at, FONT, size, INK, 1, cv2.LINE_AA)
+def _write(image: np.ndarray, text: str, position_px: tuple[int, int], size: float = 0.5) -> None:
+    cv2.putText(image, text, position_px, FONT, size, INK, 1, cv2.LINE_AA)

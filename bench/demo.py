@@ -1,4 +1,4 @@
-"""Owns the demonstration: a diver scans a pipe under water; the saved cloud is held against the true surface.
+"""Demonstration: a diver scans a pipe under water; the saved cloud is compared with the true surface.
 
 Runs the service as ``kingfisher sim`` does, on the simulated rig at full resolution, with a calibration equal to the
 true rig, and a script in the diver's place. Then only files are read: the saved scan, and the world's truth.
@@ -92,7 +92,7 @@ class Pulse(logging.Handler):
 
 
 def main() -> int:
-    """Run the demonstration; 0 when a scan was saved and measured."""
+    """Run the demonstration; return 0 if a scan was saved and measured."""
     parser = argparse.ArgumentParser(prog="./dev demo", description=__doc__.partition("\n")[0])
     parser.add_argument("--object", default="pipe")
     parser.add_argument("--size", default="1600x1200")
@@ -100,31 +100,31 @@ def main() -> int:
     parser.add_argument("--period", type=int, default=16, choices=(16, 32, 64))
     parser.add_argument("--out", type=Path, default=Path("demo"))
     parser.add_argument("--json", action="store_true", help="print all numbers instead of a summary")
-    wanted = parser.parse_args()
+    options = parser.parse_args()
     with Pulse(sys.stderr) as pulse:
         logging.basicConfig(level=logging.INFO, handlers=[pulse])
-        return _demonstrate(wanted, pulse)
+        return _demonstrate(options, pulse)
 
 
-def _demonstrate(wanted: argparse.Namespace, pulse: Pulse) -> int:
+def _demonstrate(options: argparse.Namespace, pulse: Pulse) -> int:
     begun = time.perf_counter()
     compile_kernels(simulator_kernels)
     compiling_s = time.perf_counter() - begun
-    out: Path = wanted.out.absolute()
+    out: Path = options.out.absolute()
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     script = out / "dive.script"
     script.write_text(SCRIPT.format(display=out / "display.png"))
-    options = SimOptions(
+    sim_options = SimOptions(
         root=out / "storage",
-        object_name=wanted.object,
+        object_name=options.object,
         truth="modelled",
-        seed=wanted.seed,
-        size=wanted.size,
+        seed=options.seed,
+        size=options.size,
         script=script,
     )
-    rig = apply_options(load_rig(default_sim_rig()), options)
-    rig = replace(rig, scan=replace(rig.scan, period_px=wanted.period))
+    rig = apply_options(load_rig(default_sim_rig()), sim_options)
+    rig = replace(rig, scan=replace(rig.scan, period_px=options.period))
     world = options_from(rig.rig.wires_options)
     truth = draw_truth(world.truth, world.seed, world.width_px, world.height_px, world.scene().water.index)
     calibration = Instrument(rig).calibration_file
@@ -132,7 +132,7 @@ def _demonstrate(wanted: argparse.Namespace, pulse: Pulse) -> int:
     calibration.write_bytes(encode_calibration(true_calibration(truth, rig.rig.serial)))
 
     begun = time.perf_counter()
-    pulse.begin(f"a dive: a {wanted.object} at {wanted.size}, somebody presses SCAN, looks, and keeps it")
+    pulse.begin(f"a dive: a {options.object} at {options.size}, somebody presses SCAN, looks, and keeps it")
     try:
         code = run(rig)
     except ScriptFailedError as error:
@@ -156,12 +156,12 @@ def _demonstrate(wanted: argparse.Namespace, pulse: Pulse) -> int:
     took_s = {"compiling": compiling_s, "dive": dive_s, "comparing": time.perf_counter() - begun}
     summary["wall_s"] = {**scan.manifest.record.stage_times_s, **{name: round(s, 3) for name, s in took_s.items()}}
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
-    print(json.dumps(summary, indent=2) if wanted.json else "\n".join(in_words(summary, wanted.object, wanted.out)))
+    print(json.dumps(summary, indent=2) if options.json else "\n".join(in_words(summary, options.object, options.out)))
     return 0
 
 
 def in_words(summary: Mapping[str, Any], scanned: str, out: Path) -> list[str]:
-    """Ten lines: what was measured, how good it is, what to look at, what to do next."""
+    """Return ten lines: the measurement, its quality, the files, and the next step."""
     frames = [status for statuses in summary["frame_verdicts"].values() for status in statuses]
     bad = sum(status != "complete" for status in frames)
     refused = [name for name, passed in summary["verdicts"].items() if passed is False]
@@ -188,28 +188,28 @@ def in_words(summary: Mapping[str, Any], scanned: str, out: Path) -> list[str]:
 
 
 def measure(scan: StoredScan, renderer: Renderer) -> dict[str, Any]:
-    """The saved cloud against the truth: distances to the true surface, and how much of what can be seen is there."""
+    """Compare the saved cloud with the truth: distances to the true surface, and completeness."""
     cloud = scan.cloud()
     assert cloud is not None
     rig_mm = left_to_rig(renderer.truth, cloud.points_mm)
     distance_mm = renderer.surface(0.0).distance_mm(rig_mm)
-    seen = renderer.view("left", 0.0).seen_by_all
+    visible = renderer.view("left", 0.0).seen_by_all
     eye = renderer.truth.left.packed(renderer.truth.n_water)
     from hw_sim.optics.trace import pixels_of
 
     pixels = np.empty((len(rig_mm), 2))
     pixels_of(eye, np.ascontiguousarray(rig_mm), pixels)
-    found = np.zeros_like(seen)
+    has_point = np.zeros_like(visible)
     u, v = np.rint(pixels).astype(int).T
-    inside = (u >= 0) & (v >= 0) & (u < seen.shape[1]) & (v < seen.shape[0])
-    found[v[inside], u[inside]] = True
+    inside = (u >= 0) & (v >= 0) & (u < visible.shape[1]) & (v < visible.shape[0])
+    has_point[v[inside], u[inside]] = True
     record = scan.manifest.record
     return {
         "scan": scan.manifest.scan_id,
         "frames": len(record.sequence.patterns),
         "period_px": record.sequence.period_px,
         "points": len(distance_mm),
-        "completeness_percent": round(100.0 * float((found & seen).sum()) / float(seen.sum()), 3),
+        "completeness_percent": round(100.0 * float((has_point & visible).sum()) / float(visible.sum()), 3),
         "rms_mm": round(float(np.sqrt(np.mean(distance_mm**2))), 5),
         "p99_mm": round(float(np.quantile(np.abs(distance_mm), 0.99)), 5),
         "mean_mm": round(float(distance_mm.mean()), 5),
@@ -222,7 +222,7 @@ def measure(scan: StoredScan, renderer: Renderer) -> dict[str, Any]:
 
 
 def contact_sheet(scan: StoredScan) -> NDArray[np.uint8]:
-    """Every pattern by name with what the left and the right camera saw of it: a BGR picture."""
+    """Return a BGR picture of every pattern by name with the images of both cameras."""
     width, height, across = 200, 150, 6
     tiles = []
     for index, name in enumerate(scan.manifest.record.sequence.patterns):

@@ -1,4 +1,4 @@
-"""Owns what it costs to make a scan durable: raw frames at once, then the cloud, against the disk's own time."""
+"""Cost of making a scan durable: raw frames at once, then the cloud, against the disk's own time."""
 
 from __future__ import annotations
 

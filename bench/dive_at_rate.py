@@ -40,24 +40,24 @@ KEPT_FOLDERS = 3
 """Older ones are deleted by this program, not by the instrument: a hundred scans are nine gigabytes."""
 STEP_TIMEOUT_S = 40.0
 PRESS_TIMEOUT_S, MOST_PRESSES = 3.0, 8
-"""A press may be refused (something is not ready yet): a diver presses again."""
+"""Timeout of a press, after which the diver presses again, and the largest number of presses."""
 
 
 @dataclass
 class Log:
-    """What the dive was like."""
+    """Log of the dive."""
 
     warm_ups: int = 0
     scans: int = 0
     refused: list[str] = field(default_factory=list)
     late_us: list[float] = field(default_factory=list)
-    """Of each flip of a saved scan, against the blank it was meant for."""
+    """Lateness of each flip of a saved scan, against its intended blank."""
     answers_us: list[float] = field(default_factory=list)
-    """From each blank of all sequences, refused ones too, until the next flip was handed over."""
+    """Time from each blank of all sequences, refused ones too, to the next flip."""
     blanks_late_us: list[float] = field(default_factory=list)
-    """How late those blanks were: the simulated world's own lateness."""
+    """Lateness of those blanks in the simulated world itself."""
     missed: int = 0
-    """Those of them that found no flip; each of them ended its sequence, or repeated it."""
+    """Number of those blanks without a flip; each ended its sequence, or repeated it."""
     screen_hz: float = 0.0
     """New pictures on the display between sequences."""
     lost_frames: int = 0
@@ -127,22 +127,22 @@ class Diver(threading.Thread):
         self._until(lambda: not world.developing)
 
     def _begin_to_count(self) -> None:
-        """From now on the world's images are there."""
+        """Start counting, because the world's images exist from now on."""
         world = self._world()
         assert world is not None
-        seen = world.punctuality
-        seen.answers_us.clear()
-        seen.blanks_late_us.clear()
-        seen.missed = seen.other_blanks = seen.screen_updates = 0
+        punctuality = world.punctuality
+        punctuality.answers_us.clear()
+        punctuality.blanks_late_us.clear()
+        punctuality.missed = punctuality.other_blanks = punctuality.screen_updates = 0
 
     def _look_at_the_clock(self) -> None:
         world = self._world()
         if world is None:
             return
-        seen = world.punctuality
-        self.log.answers_us, self.log.blanks_late_us = list(seen.answers_us), list(seen.blanks_late_us)
-        self.log.missed = seen.missed
-        self.log.screen_hz = 60.0 * seen.screen_updates / max(seen.other_blanks, 1)
+        punctuality = world.punctuality
+        self.log.answers_us, self.log.blanks_late_us = list(punctuality.answers_us), list(punctuality.blanks_late_us)
+        self.log.missed = punctuality.missed
+        self.log.screen_hz = 60.0 * punctuality.screen_updates / max(punctuality.other_blanks, 1)
 
     def _look_at_the_last(self) -> None:
         last = self._library.last_id()
@@ -177,16 +177,16 @@ class Diver(threading.Thread):
 
     def _status(self) -> dict[str, Any]:
         try:
-            said = json.loads((self._rig.storage.root / "run" / "status.json").read_text(encoding="utf-8"))
+            status = json.loads((self._rig.storage.root / "run" / "status.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return {}
-        return said if isinstance(said, dict) else {}
+        return status if isinstance(status, dict) else {}
 
     def _state(self) -> str | None:
         return self._status().get("state")
 
     def _press_until(self, predicate: Callable[[], bool]) -> None:
-        """Press SCAN, and again when nothing follows; ``_until`` says later that nothing did."""
+        """Press SCAN, and again without an effect; ``_until`` reports the failure."""
         for _ in range(MOST_PRESSES):
             self._press("scan")
             end_s = time.monotonic() + PRESS_TIMEOUT_S
@@ -225,15 +225,15 @@ def rig_of(root: Path, size: str) -> Rig:
 
 
 def main() -> int:
-    """Dive, and print what the log says."""
+    """Dive, and print the log."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--scans", type=int, default=100)
     parser.add_argument("--size", default="1600x1200")
     parser.add_argument("--root", type=Path, required=True)
-    wanted = parser.parse_args()
+    options = parser.parse_args()
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr)
-    rig = rig_of(wanted.root.absolute(), wanted.size)
-    diver = Diver(rig, wanted.scans)
+    rig = rig_of(options.root.absolute(), options.size)
+    diver = Diver(rig, options.scans)
     diver.start()
     code = run(rig)
     diver.join(STEP_TIMEOUT_S)

@@ -1,4 +1,4 @@
-"""Owns the tables of figures in ``docs/performance.md``: they are written from what was measured, never by hand."""
+"""Generator of the tables in ``docs/performance.md`` from measured values."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ WHOLE_SCAN: dict[str, tuple[tuple[str, str, str], ...]] = {
 }
 """Tables of a whole scan: title, then key, words and unit of each row."""
 SCENES = (("", "disc"), ("pipe_", "pipe"), ("turbid_", "shell in turbid water"), ("moving_", "moving, compensated"))
-"""What keys of ``latest.json`` begin with, and the column's head."""
+"""Prefix of keys in ``latest.json``, and head of the column."""
 BY_SCENE: dict[str, tuple[tuple[str, str], ...]] = {
     "Here": (
         ("complete_points", "points"),
@@ -180,7 +180,7 @@ HEALTH_BEGIN, HEALTH_END = "<!-- table: ./dev bench health, ./dev bench --write-
 
 
 def write_health(out: Path, docs: Path) -> None:
-    """Put the table and the picture of ``./dev bench health`` into the documents; nothing where it was not run.
+    """Put the table and the picture of ``./dev bench health`` into the documents, if it was run.
 
     Raises OSError, and ValueError for a document without marks.
     """
@@ -192,34 +192,37 @@ def write_health(out: Path, docs: Path) -> None:
     if HEALTH_BEGIN not in text or HEALTH_END not in text:
         raise ValueError(f"{document} has no marks {HEALTH_BEGIN} and {HEALTH_END}")
     before, after = text.split(HEALTH_BEGIN)[0], text.split(HEALTH_END)[1]
-    said = table.read_text(encoding="utf-8")
-    document.write_text(f"{before}{HEALTH_BEGIN}\n\n{said}\n{HEALTH_END}{after}", encoding="utf-8")
+    table_text = table.read_text(encoding="utf-8")
+    document.write_text(f"{before}{HEALTH_BEGIN}\n\n{table_text}\n{HEALTH_END}{after}", encoding="utf-8")
     (docs / "pictures").mkdir(exist_ok=True)
     (docs / "pictures" / "calibration-health.png").write_bytes(picture.read_bytes())
 
 
 def write_figures(latest: Path, document: Path) -> None:
-    """Replace what lies between the marks, each block where ``latest`` has a figure of it; with those of the whole scan goes its
-    picture, from beside ``latest`` to beside ``document``. Raises OSError, and ValueError for a document without marks."""
-    said: dict[str, Any] = json.loads(latest.read_text(encoding="utf-8"))
-    machine = said.get("machine", {})
+    """Replace the text between the marks, for each block with a figure in ``latest``.
+
+    The picture of the whole scan is copied from beside ``latest`` to beside ``document``. Raises OSError, and
+    ValueError for a document without marks.
+    """
+    latest_figures: dict[str, Any] = json.loads(latest.read_text(encoding="utf-8"))
+    machine = latest_figures.get("machine", {})
     on = f"On {machine.get('processor')}, {machine.get('processors')} processors; medians of one run."
     text = document.read_text(encoding="utf-8")
-    if FELT_BEGIN in text and any(key.startswith("felt_") for key in said):
-        text = _replaced(document, text, (FELT_BEGIN, FELT_END), [on, *_felt(said)])
-    if WHOLE_BEGIN in text and any(key in said for key in ("verdict_cpu_ms", "complete_cpu_ms")):
-        lines = [on, *_with_targets(said, WHOLE_SCAN), *_by_scene(said)]
+    if FELT_BEGIN in text and any(key.startswith("felt_") for key in latest_figures):
+        text = _replaced(document, text, (FELT_BEGIN, FELT_END), [on, *_felt(latest_figures)])
+    if WHOLE_BEGIN in text and any(key in latest_figures for key in ("verdict_cpu_ms", "complete_cpu_ms")):
+        lines = [on, *_with_targets(latest_figures, WHOLE_SCAN), *_by_scene(latest_figures)]
         text = _replaced(document, text, (WHOLE_BEGIN, WHOLE_END), lines)
         picture = latest.parent / TIMELINE
         if picture.exists():
             (document.parent / "pictures").mkdir(exist_ok=True)
             (document.parent / "pictures" / TIMELINE).write_bytes(picture.read_bytes())
-    if BEGIN not in text or any(key in said for rows in TABLES.values() for key, _, _ in rows):
-        text = _replaced(document, text, (BEGIN, END), [on, *_with_targets(said, TABLES)])
+    if BEGIN not in text or any(key in latest_figures for rows in TABLES.values() for key, _, _ in rows):
+        text = _replaced(document, text, (BEGIN, END), [on, *_with_targets(latest_figures, TABLES)])
     for marks, name in (((AGAINST_BEGIN, AGAINST_END), AGAINST), ((COMPILE_BEGIN, COMPILE_END), COMPILING)):
-        made = latest.parent / name
-        if made.exists():
-            text = _replaced(document, text, marks, made.read_text(encoding="utf-8").splitlines())
+        part_file = latest.parent / name
+        if part_file.exists():
+            text = _replaced(document, text, marks, part_file.read_text(encoding="utf-8").splitlines())
     document.write_text(text, encoding="utf-8")
 
 
@@ -231,63 +234,65 @@ def _replaced(document: Path, text: str, marks: tuple[str, str], lines: list[str
     return before + begin + "\n\n" + "\n".join(lines) + "\n\n" + end + after
 
 
-def _with_targets(said: dict[str, Any], tables: dict[str, tuple[tuple[str, str, str], ...]]) -> list[str]:
+def _with_targets(latest_figures: dict[str, Any], tables: dict[str, tuple[tuple[str, str, str], ...]]) -> list[str]:
     lines = []
     for title, rows in tables.items():
         lines += ["", f"| {title} | median | tenth to nine tenths | | target |", "|---|---:|---|---|---|"]
-        lines += [row(said, *entry) for entry in rows]
-        lines += _version_line(said, [key for key, _, _ in rows])
+        lines += [row(latest_figures, *entry) for entry in rows]
+        lines += _version_line(latest_figures, [key for key, _, _ in rows])
     return lines
 
 
-def _felt(said: dict[str, Any]) -> list[str]:
-    """Return the table of waiting, limit and peers."""
+def _felt(latest_figures: dict[str, Any]) -> list[str]:
+    """Return the table of waiting times, limits and peers."""
     lines, keys = ["", "| what | here | unit | beside it |", "|---|---:|---|---|"], []
     for group, rows in FELT.items():
         lines.append(f"| **{group}** | | | |")
-        for key, name, unit, beside, other in rows:
-            here, there = said.get(key), said.get(other)
-            figure = "—" if here is None else short(here)
-            lines.append(f"| {name} | {figure} | {unit} | {'' if there is None else f'{beside} {short(there)} '}|")
-            keys += [key, other]
-    return lines + _version_line(said, keys)
+        for key, name, unit, beside, beside_key in rows:
+            value, beside_value = latest_figures.get(key), latest_figures.get(beside_key)
+            figure = "—" if value is None else short(value)
+            lines.append(
+                f"| {name} | {figure} | {unit} | {'' if beside_value is None else f'{beside} {short(beside_value)} '}|"
+            )
+            keys += [key, beside_key]
+    return lines + _version_line(latest_figures, keys)
 
 
-def _version_line(said: dict[str, Any], keys: Sequence[str]) -> list[str]:
-    """Return the line below a table: first and last day and version of its figures; none where these are not noted."""
-    version_of = said.get("versions", {})
-    versions = sorted({version_of[key] for key in keys if key in version_of and said.get(key) is not None})
+def _version_line(latest_figures: dict[str, Any], keys: Sequence[str]) -> list[str]:
+    """Return the line below a table with first and last day and version of its figures; empty without these."""
+    version_of = latest_figures.get("versions", {})
+    versions = sorted({version_of[key] for key in keys if key in version_of and latest_figures.get(key) is not None})
     if not versions:
         return []
-    ends = [one.rstrip(")").split(" (") for one in (versions[0], versions[-1])]
+    ends = [version_text.rstrip(")").split(" (") for version_text in (versions[0], versions[-1])]
     days, commits = (" to ".join(dict.fromkeys(end[k] for end in ends)) for k in (0, 1))
     return ["", f"*Figures of {days} ({commits}).*"]
 
 
-def _by_scene(said: dict[str, Any]) -> list[str]:
-    """Return tables with a column for each scene; a figure that a scene lacks is a dash, a row without figures is left out."""
+def _by_scene(latest_figures: dict[str, Any]) -> list[str]:
+    """Return tables with a column for each scene; missing values are a dash, rows without values are left out."""
     lines = []
     for title, rows in BY_SCENE.items():
         lines += ["", f"| {title} | {' | '.join(head for _, head in SCENES)} |", "|---|" + "---:|" * len(SCENES)]
         for key, name in rows:
-            values = [said.get(scene + key) for scene, _ in SCENES]
+            values = [latest_figures.get(scene + key) for scene, _ in SCENES]
             if any(value is not None for value in values):
                 lines.append(f"| {name} | {' | '.join('—' if value is None else short(value) for value in values)} |")
-        lines += _version_line(said, [scene + key for key, _ in rows for scene, _ in SCENES])
+        lines += _version_line(latest_figures, [scene + key for key, _ in rows for scene, _ in SCENES])
     return lines
 
 
-def row(said: dict[str, Any], key: str, name: str, unit: str) -> str:
-    """One line: value, spread, unit, target with its verdict, or why there is no value."""
-    value = said.get(key)
+def row(latest_figures: dict[str, Any], key: str, name: str, unit: str) -> str:
+    """Return one line: value, spread, unit, target with its verdict, or the reason for a missing value."""
+    value = latest_figures.get(key)
     if value is None:
-        return f"| {name} | — | | | {said.get('why', {}).get(key, 'not measured')} |"
-    spread = said.get("spread", {}).get(key)
+        return f"| {name} | — | | | {latest_figures.get('why', {}).get(key, 'not measured')} |"
+    spread = latest_figures.get("spread", {}).get(key)
     between = " " if spread is None else f" {short(spread[0])} … {short(spread[1])} "
-    bounds = said.get("bounds", {}).get(key, {})
-    kept = bounds.get("at_least", value) <= value <= bounds.get("at_most", value)
-    wanted = " ".join(f"{sign} {short(bounds[name])}" for name, sign in SIGNS.items() if name in bounds)
-    verdict = " " if not bounds else f" {wanted}{'' if kept else ' **missed**'} "
+    bounds = latest_figures.get("bounds", {}).get(key, {})
+    is_kept = bounds.get("at_least", value) <= value <= bounds.get("at_most", value)
+    target = " ".join(f"{sign} {short(bounds[name])}" for name, sign in SIGNS.items() if name in bounds)
+    verdict = " " if not bounds else f" {target}{'' if is_kept else ' **missed**'} "
     return f"| {name} | {short(value)} |{between}| {unit} |{verdict}|"
 
 

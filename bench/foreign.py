@@ -1,4 +1,4 @@
-"""Owns the environment in which other people's decoders run, and how they are asked.
+"""Environment of other programs' decoders, and the calls to them.
 
 They need packages that must not be in ours (another OpenCV, another NumPy), so they get a virtual environment of their
 own, made when it is first wanted and the package index can be reached. A peer's process stays for the run and decodes
@@ -28,11 +28,11 @@ class PeerFailed(Exception):
 
 
 def prepare(environment: Path = ENVIRONMENT) -> Path:
-    """Make the environment unless it is there; return its interpreter. Raises PeerFailed."""
+    """Make the environment unless it exists; return its interpreter. Raises PeerFailed."""
     python = environment / "bin" / "python"
     done = environment / "complete"
-    wanted = "\n".join(PACKAGES)
-    if python.exists() and done.exists() and done.read_text(encoding="utf-8") == wanted:
+    package_list = "\n".join(PACKAGES)
+    if python.exists() and done.exists() and done.read_text(encoding="utf-8") == package_list:
         return python
     try:
         subprocess.run(
@@ -44,11 +44,11 @@ def prepare(environment: Path = ENVIRONMENT) -> Path:
             check=True, timeout=INSTALL_TIMEOUT_S, capture_output=True, text=True,
         )  # fmt: skip
     except subprocess.CalledProcessError as error:
-        said = (error.stderr or "").strip().splitlines()
-        raise PeerFailed(f"its packages could not be installed: {said[-1] if said else error}") from error
+        lines = (error.stderr or "").strip().splitlines()
+        raise PeerFailed(f"its packages could not be installed: {lines[-1] if lines else error}") from error
     except (OSError, subprocess.TimeoutExpired) as error:
         raise PeerFailed(f"its environment could not be made: {error}") from error
-    done.write_text(wanted, encoding="utf-8")
+    done.write_text(package_list, encoding="utf-8")
     return python
 
 
@@ -91,7 +91,7 @@ class Peer:
             raise PeerFailed(f"it ended: {self._last_words()}") from error
         return float(self._answer("cpu_ms", DECODE_TIMEOUT_S))
 
-    def _answer(self, wanted: str, timeout_s: float) -> Any:
+    def _answer(self, key: str, timeout_s: float) -> Any:
         process = self._process
         if process is None or process.stdout is None:
             raise PeerFailed("it is not running; ask it inside the context")
@@ -99,9 +99,9 @@ class Peer:
             raise PeerFailed(f"it gave no answer within {timeout_s:.0f} s")
         line = process.stdout.readline()
         try:
-            return json.loads(line)[wanted]
+            return json.loads(line)[key]
         except (ValueError, KeyError, TypeError) as error:
-            raise PeerFailed(f"it gave no {wanted}: {self._last_words() or line!r}") from error
+            raise PeerFailed(f"it gave no {key}: {self._last_words() or line!r}") from error
 
     def _last_words(self) -> str:
         return last_words(self._errors)
@@ -114,12 +114,13 @@ class Peer:
 def last_words(errors: IO[bytes]) -> str:
     """Return the last line that a process wrote to ``errors``, or an empty text."""
     errors.seek(0)
-    said = errors.read().decode(errors="replace").strip().splitlines()
-    return said[-1] if said else ""
+    lines = errors.read().decode(errors="replace").strip().splitlines()
+    return lines[-1] if lines else ""
 
 
 def end_process(process: subprocess.Popen[bytes] | None, errors: IO[bytes]) -> None:
-    """Close what leads to a process (``None``: it was never started), wait until it ends, kill it if it does not, and close ``errors``."""
+    """Close the pipes of a process (``None``: never started), wait for its end, kill it after a timeout, close
+    ``errors``."""
     if process is not None:
         for pipe in (process.stdin, process.stdout):
             if pipe is not None:

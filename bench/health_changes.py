@@ -1,4 +1,4 @@
-"""Owns the list of what may change on an instrument between two calibrations, and what each costs in length."""
+"""Possible changes of an instrument between two calibrations, and their length errors."""
 
 from __future__ import annotations
 
@@ -31,54 +31,56 @@ POSES = (
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One thing that may change; ``make`` gives the instrument of which ``size`` of it has changed."""
+    """One possible change; ``make`` returns the instrument after a change of ``size``."""
 
     name: str
     unit: str
     size: float
-    """A small one, from which others follow in proportion."""
-    most: float
-    """Larger ones are not asked for."""
+    """A small size, from which the effect of others follows in proportion."""
+    largest: float
+    """Largest tested size."""
     make: Callable[[TrueRig, float], TrueRig]
 
 
 def changes() -> list[Change]:
-    """All of them, in the order of the table."""
-    found = []
+    """Return all changes, in the order of the table."""
+    all_changes = []
     for camera in ("right", "left"):
-        for axis, about in (("pitch", "x"), ("yaw", "y"), ("roll", "z")):
-            found.append(
-                Change(f"{camera} camera turned about {about} ({axis})", "°", 0.02, 2.0, _knock(camera, f"{axis}_deg"))
+        for axis, axis_name in (("pitch", "x"), ("yaw", "y"), ("roll", "z")):
+            all_changes.append(
+                Change(
+                    f"{camera} camera turned about {axis_name} ({axis})", "°", 0.02, 2.0, _knock(camera, f"{axis}_deg")
+                )
             )
-    found.append(Change("cameras turned about y against each other (toe-in)", "°", 0.02, 2.0, _toe_in))
-    found += [
+    all_changes.append(Change("cameras turned about y against each other (toe-in)", "°", 0.02, 2.0, _toe_in))
+    all_changes += [
         Change(f"right camera shifted along {axis}", "mm", 0.05, 10.0, _knock("right", f"{axis}_mm")) for axis in "xyz"
     ]
     for sides, name in ((("right",), "right"), (("left", "right"), "both")):
-        found.append(Change(f"principal distance, {name}", "1e-4", 1.0, 100.0, _eyes(sides, _longer)))
-        found.append(Change(f"interface distance, {name}", "mm", 0.1, 10.0, _eyes(sides, _deeper)))
-    found.append(Change("right port tilted about y", "°", 0.05, 5.0, _eyes(("right",), _tilted(0))))
-    found.append(Change("right port tilted about x", "°", 0.05, 5.0, _eyes(("right",), _tilted(1))))
-    found.append(Change("water saltier than stated", "psu", 2.0, 45.0, _salt))
-    found.append(Change("water warmer than stated", "K", 5.0, 20.0, _warm))
-    found.append(Change("water colder than stated", "K", 5.0, 20.0, _cold))
-    return found
+        all_changes.append(Change(f"principal distance, {name}", "1e-4", 1.0, 100.0, _eyes(sides, _longer)))
+        all_changes.append(Change(f"interface distance, {name}", "mm", 0.1, 10.0, _eyes(sides, _deeper)))
+    all_changes.append(Change("right port tilted about y", "°", 0.05, 5.0, _eyes(("right",), _tilted(0))))
+    all_changes.append(Change("right port tilted about x", "°", 0.05, 5.0, _eyes(("right",), _tilted(1))))
+    all_changes.append(Change("water saltier than stated", "psu", 2.0, 45.0, _salt))
+    all_changes.append(Change("water warmer than stated", "K", 5.0, 20.0, _warm))
+    all_changes.append(Change("water colder than stated", "K", 5.0, 20.0, _cold))
+    return all_changes
 
 
 def length_error_percent(truth: TrueRig, changed: TrueRig, rig: StereoRig) -> float:
-    """The largest change of a ball bar's measured length, percent, over ``POSES``; without noise."""
+    """Return the largest change of a ball bar's measured length, percent, over ``POSES``; without noise."""
     worst = 0.0
     for pose in POSES:
         ends = pose.rotation @ np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]).T * BAR_MM
         points = ends.T + pose.at_mm
-        before, after = (_length(of, points, rig) for of in (truth, changed))
+        before, after = (_length(true_rig, points, rig) for true_rig in (truth, changed))
         worst = max(worst, abs(after - before) / BAR_MM)
     return 100.0 * worst
 
 
 def _length(truth: TrueRig, points_mm: NDArray[np.float64], rig: StereoRig) -> float:
-    seen = [project(truth, side, points_mm) for side in ("left", "right")]
-    a, b = triangulate(rig, seen[0], seen[1], WATER.index)
+    pixels = [project(truth, side, points_mm) for side in ("left", "right")]
+    a, b = triangulate(rig, pixels[0], pixels[1], WATER.index)
     return float(np.linalg.norm(b - a))
 
 

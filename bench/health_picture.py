@@ -1,4 +1,4 @@
-"""Owns the picture of the calibration's health: the four patterns as maps, and a trend with a knock; drawn with OpenCV."""
+"""Picture of calibration health: the four patterns as maps, and a trend with a knock; drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def draw_health(path: Path, modes: GapModes, trend: HealthTrend) -> None:
     top += PLOT_PX + TOP_PX
     _plot(image, top, "score, standard deviations (2 is usual)", [[p.score for p in points]], ("",), (0.0, 2.0))
     top += PLOT_PX + TOP_PX
-    _plot(image, top, f"sum; the limit is {LIMIT:g}", [[p.total for p in points]], ("",), (0.0, LIMIT), most=3 * LIMIT)
+    _plot(image, top, f"sum; the limit is {LIMIT:g}", [[p.total for p in points]], ("",), (0.0, LIMIT), limit=3 * LIMIT)
     cv2.imwrite(str(path), image)
 
 
@@ -61,10 +61,10 @@ def _plot(
     lines: list[list[float]],
     names: tuple[str, ...],
     band: tuple[float, float],
-    most: float | None = None,
+    limit: float | None = None,
 ) -> None:
     low = min(min(min(line) for line in lines), band[0])
-    high = min(max(max(max(line) for line in lines), band[1]), most or np.inf) * 1.05
+    high = min(max(max(max(line) for line in lines), band[1]), limit or np.inf) * 1.05
     span = image.shape[1] - LEFT_PX - GAP_PX
 
     def at(value: float) -> int:
@@ -86,5 +86,7 @@ def _plot(
             _write(image, name, (12, top + 24 + 26 * row), 0.5, colour)
 
 
-def _write(image: Image, text: str, at: tuple[int, int], size: float, colour: tuple[int, int, int] = INK) -> None:
-    cv2.putText(image, text, at, FONT, size, colour, 1, cv2.LINE_AA)
+def _write(
+    image: Image, text: str, position_px: tuple[int, int], size: float, colour: tuple[int, int, int] = INK
+) -> None:
+    cv2.putText(image, text, position_px, FONT, size, colour, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Owns a simulated instrument without its service: shipped drivers and capture over simulated wires, one scan at a time.
+"""A simulated instrument without its service: shipped drivers and capture over simulated wires, one scan at a time.
 
 The world runs in lock-step with the vertical blank, so that a slow machine records the same frames as a fast one.
 """
@@ -28,7 +28,7 @@ from tests.support.rendered import pictures
 CARD = "/dev/dri/card0"
 REFRESH_HZ, EXPOSURE_US, TRIGGER_DELAY_US = 60.0, 12_000, 500
 IDLE_SPEED = 0.5
-"""World seconds per second while nothing is recorded: a busy host must not miss the board's heartbeat."""
+"""World seconds per second between recordings, slow enough for a busy host to keep the board's heartbeat."""
 _NAMES = (f"bench-{k}" for k in itertools.count())
 
 

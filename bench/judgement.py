@@ -1,4 +1,4 @@
-"""Owns how a cloud is judged: each point against the surface its pixel truly sees, and what is missing."""
+"""Judgement of a cloud: each point against the surface that its pixel sees, and completeness."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bench.scan_frames import ScanFrames
 from tests.support import oracle, synthetic
 
 FALSE_MM = 1.0
-"""Thirty times the noise: what is farther off was matched to something else."""
+"""Error of a false correspondence, thirty times the noise."""
 
 
 def completeness_percent(scan: ScanFrames, cloud: Cloud) -> float:
@@ -26,22 +26,22 @@ def completeness_percent(scan: ScanFrames, cloud: Cloud) -> float:
 
 
 def false_ppm(scan: ScanFrames, cloud: Cloud) -> float:
-    """Points more than a millimetre from what their pixel sees, or of pixels that see nothing."""
+    """Return the share of points more than a millimetre from the surface of their pixel, or without one, in ppm."""
     truth_mm = scan.points_mm.reshape(-1, 3)[cloud.pixel]
     near = np.linalg.norm(cloud.points_mm - truth_mm, axis=1) <= FALSE_MM
     return 1e6 * float(np.mean(~near))
 
 
 def judged(scan: ScanFrames, cloud: Cloud) -> Iterator[Measured]:
-    """On a smooth surface."""
+    """Yield the figures of a cloud of a smooth surface."""
     complete = completeness_percent(scan, cloud)
     yield Measured("completeness", complete, "%", at_least=99.5, key="completeness_percent")
     false = false_ppm(scan, cloud)
     yield Measured("false matches (> 1 mm)", false, "ppm", at_most=100.0, key="false_matches_ppm")
     uv_px = scan.right_uv_px.reshape(-1, 2)[cloud.pixel]
-    known = np.isfinite(uv_px).all(-1)
-    found_px = scan.calibration.rig.right.project(cloud.points_mm[known].astype(float), synthetic.WATER.index)
-    bias = float(np.abs(np.mean(found_px - uv_px[known], 0)).max())
+    is_known = np.isfinite(uv_px).all(-1)
+    found_px = scan.calibration.rig.right.project(cloud.points_mm[is_known].astype(float), synthetic.WATER.index)
+    bias = float(np.abs(np.mean(found_px - uv_px[is_known], 0)).max())
     yield Measured("bias of the correspondence", bias, "px", at_most=0.001, key="bias_px")
     off_mm = (cloud.points_mm - scan.points_mm.reshape(-1, 3)[cloud.pixel])[:, 2]
     yield Measured("noise of the depth", float(np.nanstd(off_mm)), "mm", key="noise_mm")
@@ -67,18 +67,18 @@ def precision(scan: ScanFrames, pipeline: Pipeline) -> Iterator[Measured]:
 
 
 def phase_error_px(scan: ScanFrames) -> float:
-    """Largest difference of our wrapped phase to float64's, in pattern px, over all pixels, dark ones included."""
+    """Return the largest difference of our wrapped phase from float64's, in pattern px, over all pixels."""
     worst = 0.0
     for direction in (Direction.X, Direction.Y):
         i0, i1, i2, i3 = (scan.frames["left"][k] for k in scan.sequence.axis(direction).sine)
-        turn = np.empty(i0.shape, np.float32)
+        wrapped = np.empty(i0.shape, np.float32)
         scratch = np.empty(DECODING_SIZE, np.float32)
-        for y, row in enumerate(turn):
+        for y, row in enumerate(wrapped):
             phase(i0[y], i1[y], i2[y], i3[y], scratch)
             row[:] = scratch[COORDINATE : COORDINATE + row.size]
         wide = [image.astype(float) for image in (i0, i1, i2, i3)]
         exact = np.arctan2(wide[3] - wide[1], wide[0] - wide[2]) / (2.0 * np.pi)
-        difference = turn - exact
+        difference = wrapped - exact
         difference -= np.rint(difference)
         worst = max(worst, float(np.abs(difference).max()) * scan.sequence.period_px)
     return worst

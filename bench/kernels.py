@@ -1,4 +1,4 @@
-"""Owns the compiling that ``./dev`` does before tests and benchmarks: every kernel of the product and of the simulator.
+"""Compile every kernel of the product and of the simulator, as ``./dev`` does before tests and benchmarks.
 
     python -m bench.kernels
 
@@ -15,7 +15,7 @@ from appliance.cli.simrig import simulator_kernels
 
 
 def main() -> int:
-    """Compile what is not compiled yet, and say how far it is on stderr."""
+    """Compile the missing kernels, with progress on stderr."""
     with log_lines(as_json=False, service=False):
         compile_kernels(simulator_kernels)
     return 0

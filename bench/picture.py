@@ -1,4 +1,4 @@
-"""Owns the pictures of benchmarks: horizontal bars on a logarithmic axis, drawn with OpenCV."""
+"""Pictures of benchmarks: horizontal bars on a logarithmic axis, drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ def draw(path: Path, panels: Sequence[Panel]) -> None:
 
 
 def draw_bar(image: NDArray[np.uint8], bar: Bar, y: int, x_of: Callable[[float], int]) -> None:
-    """One row, its top at ``y``."""
+    """Draw one row, its top at ``y``."""
     middle, end = y + ROW_PX // 2, x_of(bar.value)
     late = bar.target is not None and bar.value > bar.target
     write(image, bar.name, (MARGIN_PX, y + ROW_PX - 12))
     cv2.rectangle(image, (LABEL_PX, y + 6), (end, y + ROW_PX - 6), LATE if late else BAR, -1)
-    said = f"{bar.value:.0f}" if bar.value >= 100.0 else f"{bar.value:.3g}"
+    value_text = f"{bar.value:.0f}" if bar.value >= 100.0 else f"{bar.value:.3g}"
     if bar.spread is not None:
         first, last = (x_of(value) for value in bar.spread)
         cv2.line(image, (first, middle), (last, middle), INK, 2)
@@ -78,11 +78,11 @@ def draw_bar(image: NDArray[np.uint8], bar: Bar, y: int, x_of: Callable[[float],
     if bar.target is not None:
         x = x_of(bar.target)
         cv2.line(image, (x, y + 1), (x, y + ROW_PX - 1), INK, 2)
-        said += f"  (target {bar.target:.3g})"
+        value_text += f"  (target {bar.target:.3g})"
         end = max(end, x)
-    write(image, f"{said}  {bar.note}".rstrip(), (end + 8, y + ROW_PX - 12))
+    write(image, f"{value_text}  {bar.note}".rstrip(), (end + 8, y + ROW_PX - 12))
 
 
-def write(image: NDArray[np.uint8], text: str, at: tuple[int, int], size: float = 0.5) -> None:
-    """Text with its base line at ``at``."""
-    cv2.putText(image, text, at, FONT, size, INK, 1, cv2.LINE_AA)
+def write(image: NDArray[np.uint8], text: str, position_px: tuple[int, int], size: float = 0.5) -> None:
+    """Draw text with its base line at ``position_px``."""
+    cv2.putText(image, text, position_px, FONT, size, INK, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Owns the pictures at the top of the README: a dive on the simulated instrument, and the cloud that it left.
+"""Pictures at the top of the README: a dive on the simulated instrument, and its cloud.
 
     python -m bench.pictures        writes docs/pictures/scan.gif and scan.png
 
@@ -52,20 +52,20 @@ Image = NDArray[np.uint8]
 
 
 def main() -> int:
-    """Dive, and make both pictures; 0 when they were written."""
+    """Dive, and make both pictures; return 0 if they were written."""
     parser = argparse.ArgumentParser(prog="python -m bench.pictures", description=__doc__.partition("\n")[0])
     parser.add_argument("--object", default="pipe")
     parser.add_argument("--size", default="1600x1200")
     parser.add_argument("--out", type=Path, default=OUT)
-    wanted = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="kingfisher-pictures-") as folder:
-        screens, points = dive(Path(folder), wanted.object, wanted.size)
+        screens, points = dive(Path(folder), options.object, options.size)
     frames = [captioned(screen, CAPTIONS[name]) for name, screen in screens.items()]
     last = CLOUD_CAPTION.format(points=len(points))
     turned = [captioned(view(points, degrees), last) for degrees in TURN_DEG]
-    write_gif(wanted.out / "scan.gif", [*frames, *turned], [SHOWN_MS] * len(frames) + [TURN_MS] * len(turned))
+    write_gif(options.out / "scan.gif", [*frames, *turned], [SHOWN_MS] * len(frames) + [TURN_MS] * len(turned))
     strip = [captioned(screens[name], CAPTIONS[name]) for name in ("aim", "review")] + [turned[4]]
-    cv2.imwrite(str(wanted.out / "scan.png"), np.hstack([cv2.resize(one, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for one in strip]))  # fmt: skip
+    cv2.imwrite(str(options.out / "scan.png"), np.hstack([cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for picture in strip]))  # fmt: skip
     return 0
 
 
@@ -86,26 +86,27 @@ def dive(folder: Path, scanned: str, size: str) -> tuple[dict[str, Image], NDArr
 
 
 def view(points_mm: NDArray[np.float32], turned_deg: float) -> Image:
-    """The points turned about the vertical through their middle, seen from the camera's side and from 20° above (h, w, 3) BGR.
+    """Return a picture (h, w, 3) BGR of the points, turned about the vertical through their middle.
 
-    Coloured as in REVIEW, by the distance from the instrument; the light falls from the upper left, by the slope of the depth picture.
+    It is seen from the camera's side and from 20° above, coloured as in REVIEW by the distance from the instrument, and
+    lit from the upper left by the slope of the depth image.
     """
     width, height = SIZE_PX
-    about = np.median(points_mm, 0)
+    middle_mm = np.median(points_mm, 0)
     a, b = np.radians(turned_deg), np.radians(-20.0)
     about_y = np.array([[np.cos(a), 0.0, np.sin(a)], [0.0, 1.0, 0.0], [-np.sin(a), 0.0, np.cos(a)]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
-    x, y, z = ((points_mm - about) @ (about_x @ about_y).T).T
+    x, y, z = ((points_mm - middle_mm) @ (about_x @ about_y).T).T
     span_mm = max(np.ptp(points_mm[:, 0]) / (0.9 * width), np.ptp(points_mm[:, 1]) / (0.8 * height))
     depth = np.full((height, width), np.inf, np.float32)
-    own = np.zeros((height, width), np.float32)
+    own_distance_mm = np.zeros((height, width), np.float32)
     u, v = np.rint(x / span_mm + width / 2).astype(int), np.rint(y / span_mm + height / 2).astype(int)
-    there = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    order = np.flatnonzero(there)[np.argsort(-z[there], kind="stable")]  # the nearest one is written last
-    depth[v[order], u[order]], own[v[order], u[order]] = z[order], points_mm[order, 2]
-    known = np.isfinite(depth)
-    filled = cv2.GaussianBlur(np.where(known, depth, 0.0).astype(np.float32), (0, 0), 1.2)
-    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 1.2)
+    is_inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    order = np.flatnonzero(is_inside)[np.argsort(-z[is_inside], kind="stable")]  # the nearest one is written last
+    depth[v[order], u[order]], own_distance_mm[v[order], u[order]] = z[order], points_mm[order, 2]
+    has_depth = np.isfinite(depth)
+    filled = cv2.GaussianBlur(np.where(has_depth, depth, 0.0).astype(np.float32), (0, 0), 1.2)
+    weight = cv2.GaussianBlur(has_depth.astype(np.float32), (0, 0), 1.2)
     smooth = filled / np.maximum(weight, 1e-6)
     slope_x, slope_y = np.gradient(smooth, span_mm, axis=1), np.gradient(smooth, span_mm, axis=0)
     normal = np.stack([slope_x, slope_y, -np.ones_like(smooth)], -1)
@@ -113,11 +114,11 @@ def view(points_mm: NDArray[np.float32], turned_deg: float) -> Image:
     light = np.array([-0.45, -0.55, -0.70])
     shade = np.clip(normal @ (light / np.linalg.norm(light)), 0.08, 1.0)
     near, far = np.quantile(points_mm[:, 2], [0.01, 0.99])
-    distance_mm = cv2.GaussianBlur(own, (0, 0), 1.2) / np.maximum(weight, 1e-6)
+    distance_mm = cv2.GaussianBlur(own_distance_mm, (0, 0), 1.2) / np.maximum(weight, 1e-6)
     level = np.clip(255.0 * (far - distance_mm) / max(far - near, 1e-6), 0, 255).astype(np.uint8)
     colour = cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS).astype(np.float32) * shade[..., None]
-    seen = (weight > MIDDLE_SHARE)[..., None]
-    return np.where(seen, colour, np.array(GROUND, np.float32)).astype(np.uint8)
+    is_covered = (weight > MIDDLE_SHARE)[..., None]
+    return np.where(is_covered, colour, np.array(GROUND, np.float32)).astype(np.uint8)
 
 
 def captioned(screen: Image, text: str) -> Image:

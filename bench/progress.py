@@ -1,4 +1,4 @@
-"""Owns the bar that tells how far a long measurement has come, on a terminal; elsewhere nothing is drawn."""
+"""Progress bar of a long measurement, on a terminal only."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class Progress:
         self._begun = time.monotonic()
 
     def step(self, what: str) -> None:
-        """One more step is done; ``what`` comes next."""
+        """Count one step as done, and show the next one."""
         self._done = min(self._done + 1, self._total)
         self.show(what, self._done / self._total)
 
     def show(self, what: str, share: float) -> None:
-        """``share`` 0..1 of all is done, ``what`` is being done."""
+        """Show the present step and the ``share`` 0..1 of all that is done."""
         if not self._out.isatty():
             return
         share = min(max(share, 1e-3), 1.0)

@@ -1,6 +1,4 @@
-"""Owns what the product's decoding is compared with: the same in plain NumPy, in OpenCV's vector operations, and the
-float64 reference with a KD-tree.
-"""
+"""References for the product's decoding: plain NumPy, OpenCV's vector operations, and float64 with a KD-tree."""
 
 from __future__ import annotations
 
@@ -18,9 +16,9 @@ Frames = NDArray[np.uint8]
 
 
 def numpy_decode(sequence: PatternSequence, frames: Frames) -> list[NDArray[np.float32]]:
-    """Both coordinates of one camera, float32."""
+    """Return both coordinates of one camera, float32, by NumPy."""
     middle = ((frames[sequence.bright].astype(np.uint16) + frames[sequence.dark] + 1) >> 1).astype(np.uint8)
-    found = []
+    coordinates = []
     for direction in (Direction.X, Direction.Y):
         axis = sequence.axis(direction)
         code = np.zeros(middle.shape, np.uint8)
@@ -28,26 +26,26 @@ def numpy_decode(sequence: PatternSequence, frames: Frames) -> list[NDArray[np.f
             code = (code << 1) | (frames[k] >= middle)
         half = inverse_gray(len(axis.gray))[code].astype(np.float32)
         i0, i1, i2, i3 = (frames[k].astype(np.float32) for k in axis.sine)
-        turn = np.arctan2(i3 - i1, i0 - i2) * np.float32(0.5 / np.pi)
+        wrapped = np.arctan2(i3 - i1, i0 - i2) * np.float32(0.5 / np.pi)
         centre = np.float32(0.5) * half + np.float32(0.25)
-        offset = turn - centre
+        offset = wrapped - centre
         offset -= np.floor(offset + np.float32(0.5))
         coordinate = sequence.period_px * (centre + offset) - np.float32(0.5)
         weak = np.hypot(i3 - i1, i0 - i2) < 10.0
         coordinate[weak] = np.nan
-        found.append(coordinate)
-    return found
+        coordinates.append(coordinate)
+    return coordinates
 
 
 def opencv_decode(sequence: PatternSequence, frames: Frames) -> list[NDArray[np.float32]]:
-    """The same in OpenCV's vector operations."""
+    """Return both coordinates of one camera by OpenCV's vector operations."""
     middle = cv2.addWeighted(frames[sequence.bright], 0.5, frames[sequence.dark], 0.5, 0.0)
-    found = []
+    coordinates = []
     for direction in (Direction.X, Direction.Y):
         axis = sequence.axis(direction)
-        code, one = np.zeros(middle.shape, np.uint8), np.ones(middle.shape, np.uint8)
+        code, ones = np.zeros(middle.shape, np.uint8), np.ones(middle.shape, np.uint8)
         for k in axis.gray:
-            bit = cv2.bitwise_and(cv2.compare(frames[k], middle, cv2.CMP_GE), one)
+            bit = cv2.bitwise_and(cv2.compare(frames[k], middle, cv2.CMP_GE), ones)
             code = cv2.bitwise_or(cv2.add(code, code), bit)
         table = np.zeros(256, np.float32)
         table[: 1 << len(axis.gray)] = 0.5 * inverse_gray(len(axis.gray)) + 0.25
@@ -56,17 +54,17 @@ def opencv_decode(sequence: PatternSequence, frames: Frames) -> list[NDArray[np.
         cosine, sine = cv2.subtract(i0, i2, dtype=cv2.CV_32F), cv2.subtract(i3, i1, dtype=cv2.CV_32F)
         length, angle = cv2.cartToPolar(cosine, sine)
         offset = cv2.addWeighted(angle, 0.5 / math.pi, centre, -1.0, 0.0)
-        whole = np.asarray(np.rint(offset), np.float32)
-        offset = cv2.subtract(offset, whole)
+        rounded = np.asarray(np.rint(offset), np.float32)
+        offset = cv2.subtract(offset, rounded)
         coordinate = cv2.addWeighted(centre, float(sequence.period_px), offset, float(sequence.period_px), -0.5)
         weak = cv2.inRange(length, np.zeros(1), np.full(1, 10.0))
         cv2.copyTo(np.full_like(coordinate, np.nan), weak, coordinate)
-        found.append(np.asarray(coordinate, np.float32))
-    return found
+        coordinates.append(np.asarray(coordinate, np.float32))
+    return coordinates
 
 
 def reference_scan(scan: ScanFrames) -> int:
-    """The whole scan in float64 NumPy with a KD-tree; returns the number of points."""
+    """Reconstruct the scan in float64 NumPy with a KD-tree; return the number of points."""
     valid, pq = {}, {}
     for side, frames in scan.frames.items():
         decoded = oracle.decode(scan.sequence, frames)
@@ -75,7 +73,7 @@ def reference_scan(scan: ScanFrames) -> int:
         valid[side], pq[side] = good, decoded.pq
     v, u = np.nonzero(valid["left"])
     right_uv = oracle.match(pq["left"][v, u], pq["right"], valid["right"])
-    found = np.isfinite(right_uv).all(-1)
-    left_uv = np.stack([u, v], -1)[found].astype(float)
-    points, _ = oracle.triangulate(scan.calibration, synthetic.WATER.index, left_uv, right_uv[found])
+    has_match = np.isfinite(right_uv).all(-1)
+    left_uv = np.stack([u, v], -1)[has_match].astype(float)
+    points, _ = oracle.triangulate(scan.calibration, synthetic.WATER.index, left_uv, right_uv[has_match])
     return len(points)

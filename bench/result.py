@@ -1,4 +1,4 @@
-"""Owns what a benchmark says: a number, its unit, and the limit it must keep."""
+"""Result of a benchmark: a number, its unit, and its limit."""
 
 from __future__ import annotations
 

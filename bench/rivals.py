@@ -1,4 +1,4 @@
-"""Owns the comparison: the product and every other way to do its work, in turns, so that a busy machine slows all alike.
+"""Comparison of the product with other programs, in turns, so that a busy machine slows all of them equally.
 
 A ratio is taken within each round and the median of those is reported: what disturbs one round disturbs both its parts.
 """
@@ -25,16 +25,16 @@ from bench.timing import cpu_ms
 
 @dataclass(slots=True)
 class Rounds:
-    """What was measured, round by round; who is slow took part in the first rounds only."""
+    """Measurements round by round; slow programs take part in the first rounds only."""
 
     scans: list[ScanCost] = field(default_factory=list)
     taken_ms: dict[str, list[float]] = field(default_factory=dict)
-    """CPU ms of ``decode`` (ours, one camera) and of each other."""
+    """CPU ms of ``decode`` (ours, one camera) and of each other program."""
     bandwidth_gb_s: list[tuple[float, float]] = field(default_factory=list)
-    """Reading, writing."""
+    """Reading and writing."""
     versions: dict[str, str] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
-    """Who could not take part, and why."""
+    """Reason for each program that could not take part."""
 
     def scan_ms(self, part: Callable[[ScanCost], float]) -> list[float]:
         """A part of our scan, of each round."""
@@ -46,7 +46,7 @@ class Rounds:
 
 
 def in_turns(pipeline: Pipeline, scan: ScanFrames, rounds: int, slow_rounds: int, ask_peers: bool) -> Rounds:
-    """Measure ``rounds`` times; the KD-tree and the peers, who take seconds, ``slow_rounds`` times."""
+    """Measure ``rounds`` times; the KD-tree and the peers, which take seconds, ``slow_rounds`` times."""
     measured = Rounds()
     frames = scan.frames["left"]
     quick: dict[str, Callable[[], object]] = {

@@ -1,4 +1,4 @@
-"""Owns the least time a scan can take on this machine: the bytes it must move, at the speed at which memory moves them."""
+"""Least time of a scan on this machine: the bytes that it moves, at the speed of memory."""
 
 from __future__ import annotations
 

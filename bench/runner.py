@@ -1,4 +1,4 @@
-"""Owns how benchmarks are found, run and reported: a benchmark is a module of a package with ``measure()``."""
+"""Finding, running and reporting benchmarks: modules of a package with ``measure()``."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ Main = Callable[[Sequence[str]], int]
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """A module ``bench_<name>`` and what its docstring's first line says it measures."""
+    """A module ``bench_<name>``, with the first line of its docstring as summary."""
 
     name: str
     summary: str
     measure: Measure
     main: Main | None = None
-    """What it does with options of its own; ``None``: it has none."""
+    """Function for its own options; ``None`` without any."""
 
 
 class UnknownBenchmark(Exception):
@@ -42,11 +42,11 @@ class UnknownBenchmark(Exception):
 
 
 def find(package: str) -> dict[str, Benchmark]:
-    """All benchmarks of ``package``, by name, in order: its modules ``bench_<name>`` with a function ``measure``.
+    """Return all benchmarks of ``package``, by name, in order: its modules ``bench_<name>`` with ``measure``.
 
-    Raises TypeError for a module that has the name of a benchmark but no ``measure``: it would never run.
+    Raises TypeError for a module with such a name but no ``measure``, because it would never run.
     """
-    found = {}
+    benchmarks = {}
     for module_info in sorted(pkgutil.iter_modules(importlib.import_module(package).__path__), key=lambda m: m.name):
         if not module_info.name.startswith("bench_"):
             continue
@@ -56,26 +56,26 @@ def find(package: str) -> dict[str, Benchmark]:
             raise TypeError(f"{module.__name__} has no function measure(): define it or rename the module")
         name = module_info.name.removeprefix("bench_")
         summary = (module.__doc__ or "").strip().partition("\n")[0]
-        found[name] = Benchmark(name, summary, measure, getattr(module, "main", None))
-    return found
+        benchmarks[name] = Benchmark(name, summary, measure, getattr(module, "main", None))
+    return benchmarks
 
 
-def choose(found: dict[str, Benchmark], names: Sequence[str]) -> list[Benchmark]:
-    """The benchmarks called ``names``, in that order; all of them when there are no names. Raises UnknownBenchmark."""
+def choose(benchmarks: dict[str, Benchmark], names: Sequence[str]) -> list[Benchmark]:
+    """Return the benchmarks called ``names``, in that order; all without names. Raises UnknownBenchmark."""
     for name in names:
-        if name not in found:
-            near = difflib.get_close_matches(name, found) or sorted(found)
+        if name not in benchmarks:
+            near = difflib.get_close_matches(name, benchmarks) or sorted(benchmarks)
             raise UnknownBenchmark(f"no benchmark is called {name!r}; there is: {', '.join(near) or 'none'}")
-    return [found[name] for name in names] if names else list(found.values())
+    return [benchmarks[name] for name in names] if names else list(benchmarks.values())
 
 
 def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], object]) -> bool:
-    """Run them one after the other, write a line per number and ``out/<name>.json``; True when every bound was kept.
+    """Run benchmarks one after the other, and write a line per number and ``out/<name>.json``.
 
-    A benchmark that raises counts as not kept; the others still run.
+    Return True if every limit was kept. A benchmark that raises counts as not kept; the others still run.
     """
     out.mkdir(parents=True, exist_ok=True)
-    kept = True
+    all_kept = True
     for benchmark in benchmarks:
         write(f"{benchmark.name}: {benchmark.summary}\n")
         measured: list[Measured] = []
@@ -87,7 +87,7 @@ def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], objec
         except Exception:
             error = traceback.format_exc()
             write(error)
-        kept = kept and error is None and all(number.kept for number in measured)
+        all_kept = all_kept and error is None and all(number.kept for number in measured)
         record = {
             "benchmark": benchmark.name,
             "machine": machine(),
@@ -97,14 +97,14 @@ def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], objec
         (out / f"{benchmark.name}.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         if any(number.key is not None for number in measured):
             note_latest(measured, out / LATEST)
-    return kept
+    return all_kept
 
 
 def note_latest(measured: Sequence[Measured], path: Path) -> None:
-    """Enter numbers that have a key into the one file that holds the latest of each; what else is there stays.
+    """Write numbers with a key into the file of the latest ones; its other content stays.
 
-    A number that could not be measured is null, with the reason under ``why``; ``spread`` has what medians hide, and
-    ``bounds`` what was promised, ``versions`` day and commit.
+    A number that could not be measured is null, with the reason under ``why``; ``spread`` has its quantiles, ``bounds``
+    the limits, ``versions`` day and commit.
     """
     now = version()
     try:
@@ -116,10 +116,10 @@ def note_latest(measured: Sequence[Measured], path: Path) -> None:
     }
     for number in measured:
         if number.key is not None:
-            said = number.as_dict()
-            latest[number.key] = said["value"]
-            bounds = {name: said[name] for name in ("at_most", "at_least") if said[name] is not None}
-            facts = {"why": said["why"], "spread": said["spread"], "bounds": bounds or None, "versions": now}
+            values = number.as_dict()
+            latest[number.key] = values["value"]
+            bounds = {name: values[name] for name in ("at_most", "at_least") if values[name] is not None}
+            facts = {"why": values["why"], "spread": values["spread"], "bounds": bounds or None, "versions": now}
             for name, note in facts.items():
                 notes[name].pop(number.key, None)
                 if note is not None:
@@ -129,7 +129,7 @@ def note_latest(measured: Sequence[Measured], path: Path) -> None:
 
 
 def machine() -> dict[str, str | int | None]:
-    """What a reader must know to compare numbers: processor, how many, interpreter."""
+    """Return the machine of the numbers, for comparisons: processor, how many, interpreter."""
     model = None
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -159,30 +159,30 @@ def version() -> str | None:
 def main(
     arguments: Sequence[str], package: str = "bench", out: Path = Path("bench/out"), docs: Path = Path("docs")
 ) -> int:
-    """The command line: ``--list``, or names, or nothing for all; or one name and options of its own. ``--write-docs`` writes the
-    tables of the documents from what was measured last, behind names after these were measured.
+    """Run the command line: ``--list``, names or none for all, or one name with its own options.
 
-    0 kept, 1 a bound missed, 2 a wrong name.
+    ``--write-docs`` writes the tables of the documents from the latest numbers, after measuring named ones. Returns 0
+    if all limits are kept, 1 for a missed one, 2 for a wrong name.
     """
-    found = find(package)
-    own = found.get(arguments[0]) if len(arguments) > 1 and arguments[1].startswith("-") else None
-    if own is not None and own.main is not None:
-        return own.main(arguments[1:])
+    benchmarks = find(package)
+    named = benchmarks.get(arguments[0]) if len(arguments) > 1 and arguments[1].startswith("-") else None
+    if named is not None and named.main is not None:
+        return named.main(arguments[1:])
     if "--list" in arguments:
-        for benchmark in found.values():
+        for benchmark in benchmarks.values():
             sys.stdout.write(f"{benchmark.name:<16} {benchmark.summary}\n")
         return 0
     names = [name for name in arguments if name != WRITE_DOCS]
-    kept, writing = True, len(names) < len(arguments)
+    all_kept, writing = True, len(names) < len(arguments)
     if names or not writing:
         try:
-            chosen = choose(found, names)
+            chosen = choose(benchmarks, names)
         except UnknownBenchmark as unknown:
             sys.stderr.write(f"{unknown}\n")
             return 2
-        kept = run(chosen, out, sys.stdout.write)
+        all_kept = run(chosen, out, sys.stdout.write)
     if writing:
-        # A bound that was missed is told in the tables, too.
+        # Missed limits are marked in the tables, too.
         write_figures(out / LATEST, docs / "performance.md")
         write_health(out, docs)
-    return 0 if kept else 1
+    return 0 if all_kept else 1

@@ -1,4 +1,4 @@
-"""Owns the scenes that everything is measured on: 2 × 24 frames of 1600 × 1200 with noise, and their truth.
+"""Scenes of most measurements: 2 × 24 frames of 1600 × 1200 with noise, and their truth.
 
 A tilted disc that fills three quarters of the left image, with or without a bar in front of it: made from closed forms,
 so that each pixel's coordinates and correspondence are known. Noise is 1.6 grey values: 0.04 px in a coordinate.
@@ -25,14 +25,14 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class ScanFrames:
-    """Frames and truth; arrays of the left camera unless said otherwise."""
+    """Frames and truth; arrays are of the left camera unless stated otherwise."""
 
     calibration: Calibration
     sequence: PatternSequence
     frames: dict[str, NDArray[np.uint8]]
     """(24, h, w) of each side."""
     points_mm: Array
-    """(h, w, 3) what each pixel sees; NaN where that is nothing."""
+    """(h, w, 3) surface point of each pixel; NaN without one."""
     right_uv_px: Array
     """(h, w, 2) true correspondence; NaN where the pixel is dark or the right camera does not see the point lit."""
 
@@ -72,11 +72,11 @@ def make_scan(
     scene = Scene(cal.rig.volume_centre_mm(index), bar_height_mm)
     projector = synthetic.projector(cal)
     rng = np.random.default_rng(seed)
-    frames, points, lit = {}, {}, {}
+    frames, points, illuminated = {}, {}, {}
     for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
         v, u = np.mgrid[0:height_px, 0:width_px].astype(float)
-        at, on_bar = scene.hit(*camera.rays(np.stack([u, v], -1), index))
-        pq = projector.project(at, index)
+        surface_mm, on_bar = scene.hit(*camera.rays(np.stack([u, v], -1), index))
+        pq = projector.project(surface_mm, index)
         if bar_height_mm:
             pq[hidden(scene, projector, pq, on_bar, index)] = np.nan
         stack = np.empty((len(sequence), height_px, width_px), np.uint8)
@@ -84,22 +84,22 @@ def make_scan(
             noise = NOISE_DN * rng.standard_normal(image.shape, dtype=np.float32)
             stack[k] = np.clip(np.rint(image + noise), 0, 255)
         inside = (pq > 0.0).all(-1) & (pq[..., 0] < sequence.width_px - 1) & (pq[..., 1] < sequence.height_px - 1)
-        frames[side], points[side], lit[side] = stack, at, np.asarray(inside)
+        frames[side], points[side], illuminated[side] = stack, surface_mm, np.asarray(inside)
         if side == "left":
             left_on_bar = on_bar
     right = cal.rig.right
     uv = right.project(points["left"], index)
-    seen = lit["left"] & (uv > 2.0).all(-1) & (uv[..., 0] < width_px - 3) & (uv[..., 1] < height_px - 3)
+    is_matched = illuminated["left"] & (uv > 2.0).all(-1) & (uv[..., 0] < width_px - 3) & (uv[..., 1] < height_px - 3)
     if bar_height_mm:
-        seen &= ~hidden(scene, right, np.where(seen[..., None], uv, np.nan), left_on_bar, index)
-    uv[~seen] = np.nan
+        is_matched &= ~hidden(scene, right, np.where(is_matched[..., None], uv, np.nan), left_on_bar, index)
+    uv[~is_matched] = np.nan
     return ScanFrames(cal, sequence, frames, points["left"], uv)
 
 
 def hidden(scene: Scene, eye: HousedCamera, uv_px: Array, on_bar: Bools, index: float) -> Bools:
-    """Which points, at ``uv_px`` of ``eye`` and not ``on_bar``, lie behind the bar for it."""
-    asked = np.isfinite(uv_px).all(-1) & ~on_bar
-    origin, direction = eye.rays(uv_px[asked], index)
-    behind = np.zeros(asked.shape, bool)
-    behind[asked] = scene.hit(origin, direction)[1]
+    """Return which points, at ``uv_px`` of ``eye`` and not ``on_bar``, are hidden by the bar."""
+    is_tested = np.isfinite(uv_px).all(-1) & ~on_bar
+    origin, direction = eye.rays(uv_px[is_tested], index)
+    behind = np.zeros(is_tested.shape, bool)
+    behind[is_tested] = scene.hit(origin, direction)[1]
     return behind

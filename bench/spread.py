@@ -1,4 +1,4 @@
-"""Owns the spreading of measurements that do not know each other over the processor's cores."""
+"""Distribution of independent measurements over the processor's cores."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ Found = TypeVar("Found")
 
 
 def spread(work: Callable[[Item], Found], items: Iterable[Item]) -> Iterator[Found]:
-    """What ``work`` makes of each item, in their order; a process for each core. An error in one ends them all.
+    """Yield the result of ``work`` for each item, in their order, by a process for each core.
 
-    Both must be picklable. Not for CPU times: cores share caches and clocks.
+    An error in one ends them all. Both arguments must be picklable. Not for CPU times, because cores share caches and
+    clocks.
     """
     pool = ProcessPoolExecutor(os.cpu_count(), mp_context=multiprocessing.get_context("spawn"))
     try:

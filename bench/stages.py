@@ -1,4 +1,4 @@
-"""Owns the stages of one scan and what each costs: pairs of frames as they arrive, then the coarse, then the full cloud."""
+"""Stages of one scan and their cost: pairs of frames as they arrive, then the coarse, then the full cloud."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class ScanCost:
     """CPU milliseconds of all threads."""
 
     pairs_ms: tuple[float, ...]
-    """Each pair of frames, one of either camera, in order."""
+    """One value for each pair of frames, one of either camera, in order."""
     coarse_ms: float
-    """What is left to prepare after the last frame, and the coarse cloud."""
+    """Remaining preparation after the last frame, and the coarse cloud."""
     full_ms: float
 
     @property

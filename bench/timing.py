@@ -1,4 +1,4 @@
-"""Owns how time is taken: CPU of this process or of another program, threads included, as medians with their spread."""
+"""Timing: CPU of this process or of another program, threads included, as medians with their spread."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Cost:
     errors: str
 
 
-def verb(words: str) -> list[str]:
+def verb(command_line: str) -> list[str]:
     """Return the arguments of Python for ``kingfisher`` with these words."""
-    return ["-m", "appliance.cli", *words.split()]
+    return ["-m", "appliance.cli", *command_line.split()]
 
 
 def run_python(arguments: Sequence[str], folder: Path) -> Cost:
@@ -49,7 +49,7 @@ def run_python(arguments: Sequence[str], folder: Path) -> Cost:
 
 
 def cpu_ms(action: Callable[[], object]) -> float:
-    """What ``action`` costs all threads of this process."""
+    """Return the CPU time of ``action`` in all threads of this process."""
     begun_s = time.process_time()
     action()
     return (time.process_time() - begun_s) * 1e3

@@ -1,4 +1,4 @@
-"""Owns what the worker process costs: its start, its memory, and its CPU time for a scan recorded at 60 Hz."""
+"""Cost of the worker process: start, memory, and CPU time for a scan recorded at 60 Hz."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def process_cpu_ms(pid: int | None) -> float:
 
 
 def peak_memory_mb(pid: int | None) -> float:
-    """Peak resident memory, what it shares with others included."""
+    """Return the peak resident memory, shared pages included."""
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace").splitlines():
         if line.startswith("VmHWM"):
             return int(line.split()[1]) / 1000.0
