@@ -157,7 +157,7 @@ DRAWN = POINTERS.beams()
 def taught() -> tuple[PointerBeam, PointerBeam]:
     left, right = DRAWN
     for z_mm in (430.0, 480.0, 530.0):
-        right = right.taught(right.at(np.array(z_mm)) + np.array([0.8, -0.5, 0.0]))
+        right = right.updated(right.at(np.array(z_mm)) + np.array([0.8, -0.5, 0.0]))
     return left, right
 
 
