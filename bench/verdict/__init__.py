@@ -1,1 +1,1 @@
-"""What the verdict is worth: each part draws scans at random, lets the product judge them, and knows the truth."""
+"""Accuracy of the verdicts: each part draws random scans, lets the product judge them, and knows the truth."""

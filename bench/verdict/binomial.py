@@ -1,4 +1,4 @@
-"""Owns how certain a share is that was counted in so many trials, and how every rate of a measurement is said."""
+"""Confidence limits of a counted share, and the text of a rate in a measurement."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ from scipy.stats import beta
 from bench.result import Measured
 
 
-def limits(count: int, of: int, outside: float = 0.05) -> tuple[float, float]:
-    """Exact confidence limits of a share, 0..1 (Clopper, Pearson, Biometrika 26 (1934) 404).
+def limits(count: int, trials: int, outside: float = 0.05) -> tuple[float, float]:
+    """Return exact confidence limits of a share, 0..1 (Clopper, Pearson, Biometrika 26 (1934) 404).
 
-    Not more than ``outside`` of such intervals leave the true share out. Raises ValueError unless 0 ≤ count ≤ of, of > 0.
+    Not more than ``outside`` of such intervals exclude the true share. Raises ValueError unless 0 ≤ count ≤ trials,
+    trials > 0.
     """
-    if not 0 <= count <= of or of == 0:
-        raise ValueError(f"{count} of {of}: allowed are 0 to as many as there were trials, and at least one trial")
-    low = 0.0 if count == 0 else float(beta.ppf(outside / 2.0, count, of - count + 1))
-    high = 1.0 if count == of else float(beta.ppf(1.0 - outside / 2.0, count + 1, of - count))
+    if not 0 <= count <= trials or trials == 0:
+        raise ValueError(f"{count} of {trials}: allowed are 0 to as many as there were trials, and at least one trial")
+    low = 0.0 if count == 0 else float(beta.ppf(outside / 2.0, count, trials - count + 1))
+    high = 1.0 if count == trials else float(beta.ppf(1.0 - outside / 2.0, count + 1, trials - count))
     return low, high
 
 
-def counted(count: int, of: int) -> str:
-    """As words, in percent: ``3 of 500 = 0.6 % (0.1 to 1.7)``."""
-    if of == 0:
+def counted(count: int, trials: int) -> str:
+    """Return a share as text, in percent: ``3 of 500 = 0.6 % (0.1 to 1.7)``."""
+    if trials == 0:
         return "none to count"
-    return f"{count} of {of} = {percent(count / of)} % ({_between(count, of)})"
+    return f"{count} of {trials} = {percent(count / trials)} % ({_between(count, trials)})"
 
 
-def out_of(of: int, count: int) -> str:
-    """As the unit of a count, with the limits of its share in percent: ``of 500 (0.1 to 1.7 %)``."""
-    if of == 0:
+def out_of(trials: int, count: int) -> str:
+    """Return the unit of a count, with the limits of its share in percent: ``of 500 (0.1 to 1.7 %)``."""
+    if trials == 0:
         return "of 0"
-    return f"of {of} ({_between(count, of)} %)"
+    return f"of {trials} ({_between(count, trials)} %)"
 
 
 def percent(share: float) -> str:
@@ -48,21 +49,24 @@ def percent(share: float) -> str:
 def tally(
     name: str,
     count: int,
-    of: int,
+    trials: int,
     *,
     at_most: float | None = None,
     at_least: float | None = None,
     key: str | None = None,
 ) -> Measured:
-    """Return a count with the limits of its share in its unit; bounds are of the count, and judge only where there was anything to count."""
-    bounds = (at_most, at_least) if of else (None, None)
-    return Measured(name, float(count), out_of(of, count), *bounds, key, share=(count, of))
+    """Return a count with the limits of its share in its unit.
+
+    Its bounds are of the count, and hold only if there were trials.
+    """
+    bounds = (at_most, at_least) if trials else (None, None)
+    return Measured(name, float(count), out_of(trials, count), *bounds, key, share=(count, trials))
 
 
 def rate(
     name: str,
     count: int,
-    of: int,
+    trials: int,
     *,
     at_most: float | None = None,
     at_least: float | None = None,
@@ -70,14 +74,14 @@ def rate(
 ) -> Measured:
     """Return a share in percent with its count and limits in its unit: 60 ``% (3 of 5; 14.7 to 94.7)``.
 
-    Bounds are in percent. Where there was nothing to count there is no value, and no bound: nothing was missed.
+    Bounds are in percent. Without trials there is neither a value nor a bound.
     """
-    if of == 0:
+    if trials == 0:
         return Measured(name, math.nan, "", key=key, why="none to count", share=(0, 0))
-    unit = f"% ({count} of {of}; {_between(count, of)})"
-    return Measured(name, 100.0 * count / of, unit, at_most, at_least, key, share=(count, of))
+    unit = f"% ({count} of {trials}; {_between(count, trials)})"
+    return Measured(name, 100.0 * count / trials, unit, at_most, at_least, key, share=(count, trials))
 
 
-def _between(count: int, of: int) -> str:
-    low, high = limits(count, of)
+def _between(count: int, trials: int) -> str:
+    low, high = limits(count, trials)
     return f"{percent(low)} to {percent(high)}"

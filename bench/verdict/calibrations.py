@@ -1,5 +1,5 @@
-"""Owns what a simulated scan is solved with: the truth in the product's words, or what calibrating made of a hidden rig,
-and how far a cloud is off by itself, without what its calibration is off.
+"""Calibrations of a simulated scan (the true one, or that of a hidden rig), and errors of a cloud without those of its
+calibration.
 
 A calibration turns and shifts the whole world a little (its left camera's axis is not exactly the true one) and bends it by
 some hundredths of a millimetre. Both are the same at rest and moving, and are no business of those who undo a motion.
@@ -74,7 +74,7 @@ def binned(camera: HousedCamera, times: int) -> HousedCamera:
 
 
 class TrueScene:
-    """What one moment of a scan truly shows, and where a calibration puts it."""
+    """True scene of one moment of a scan, and its position by a calibration."""
 
     def __init__(
         self, scan: RenderedScan, rig: StereoRig, time_s: float, view: TrueView | None = None, water: Water = WATER
@@ -85,7 +85,7 @@ class TrueScene:
         self._back = self._turn_back()
 
     def judge(self, cloud: Cloud) -> Own:
-        """A cloud that was made with the rig."""
+        """Return the errors of a cloud that was made with the rig."""
         truth = self._scan.renderer.truth
         pixel = cloud.pixel.astype(np.int64)
         v, u = np.divmod(pixel, truth.left.width_px)
@@ -93,20 +93,20 @@ class TrueScene:
         uv = np.stack([u, v], -1)[met].astype(np.float64)
         expected = self.calibrated_points(uv, self.view.points_rig_mm[v[met], u[met]])
         _, direction = self._rig.left.rays(uv, self._index)
-        own = np.sum((cloud.points_mm[met] - expected) * direction, -1)
-        good = np.isfinite(own)
-        rms = float(np.sqrt(np.mean(own[good] ** 2))) if good.any() else math.nan
-        return Own(self._accuracy(cloud, pixel), rms, own[good] / cloud.sigma_mm[met][good])
+        errors_mm = np.sum((cloud.points_mm[met] - expected) * direction, -1)
+        good = np.isfinite(errors_mm)
+        rms = float(np.sqrt(np.mean(errors_mm[good] ** 2))) if good.any() else math.nan
+        return Own(self._accuracy(cloud, pixel), rms, errors_mm[good] / cloud.sigma_mm[met][good])
 
     def _accuracy(self, cloud: Cloud, pixel: NDArray[np.int64]) -> Accuracy:
         R, a, b = self._back
         points = (cloud.points_mm - a) @ R.T + b
         distance = self._scan.renderer.surface(self._time_s).distance_mm(left_to_rig(self._scan.renderer.truth, points))
-        seen = self.view.seen_by_all.ravel()
-        found = np.zeros(seen.size, bool)
-        found[pixel] = True
+        visible = self.view.seen_by_all.ravel()
+        has_point = np.zeros(visible.size, bool)
+        has_point[pixel] = True
         return Accuracy(
-            100.0 * float((found & seen).sum()) / float(seen.sum()),
+            100.0 * float((has_point & visible).sum()) / float(visible.sum()),
             1e6 * float(np.mean(np.abs(distance) > 1.0)),
             float(np.sqrt(np.mean(distance**2))),
         )
@@ -117,15 +117,15 @@ class TrueScene:
         return triangulate(self._rig, uv, right, self._index)
 
     def _turn_back(self) -> tuple[Array, Array, Array]:
-        """The rigid motion from the rig's points to the true left camera's frame that fits what is seen (Kabsch)."""
+        """Return the rigid transform from the rig's points to the true left camera frame that fits best (Kabsch)."""
         true_rig = self.view.points_rig_mm
         v, u = np.mgrid[0 : true_rig.shape[0] : GRID_PX, 0 : true_rig.shape[1] : GRID_PX].reshape(2, -1)
         met = np.isfinite(true_rig[v, u]).all(-1)
-        there = true_rig[v, u][met]
-        said = self.calibrated_points(np.stack([u, v], -1)[met].astype(np.float64), there)
-        true = rig_to_left(self._scan.renderer.truth, there)
-        finite = np.isfinite(said).all(-1)
-        said, true = said[finite], true[finite]
-        a, b = said.mean(0), true.mean(0)
-        U, _, V = np.linalg.svd((said - a).T @ (true - b))
+        true_points = true_rig[v, u][met]
+        calibrated = self.calibrated_points(np.stack([u, v], -1)[met].astype(np.float64), true_points)
+        true = rig_to_left(self._scan.renderer.truth, true_points)
+        finite = np.isfinite(calibrated).all(-1)
+        calibrated, true = calibrated[finite], true[finite]
+        a, b = calibrated.mean(0), true.mean(0)
+        U, _, V = np.linalg.svd((calibrated - a).T @ (true - b))
         return np.asarray(V.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(V.T @ U.T))]) @ U.T), a, b

@@ -1,4 +1,4 @@
-"""Owns the figures of the naming of causes: how often the first reason of a bad scan is a true one.
+"""Figures of the naming of causes: how often the first cause of a bad scan is a true one.
 
 ``scans`` sets how many bases are drawn: each gives 40 to 50 scenes, spoilt by up to three of four factors. True causes come from
 the simulator alone (``causes_truth``).
@@ -48,16 +48,16 @@ def measure(
 
 
 def _row(number: int, base: Base, spoilt: Spoilt, truth: Truth) -> Row:
-    here = truth.outcome(spoilt)
+    outcome = truth.outcome(spoilt)
     row: Row = {
         "base": number, "object": base.scene.object, "texture": base.scene.texture, "scene": spoilt.name,
         "hands": spoilt.hands, "water": spoilt.water, "light": spoilt.light, "distance": spoilt.distance,
-        "grade": here.grade.value, "reasons": [code.value for code in here.reasons],
-        "coverage_percent": here.coverage_percent, "good": here.good, "error_mm": here.error_mm,
-        "texts": here.texts, "numbers": here.numbers,
+        "grade": outcome.grade.value, "reasons": [code.value for code in outcome.reasons],
+        "coverage_percent": outcome.coverage_percent, "good": outcome.good, "error_mm": outcome.error_mm,
+        "texts": outcome.texts, "numbers": outcome.numbers,
     }  # fmt: skip
-    if here.grade is Grade.BAD:
-        blamed = _blamed(here)
+    if outcome.grade is Grade.BAD:
+        blamed = _blamed(outcome)
         row["true"] = sorted(truth.causes(spoilt, blamed))
         row["mends"] = sorted(truth.mending(spoilt, blamed))
         row["blamed"] = blamed
@@ -65,9 +65,9 @@ def _row(number: int, base: Base, spoilt: Spoilt, truth: Truth) -> Row:
     return row
 
 
-def _blamed(here: Outcome) -> str | None:
-    """The factor that the first reason names; ``None``: there is no reason, or one that blames nothing of these."""
-    return FACTOR_OF.get(here.reasons[0]) if here.reasons else None
+def _blamed(outcome: Outcome) -> str | None:
+    """Return the factor that the first cause names; ``None`` without a cause, or for one of no factor."""
+    return FACTOR_OF.get(outcome.reasons[0]) if outcome.reasons else None
 
 
 def figures(rows: Sequence[Row]) -> list[Measured]:

@@ -1,4 +1,4 @@
-"""Owns the frames of the scenes that the naming of causes is measured with: rendered once, kept in a folder if there is one."""
+"""Frames of the scenes for the naming of causes: rendered once, and kept in a folder if one is given."""
 
 from __future__ import annotations
 
@@ -25,45 +25,46 @@ TRUTH_SET = "realistic"
 def frames_of(
     base: Base, spoilt: Spoilt, keep: Path | None, exposure: Exposure | None = None, world: str = ORDINARY
 ) -> RenderedScan:
-    """The scan of a scene, with noise; from the folder ``keep`` where it is there, and kept there where not.
+    """Return the scan of a scene, with noise; it is read from and stored in the folder ``keep``.
 
-    ``exposure``: another one than the scene's own.
+    ``exposure``: another one than that of the scene.
     """
-    scene, taken = scene_of(base, spoilt), exposure or exposure_of(spoilt)
+    scene, chosen = scene_of(base, spoilt), exposure or exposure_of(spoilt)
     if world != ORDINARY:
-        return _outside(base, scene, taken, keep)
+        return _outside(base, scene, chosen, keep)
     frame_s = 0.0 if scene.motion.still else FRAME_S
-    exposure_s = taken.time_us / 1e6
+    exposure_s = chosen.time_us / 1e6
     # Frames that were kept before a scene could be of another world are found again.
-    what = repr((base.rig_seed, scene, taken, WIDTH_PX, PERIOD_PX, TRUTH_SET)).replace(
+    what = repr((base.rig_seed, scene, chosen, WIDTH_PX, PERIOD_PX, TRUTH_SET)).replace(
         f", outside={scene.outside!r}", ""
     )
     path = None if keep is None else keep / f"causes-{hashlib.sha256(what.encode()).hexdigest()[:20]}.npy"
     if path is not None and path.exists():
-        both = np.load(path)
+        stacks = np.load(path)
         truth = draw_truth(TRUTH_SET, base.rig_seed, WIDTH_PX, HEIGHT_PX, scene.water.index)
-        frames = {"left": both[0], "right": both[1]}
+        frames = {"left": stacks[0], "right": stacks[1]}
         return RenderedScan(Renderer(truth, scene), build_sequence(PERIOD_PX), frames, exposure_s, frame_s)
     scan = render_scan(
-        scene, TRUTH_SET, base.rig_seed, WIDTH_PX, PERIOD_PX, exposure_s, frame_s=frame_s, gain_db=taken.gain_db
+        scene, TRUTH_SET, base.rig_seed, WIDTH_PX, PERIOD_PX, exposure_s, frame_s=frame_s, gain_db=chosen.gain_db
     )
     if path is not None:
         _keep(path, scan.frames)
     return scan
 
 
-def _outside(base: Base, scene: Scene, taken: Exposure, keep: Path | None) -> RenderedScan:
-    """The same in the world ``outside``: the rig's seed draws its families, and hands are those of that world where they move."""
+def _outside(base: Base, scene: Scene, exposure: Exposure, keep: Path | None) -> RenderedScan:
+    """Return the scan in the world ``outside``: families by the rig's seed, and motion of that world where the scene
+    moves."""
     moves = not scene.motion.still
     renderer = put_outside(scene, base.rig_seed, TRUTH_SET, width_px=WIDTH_PX, hands=moves).renderer()
-    what = repr((base.rig_seed, renderer.scene, taken, WIDTH_PX, PERIOD_PX, TRUTH_SET))
+    what = repr((base.rig_seed, renderer.scene, exposure, WIDTH_PX, PERIOD_PX, TRUTH_SET))
     path = None if keep is None else keep / f"causes-outside-{hashlib.sha256(what.encode()).hexdigest()[:20]}.npy"
-    exposure_s, frame_s = taken.time_us / 1e6, FRAME_S if moves else 0.0
+    exposure_s, frame_s = exposure.time_us / 1e6, FRAME_S if moves else 0.0
     if path is not None and path.exists():
-        both = np.load(path)
-        frames = {"left": both[0], "right": both[1]}
+        stacks = np.load(path)
+        frames = {"left": stacks[0], "right": stacks[1]}
     else:
-        frames = dict(record_sequence(renderer, build_sequence(PERIOD_PX), exposure_s, taken.gain_db).noisy)
+        frames = dict(record_sequence(renderer, build_sequence(PERIOD_PX), exposure_s, exposure.gain_db).noisy)
         if path is not None:
             _keep(path, frames)
     return RenderedScan(renderer, build_sequence(PERIOD_PX), frames, exposure_s, frame_s)

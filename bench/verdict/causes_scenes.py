@@ -1,4 +1,4 @@
-"""Owns the scenes that the naming of causes is measured with: a good base, and what spoils it, factor by factor.
+"""Scenes for the naming of causes: a good base, and the factors that spoil it.
 
 A base is an object in clear water at the right distance, held still and exposed to suit it. Four factors spoil it: hands,
 water, light and distance. A scene is a base with a level of each factor; so the same scene with one factor removed is a scene
@@ -38,7 +38,7 @@ DIRECTIONS = MappingProxyType(
     }
 )
 SPEEDS_MM_S = (5.0, 20.0, 60.0)
-HANDS = (NONE, *(f"{speed:g} {way}" for speed in SPEEDS_MM_S for way in DIRECTIONS), "tremor")
+HANDS = (NONE, *(f"{speed:g} {name}" for speed in SPEEDS_MM_S for name in DIRECTIONS), "tremor")
 WATERS = MappingProxyType(
     {
         NONE: Water(),
@@ -60,7 +60,7 @@ HANDS_ALONE, PAIRS, TRIPLES = 5, 20, 2
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """A scene that nothing spoils, before one hidden rig."""
+    """A good scene, before one hidden rig."""
 
     rig_seed: int
     scene: Scene
@@ -71,7 +71,7 @@ class Base:
 
 @dataclass(frozen=True, slots=True)
 class Spoilt:
-    """A level of each factor; ``NONE`` is what a base has."""
+    """A level of each factor; ``NONE`` is that of the base."""
 
     hands: str = NONE
     water: str = NONE
@@ -88,7 +88,7 @@ class Spoilt:
         return replace(self, **{factor: NONE})
 
     def alone(self, factor: str) -> Spoilt:
-        """Nothing but that factor."""
+        """Return the level of ``factor`` alone."""
         return replace(Spoilt(), **{factor: getattr(self, factor)})
 
     @property
@@ -113,16 +113,16 @@ def draw_base(seed: int, number: int) -> Base:
 
 
 def scene_of(base: Base, spoilt: Spoilt) -> Scene:
-    """What is before the instrument."""
+    """Return the scene before the instrument."""
     scene = replace(base.scene, motion=_motion(base, spoilt.hands), water=WATERS[spoilt.water])
-    x, y, z, *turn = base.scene.start_pose
+    x, y, z, *rotation_deg = base.scene.start_pose
     match spoilt.distance:
         case "near":
-            scene = replace(scene, pose=(x, y, z - NEARER_MM, turn[0], turn[1], turn[2]))
+            scene = replace(scene, pose=(x, y, z - NEARER_MM, rotation_deg[0], rotation_deg[1], rotation_deg[2]))
         case "far":
-            scene = replace(scene, pose=(x, y, z + FARTHER_MM, turn[0], turn[1], turn[2]))
+            scene = replace(scene, pose=(x, y, z + FARTHER_MM, rotation_deg[0], rotation_deg[1], rotation_deg[2]))
         case "nothing":
-            scene = replace(scene, pose=(x + AWAY_MM, y, z, turn[0], turn[1], turn[2]))
+            scene = replace(scene, pose=(x + AWAY_MM, y, z, rotation_deg[0], rotation_deg[1], rotation_deg[2]))
     match spoilt.light:
         case "flicker":
             daylight = Daylight(flicker_depth=base.flicker_depth, flicker_hz=base.flicker_hz, seed=base.rig_seed)
@@ -133,7 +133,7 @@ def scene_of(base: Base, spoilt: Spoilt) -> Scene:
 
 
 def exposure_of(spoilt: Spoilt) -> Exposure:
-    """What the cameras are set to; the usual one but where light is the factor."""
+    """Return the exposure: the usual one except where light is the factor."""
     match spoilt.light:
         case "dim":
             return Exposure(500)
@@ -151,14 +151,17 @@ def _motion(base: Base, hands: str) -> Motion:
         # 20 mm/s at the most, which is a bad day.
         amount = 20.0 / (2.0 * np.pi * base.tremor_hz)
         return Motion(tremor_mm=(amount * _ROOT3,) * 3, tremor_hz=base.tremor_hz)
-    speed, way = hands.split(" ")
-    x, y, z = (float(speed) * part for part in DIRECTIONS[way])
+    speed, direction = hands.split(" ")
+    x, y, z = (float(speed) * part for part in DIRECTIONS[direction])
     return Motion(velocity_mm_s=(x, y, z))
 
 
 def grid_of(seed: int, number: int, pairs: int = PAIRS, triples: int = TRIPLES) -> tuple[Spoilt, ...]:
-    """What one base is spoilt by: nothing, each level alone (of the hands', ``HANDS_ALONE`` at random), pairs of these, and
-    triples with every pair that they hold. So a scene without one of its factors is in the grid as well."""
+    """Return the levels for one base: none, each alone, random pairs, and triples with all their pairs.
+
+    Of motion, only ``HANDS_ALONE`` random levels stand alone. So every scene without one of its factors is in the grid,
+    too.
+    """
     rng = np.random.default_rng([seed, number, 78])
     levels = {
         "hands": tuple(str(level) for level in rng.choice(HANDS[1:], HANDS_ALONE, replace=False)),
@@ -166,13 +169,13 @@ def grid_of(seed: int, number: int, pairs: int = PAIRS, triples: int = TRIPLES) 
         "light": LIGHTS[1:],
         "distance": DISTANCES[1:],
     }
-    found = [Spoilt(), *(_spoilt({factor: level}) for factor in FACTORS for level in levels[factor])]
+    grid = [Spoilt(), *(_spoilt({factor: level}) for factor in FACTORS for level in levels[factor])]
     for count, many in ((2, pairs), (3, triples)):
         for _ in range(many):
             chosen = [str(factor) for factor in rng.choice(FACTORS, count, replace=False)]
-            whole = _spoilt({factor: str(rng.choice(levels[factor])) for factor in chosen})
-            found += [*(whole.without(factor) for factor in chosen), whole]
-    return tuple(dict.fromkeys(found))
+            combination = _spoilt({factor: str(rng.choice(levels[factor])) for factor in chosen})
+            grid += [*(combination.without(factor) for factor in chosen), combination]
+    return tuple(dict.fromkeys(grid))
 
 
 def _spoilt(levels: dict[str, str]) -> Spoilt:

@@ -1,4 +1,4 @@
-"""Owns what a scan is truly worth, and which factors of a scene truly spoil it: by taking them away, one by one.
+"""True quality of a scan, and the factors that truly spoil it, found by removing them one by one.
 
 A scan's worth is counted against the true surface, with none of the product's judges: how many points lie within a millimetre of
 it, and how far these are off (after the rigid displacement that moving hands leave). Taking a factor away *mends* a scan
@@ -50,7 +50,7 @@ MORE_POINTS, LESS_ERROR = 0.10, 1.03
 LEAST_POINTS = 0.10
 """Of the base's points: fewer do not say how far they err."""
 USABLE_POINTS = 0.25
-"""Share of the base's points that a usable scan has: a quarter of what is illuminated, as its grade has it."""
+"""Least share of the base's points in a usable scan: a quarter of the illuminated pixels, as in its grade."""
 AIM_DN, BRIGHTEST = 225.0, 99.5
 """Where a suitable exposure puts that percentile of the bright frame."""
 FACTOR_OF = {
@@ -69,33 +69,33 @@ FACTOR_OF = {
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One scan as the product sees it and as it truly is."""
+    """One scan as judged by the product, and in truth."""
 
     grade: Grade
     reasons: tuple[FaultCode, ...]
-    """As the screen ranks them, without what is only shown."""
+    """Causes in the order of the screen, without those that are only shown."""
     coverage_percent: float | None
     good: int
     """Points within a millimetre of the surface."""
     error_mm: float | None
-    """How far these are off, rms; ``None``: too few."""
+    """RMS error of these; ``None`` for too few."""
     texts: dict[str, str]
     numbers: dict[str, dict[str, float | None]]
 
 
 def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None) -> Outcome:
-    """Work through a scan as the instrument does, with the true calibration, and compare its points with the truth.
+    """Run a scan through the instrument's procedure with the true calibration, and compare its points with the truth.
 
-    ``stated``: the calibration that states the truth about a rig of the world ``outside``; ``None``: the ordinary world.
+    ``stated``: the calibration that states a true rig of the world ``outside``; ``None`` for the ordinary world.
     """
     settings, calibration, water = _taken(scan, exposure, stated)
     with Pipeline(calibration, water, scan.sequence, noise=settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         full = processor.process(scan.frames, settings)
         cloud, judgements = pipeline.table.cloud(full.found), full.judgements
-    faults = tuple(one.fault for one in judgements if one.fault is not None)
+    faults = tuple(judgement.fault for judgement in judgements if judgement.fault is not None)
     summary = cloud.summary
-    # What spoils a scan outright is all that its diver hears of.
+    # The diver reads only faults that spoil a scan entirely, if there are any.
     spoilt = [fault for fault in faults if fault.code in SPOILS_SCAN]
     ranked = spoilt or sorted(faults, key=lambda fault: -alert_of(fault).severity)
     good, error_mm = _worth(scan, cloud)
@@ -103,8 +103,8 @@ def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None)
         Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults}),
         tuple(fault.code for fault in ranked if fault.code is not FaultCode.COMPENSATED),
         summary.coverage_percent, good, error_mm,
-        {one.verdict.name: one.verdict.text for one in judgements},
-        {one.verdict.name: dict(one.verdict.numbers) for one in judgements},
+        {judgement.verdict.name: judgement.verdict.text for judgement in judgements},
+        {judgement.verdict.name: dict(judgement.verdict.numbers) for judgement in judgements},
     )  # fmt: skip
 
 
@@ -128,18 +128,18 @@ def written(outcome: Outcome) -> dict[str, Any]:
 
 
 def read_outcome(content: dict[str, Any]) -> Outcome:
-    """What ``written`` made."""
+    """Return the outcome that ``written`` stored."""
     reasons = tuple(FaultCode(code) for code in content["reasons"])
     return Outcome(**{**content, "grade": Grade(content["grade"]), "reasons": reasons})
 
 
 @cache
 def sources_digest() -> str:
-    """Of the product's sources: what another version found out is not its own."""
-    whole = hashlib.sha256()
+    """Return a hash of the product's sources, which separates results of different versions."""
+    hasher = hashlib.sha256()
     for path in sorted(Path(appliance.__file__).parent.rglob("*.py")):
-        whole.update(path.read_bytes())
-    return whole.hexdigest()
+        hasher.update(path.read_bytes())
+    return hasher.hexdigest()
 
 
 def _worth(scan: RenderedScan, cloud: Cloud) -> tuple[int, float | None]:
@@ -162,11 +162,11 @@ class Truth:
         self._known: dict[tuple[Spoilt, Exposure], Outcome] = {}
 
     def outcome(self, spoilt: Spoilt, exposure: Exposure | None = None) -> Outcome:
-        """Of a scene, as it is exposed or with another exposure."""
-        taken = exposure or self._exposure_of(spoilt)
-        if (spoilt, taken) not in self._known:
-            self._known[spoilt, taken] = self._kept(spoilt, taken)
-        return self._known[spoilt, taken]
+        """Return the outcome of a scene, at its own or another exposure."""
+        chosen = exposure or self._exposure_of(spoilt)
+        if (spoilt, chosen) not in self._known:
+            self._known[spoilt, chosen] = self._kept(spoilt, chosen)
+        return self._known[spoilt, chosen]
 
     def taken(self, spoilt: Spoilt) -> tuple[RenderedScan, AcquisitionSettings, Calibration, Water]:
         """A scene's scan as it is exposed, how it was taken, and the calibration and water that state the truth."""
@@ -185,41 +185,48 @@ class Truth:
         return Exposure(round(1e6 * suited_s(world.renderer(), 0.0, 1.0)))
 
     def _exposure_of(self, spoilt: Spoilt) -> Exposure:
-        """What a scene is taken with: too dark and too bright are so many times less and more than what suits the base."""
+        """Return the exposure of a scene; too dark and too bright are factors on the suitable one of the base."""
         ordinary = exposure_of(spoilt)
         if self._usual is None or spoilt.light == "over":
             return ordinary
         usual_us = exposure_of(Spoilt()).time_us
         return Exposure(max(round(self._usual.time_us * ordinary.time_us / usual_us), 20), ordinary.gain_db)
 
-    def _kept(self, spoilt: Spoilt, taken: Exposure) -> Outcome:
-        """From the folder, if this very product judged that scene before."""
+    def _kept(self, spoilt: Spoilt, exposure: Exposure) -> Outcome:
+        """Return the stored outcome if this version of the product has judged the scene, else judge it."""
         if self._keep is None:
-            return judged(frames_of(self._base, spoilt, None, taken, self._world), taken, self._stated)
+            return judged(frames_of(self._base, spoilt, None, exposure, self._world), exposure, self._stated)
         where = () if self._world == ORDINARY else (self._world, "stated")
-        what = repr((self._base, spoilt, taken, sources_digest(), *where))
+        what = repr((self._base, spoilt, exposure, sources_digest(), *where))
         path = self._keep / f"causes-outcome-{hashlib.sha256(what.encode()).hexdigest()[:20]}.json"
         if path.exists():
             return read_outcome(json.loads(path.read_text(encoding="utf-8")))
-        outcome = judged(frames_of(self._base, spoilt, self._keep, taken, self._world), taken, self._stated)
+        outcome = judged(frames_of(self._base, spoilt, self._keep, exposure, self._world), exposure, self._stated)
         draft = path.with_name(f".{path.name}")
         draft.write_text(json.dumps(written(outcome)) + "\n", encoding="utf-8")
         draft.replace(path)
         return outcome
 
     def causes(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
-        """The factors that truly spoil a scene. Light, where it is not among what was changed, is looked at only if it is
-        ``blamed``: then the scene is taken with the exposure that suits it."""
+        """Return the factors that truly spoil a scene.
+
+        Light, where it is not a changed factor, is tested only if it is ``blamed``: then with the suitable exposure.
+        """
         return self.mending(spoilt, blamed) | self._fatal(spoilt)
 
     def mending(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
-        """The factors of which each, taken away by itself, mends a scan; or, where none does, spoils the base by itself.
-        ``blamed`` as in ``causes``."""
-        here = self.outcome(spoilt)
-        true = {factor for factor in spoilt.present if self._mends(here, self.outcome(spoilt.without(factor)))}
+        """Return the factors each of which improves the scan if removed alone; without any, those that alone spoil the
+        base.
+
+        ``blamed`` as in ``causes``.
+        """
+        present_outcome = self.outcome(spoilt)
+        true = {
+            factor for factor in spoilt.present if self._mends(present_outcome, self.outcome(spoilt.without(factor)))
+        }
         if blamed == "light" and spoilt.light == NONE:
             suited = self._suited(spoilt)
-            if suited is not None and self._mends(here, self.outcome(spoilt, suited)):
+            if suited is not None and self._mends(present_outcome, self.outcome(spoilt, suited)):
                 true.add("light")
         if true:
             return true
@@ -227,9 +234,9 @@ class Truth:
         return {factor for factor in spoilt.present if self._mends(self.outcome(spoilt.alone(factor)), clean)}
 
     def _fatal(self, spoilt: Spoilt) -> set[str]:
-        """The factors with which alone no scan is usable."""
-        least = USABLE_POINTS * self.outcome(Spoilt()).good
-        return {factor for factor in spoilt.present if self.outcome(spoilt.alone(factor)).good < least}
+        """Return the factors each of which alone makes every scan unusable."""
+        least_good = USABLE_POINTS * self.outcome(Spoilt()).good
+        return {factor for factor in spoilt.present if self.outcome(spoilt.alone(factor)).good < least_good}
 
     def _mends(self, before: Outcome, after: Outcome) -> bool:
         base = self.outcome(Spoilt()).good

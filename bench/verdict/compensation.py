@@ -1,4 +1,4 @@
-"""What undoing a hand's motion is worth: scans of moving hands against the same scans at rest.
+"""Effect of motion compensation: scans of moving hands against the same scans at rest.
 
 A cloud is judged against the true surface at its own time, the middle of the x-sines. Every scan is solved twice: with the
 calibration that states the truth, and with one that was found as an instrument's is (``calibrations.py``). What a
@@ -75,7 +75,7 @@ def judged(cases: Sequence[Case], say: Say, keep: Path | None, world: str = ORDI
 
 
 class Judge:
-    """Scans are drawn once if there is a folder to keep them in; of a scene at rest, what came out is remembered."""
+    """Judge of scans, which are stored in a folder if one is given; results at rest are kept in memory."""
 
     def __init__(self, keep: Path | None, world: str = ORDINARY) -> None:
         self._keep, self._world = keep, world
@@ -97,9 +97,9 @@ class Judge:
         return kept_scan(self._keep, scene, case.truth_set, case.seed, case.width_px, PERIOD_PX, frame_s)
 
     def _true(self, scan: RenderedScan, rig: StereoRig, time_s: float) -> TrueScene:
-        """The same view serves each kind of calibration."""
-        known = self._seen
-        view = known[2] if known is not None and known[0] is scan and known[1] == time_s else None
+        """Return the true scene; the same view serves all kinds of calibration."""
+        cached = self._seen
+        view = cached[2] if cached is not None and cached[0] is scan and cached[1] == time_s else None
         true = TrueScene(scan, rig, time_s, view, self._water(scan))
         self._seen = (scan, time_s, true.view)
         return true
@@ -119,68 +119,70 @@ class Judge:
             scan = self._scan(case, case.rest)
             calibration = calibration_of(kind, scan.renderer.truth)
             with self._pipeline(scan, calibration) as pipeline:
-                found = _push(pipeline, scan)
-                self._rest[key] = self._true(scan, calibration.rig, 0.0).judge(pipeline.table.cloud(found))
+                full = _push(pipeline, scan)
+                self._rest[key] = self._true(scan, calibration.rig, 0.0).judge(pipeline.table.cloud(full))
         return self._rest[key]
 
     def _row(self, case: Case, scan: RenderedScan, kind: str) -> Row:
-        rest = self._at_rest(case, kind)
+        at_rest = self._at_rest(case, kind)
         calibration = calibration_of(kind, scan.renderer.truth)
         with self._pipeline(scan, calibration) as pipeline:
-            found = _push(pipeline, scan)
-            plain = pipeline.table.cloud(found)
+            full = _push(pipeline, scan)
+            plain = pipeline.table.cloud(full)
             begun_s = time.process_time()
             images = recorded(scan, pipeline, self._noise(scan))
             water = self._water(scan)
             added = judge_motion(images, plain, calibration.rig, water.index).added
-            tried = attempt(pipeline, found, images, calibration, water, added)
+            attempted = attempt(pipeline, full, images, calibration, water, added)
             cpu_s = time.process_time() - begun_s
-            time_s = tried.motion.reference_s if tried.motion is not None else 10.5 * FRAME_S
+            time_s = attempted.motion.reference_s if attempted.motion is not None else 10.5 * FRAME_S
             true = self._true(scan, calibration.rig, time_s)
             before = true.judge(plain)
             after = before
-            if tried.found is not None:
-                after = true.judge(pipeline.table.cloud(tried.found))
+            if attempted.found is not None:
+                after = true.judge(pipeline.table.cloud(attempted.found))
         return {
             "name": case.name, "object": case.scene.object, "texture": case.scene.texture, "calibration": kind,
-            "moved": not case.at_rest, "used": tried.found is not None, "why": tried.why, "cpu_s": cpu_s,
-            "at_rest_mm": rest.own_rms_mm, "before": before.own_rms_mm / rest.own_rms_mm,
-            "after": after.own_rms_mm / rest.own_rms_mm,
-            "surface_mm": {"at_rest": rest.accuracy.rms_mm, "before": before.accuracy.rms_mm, "after": after.accuracy.rms_mm},
+            "moved": not case.at_rest, "used": attempted.found is not None, "why": attempted.why, "cpu_s": cpu_s,
+            "at_rest_mm": at_rest.own_rms_mm, "before": before.own_rms_mm / at_rest.own_rms_mm,
+            "after": after.own_rms_mm / at_rest.own_rms_mm,
+            "surface_mm": {
+                "at_rest": at_rest.accuracy.rms_mm, "before": before.accuracy.rms_mm, "after": after.accuracy.rms_mm,
+            },
             "outliers_ppm": {
-                "at_rest": rest.accuracy.outliers_ppm, "before": before.accuracy.outliers_ppm,
+                "at_rest": at_rest.accuracy.outliers_ppm, "before": before.accuracy.outliers_ppm,
                 "after": after.accuracy.outliers_ppm,
             },
-            "completeness_at_rest": rest.accuracy.completeness_percent,
+            "completeness_at_rest": at_rest.accuracy.completeness_percent,
             "completeness_before": before.accuracy.completeness_percent,
             "completeness_after": after.accuracy.completeness_percent,
-            "in_sigmas_at_rest": spread(rest.residuals)["rms_trimmed"],
-            "in_sigmas": spread(after.residuals)["rms_trimmed"] if tried.found is not None else None,
-            **_expected(tried),
+            "in_sigmas_at_rest": spread(at_rest.residuals)["rms_trimmed"],
+            "in_sigmas": spread(after.residuals)["rms_trimmed"] if attempted.found is not None else None,
+            **_expected(attempted),
         }  # fmt: skip
 
 
 def figures(named: Rows, drawn: Rows) -> list[Measured]:
-    """What is asked of compensation."""
+    """Return the figures of compensation with their targets."""
     every = [*named, *drawn]
-    found = []
+    measured = []
     for kind in KINDS:
         mine = [row for row in named if row["calibration"] == kind]
         if not mine:
             continue
-        found += [
+        measured += [
             Measured(
                 f"hand {hand}, {kind} rig: rms over at rest, worst of three", _worst(mine, f"{hand}-", "after"), "",
                 at_most=1.2, key=f"compensation_{hand}" if kind == "calibrated" else None,
             )
             for hand in NAMED
         ]  # fmt: skip
-    found += [
+    measured += [
         Measured(f"hand {hand}: the same, nothing done", _worst(named, f"{hand}-", "before"), "") for hand in NAMED
     ]
     used = [row for row in drawn if row["used"]]
     return [
-        *found,
+        *measured,
         of("drawn, compensated: rms over at rest, median", used, "after", median, at_most=1.2),
         of("drawn, compensated: the same, nothing done", used, "before", median),
         of("drawn, compensated: worst", used, "after", max),
@@ -199,16 +201,16 @@ def made_worse(rows: Rows) -> Measured:
 
 
 def worse(row: Row) -> bool:
-    """Whether what is shown errs more than what would have been shown without compensation."""
+    """Tell whether the shown points have larger errors than those without compensation."""
     return bool(row["used"]) and float(row["after"]) > WORSE * float(row["before"])
 
 
-def _expected(tried: Attempt) -> dict[str, float | None]:
-    """What the attempt thinks of it."""
-    motion = tried.motion
+def _expected(attempted: Attempt) -> dict[str, float | None]:
+    """Return the attempt's own expectations."""
+    motion = attempted.motion
     return {
-        "expected_before": tried.error_before,
-        "expected_after": tried.error_after,
+        "expected_before": attempted.error_before,
+        "expected_after": attempted.error_after,
         "ripple_after": None if motion is None else motion.ripple_after,
         "noise_factor": None if motion is None else motion.noise_factor,
     }
@@ -227,8 +229,8 @@ def _worst(rows: Rows, begins: str, what: str) -> float:
 
 
 def _farthest(rows: Rows) -> float:
-    known = [float(row["in_sigmas"]) for row in rows if row["in_sigmas"] is not None]
-    return max((max(one, 1.0 / one) for one in known), default=math.nan)
+    ratios = [float(row["in_sigmas"]) for row in rows if row["in_sigmas"] is not None]
+    return max((max(ratio, 1.0 / ratio) for ratio in ratios), default=math.nan)
 
 
 def of(

@@ -1,8 +1,8 @@
-"""What no method can do better: the noise of a phase when a point moves along with the fringes, by the Cramér-Rao bound.
+"""Cramér-Rao bound of the phase noise of a point that moves along with the fringes.
 
-Of one surface element that is followed through all frames, nothing known of its neighbours: its paint, what light reaches it
-without the projector, and both phases are unknown; that fringes have a mean and a swing in proportion to the paint is known.
-Against four steps of 90° at rest. ``./dev run python -m bench.verdict.compensation_bound`` prints the table of
+It is of one surface element that is followed through all frames, without its neighbours. Unknown are its albedo, the
+ambient light, and both phases; mean and swing of the fringes in proportion to the albedo are known. Relative to four
+steps of 90° at rest. ``./dev run python -m bench.verdict.compensation_bound`` prints the table of
 ``docs/compensation.md``.
 """
 
@@ -50,12 +50,13 @@ def all_frames(steps_rad: Array, gray_images: int) -> float:
 
 
 def _variance(x: float, y: float, steps_rad: Array, gray_images: int) -> float:
-    """Of the phase of x; paint 1, noise 1. Rows: derivatives by paint, light without projector, phase of x, of y."""
-    zero, one = np.zeros(4), np.ones(4)
+    """Return the variance of the phase of x for albedo 1 and noise 1."""
+    # Rows: derivatives by albedo, ambient light, phase of x, phase of y.
+    zeros, ones = np.zeros(4), np.ones(4)
     light_x, light_y = (MEAN + SWING * np.cos(phase + steps_rad) for phase in (x, y))
     rows = np.concatenate([
-        np.stack([light_x, one, -SWING * np.sin(x + steps_rad), zero], -1),
-        np.stack([light_y, one, zero, -SWING * np.sin(y + steps_rad)], -1),
+        np.stack([light_x, ones, -SWING * np.sin(x + steps_rad), zeros], -1),
+        np.stack([light_y, ones, zeros, -SWING * np.sin(y + steps_rad)], -1),
         np.tile([1.0, 1.0, 0.0, 0.0], (1 + gray_images // 2, 1)),
         np.tile([0.0, 1.0, 0.0, 0.0], (1 + gray_images // 2, 1)),
     ])  # fmt: skip
@@ -64,12 +65,12 @@ def _variance(x: float, y: float, steps_rad: Array, gray_images: int) -> float:
 
 
 def table() -> list[tuple[int, float, float, float, float]]:
-    """Period, speed, step in degrees, noise by the four sines alone, bound by all frames."""
-    found = []
+    """Return period, speed, step in degrees, noise by the four sines alone, and the bound by all frames."""
+    rows = []
     for period_px in PERIODS_PX:
         for speed in (*SPEEDS_MM_S, -40.0):
             steps = shrunk_steps(speed, period_px)
-            found.append(
+            rows.append(
                 (
                     period_px,
                     speed,
@@ -78,7 +79,7 @@ def table() -> list[tuple[int, float, float, float, float]]:
                     all_frames(steps, GRAY_IMAGES[period_px]),
                 )
             )
-    return found
+    return rows
 
 
 def main() -> None:

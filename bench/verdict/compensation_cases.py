@@ -1,5 +1,5 @@
-"""Owns the scans that compensation is measured with: named hands before named objects, the same in bad conditions, hands of
-growing speed, and hands drawn at random."""
+"""Scans for measuring compensation: named motions before named objects, also in bad conditions, motions of growing
+speed, and random ones."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SPEED_OBJECT = Scene("shell", texture="strong")
 TEXTURES = ("none", "slight", "strong", "checker")
 FASTEST_MM_S, MOST_MM_S2, MOST_TREMOR_MM, MOST_DEG_S = 25.0, 100.0, 0.25, 2.0
 AT_REST = 0.2
-"""Share of the draws in which nothing moves."""
+"""Share of the draws at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Case:
 
     @property
     def at_rest(self) -> bool:
-        """Nothing moves in this scan."""
+        """True for a scan at rest."""
         return self.scene.motion.still
 
     @property
@@ -81,23 +81,27 @@ def hard_cases(seed: int) -> list[Case]:
 
 
 def speed_cases(seed: int, speeds_mm_s: Sequence[float] = SPEEDS_MM_S) -> list[Case]:
-    """Steady hands, small pictures: name ``along 20`` and so on."""
+    """Return steady motions in small images: by name ``along 20`` and so on."""
     return [
         Case(
-            f"{way} {speed:g}", replace(SPEED_OBJECT, motion=Motion((x * speed, y * speed, z * speed))), seed, SMALL_PX
+            f"{direction} {speed:g}",
+            replace(SPEED_OBJECT, motion=Motion((x * speed, y * speed, z * speed))),
+            seed,
+            SMALL_PX,
         )
-        for way, (x, y, z) in WAYS.items()
+        for direction, (x, y, z) in WAYS.items()
         for speed in speeds_mm_s
     ]
 
 
 def drawn_case(seed: int, number: int, rigs: int = 3) -> Case:
-    """The ``number``-th of a seed: hand, object, place of the rig at random, small pictures; one of ``rigs`` rigs in turn."""
+    """Return the ``number``-th random case of a seed in small images: motion, object, pose; one of ``rigs`` rigs in
+    turn."""
     rng = np.random.default_rng([seed, 41, number])
 
-    def vector(most: float) -> tuple[float, float, float]:
+    def vector(largest: float) -> tuple[float, float, float]:
         direction = rng.normal(size=3)
-        x, y, z = (float(v) for v in direction / np.linalg.norm(direction) * rng.uniform(0.0, most))
+        x, y, z = (float(v) for v in direction / np.linalg.norm(direction) * rng.uniform(0.0, largest))
         return x, y, z
 
     velocity, acceleration, tremor = vector(FASTEST_MM_S), vector(MOST_MM_S2), vector(MOST_TREMOR_MM)

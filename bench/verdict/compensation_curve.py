@@ -1,4 +1,4 @@
-"""Owns the picture of what compensation is worth against the hand's speed; drawn with OpenCV."""
+"""Picture of the effect of compensation over the speed of motion; drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -23,14 +23,18 @@ _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 300, 320, 60, 50, 36
 
 
 def draw_curve(path: Path, rows: Rows) -> None:
-    """Write a PNG: a panel for each way, speed across, error over that at rest up. Filled: shown compensated; rings: what is
-    shown is the plain cloud, for the attempt was given up."""
+    """Write a PNG: a panel for each direction, error over that at rest against speed.
+
+    Filled marks are shown compensated; for rings the attempt was given up and the plain cloud is shown.
+    """
     ways = list(dict.fromkeys(row["name"].split()[0] for row in rows))
     most_mm_s = max(row["speed_mm_s"] for row in rows)
     image: Image = np.full((_TOP + _HEIGHT + 100, _LEFT + len(ways) * (_WIDTH + _GAP) + 10, 3), 255, np.uint8)
-    for number, way in enumerate(ways):
-        mine = sorted((row for row in rows if row["name"].split()[0] == way), key=lambda row: float(row["speed_mm_s"]))
-        _panel(image, _LEFT + number * (_WIDTH + _GAP), way, mine, most_mm_s)
+    for number, direction in enumerate(ways):
+        mine = sorted(
+            (row for row in rows if row["name"].split()[0] == direction), key=lambda row: float(row["speed_mm_s"])
+        )
+        _panel(image, _LEFT + number * (_WIDTH + _GAP), direction, mine, most_mm_s)
     for k, (what, colour) in enumerate(
         (("nothing done", BEFORE), ("compensated, exact rig", EXACT), ("compensated, calibrated rig", CALIBRATED))
     ):
@@ -42,7 +46,7 @@ def draw_curve(path: Path, rows: Rows) -> None:
         raise OSError(f"{path} cannot be written")
 
 
-def _panel(image: Image, left: int, way: str, rows: Rows, most_mm_s: float) -> None:
+def _panel(image: Image, left: int, direction: str, rows: Rows, most_mm_s: float) -> None:
     def place(speed_mm_s: float, error: float) -> tuple[int, int]:
         share = np.log(np.clip(error, LEAST, MOST) / LEAST) / np.log(MOST / LEAST)
         return left + round(_WIDTH * speed_mm_s / most_mm_s), _TOP + _HEIGHT - round(_HEIGHT * float(share))
@@ -55,12 +59,12 @@ def _panel(image: Image, left: int, way: str, rows: Rows, most_mm_s: float) -> N
     for speed in np.arange(0.0, most_mm_s + 1.0, 20.0):
         cv2.line(image, place(speed, LEAST), place(speed, MOST), FAINT, 1)
         write(image, f"{speed:g}", (place(speed, LEAST)[0] - 8, _TOP + _HEIGHT + 20), 0.45)
-    write(image, f"{way}, mm/s: rms over that at rest", (left, _TOP - 16), 0.5)
+    write(image, f"{direction}, mm/s: rms over that at rest", (left, _TOP - 16), 0.5)
     for kind, colour in (("exact", EXACT), ("calibrated", CALIBRATED)):
         mine = [row for row in rows if row["calibration"] == kind]
-        for values, of in ((BEFORE, "before"), (colour, "after")):
-            points = np.array([place(row["speed_mm_s"], row[of]) for row in mine], np.int32)
+        for values, key in ((BEFORE, "before"), (colour, "after")):
+            points = np.array([place(row["speed_mm_s"], row[key]) for row in mine], np.int32)
             cv2.polylines(image, [points], False, values, 1, cv2.LINE_AA)
             for point, row in zip(points, mine, strict=True):
-                filled = -1 if of == "before" or row["used"] else 1
+                filled = -1 if key == "before" or row["used"] else 1
                 cv2.circle(image, (int(point[0]), int(point[1])), 4, values, filled, cv2.LINE_AA)

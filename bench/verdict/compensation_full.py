@@ -1,4 +1,4 @@
-"""What undoing a hand's motion is worth at the instrument's own resolution: the named hands and objects, 1600 × 1200."""
+"""Effect of motion compensation at the instrument's own resolution: the named motions and objects, 1600 × 1200."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ FULL_PX = 1600
 
 
 def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
-    """All nine; ``scans`` does not matter. Rendering them takes most of the time."""
+    """Return the figures of all nine cases; ``scans`` is not used. Rendering takes most of the time."""
     rows = judged([replace(case, width_px=FULL_PX) for case in named_cases(seed)], say, keep)
     calibrated = [row for row in rows if row["calibration"] == "calibrated"]
     hands = {hand: [row for row in calibrated if row["name"].startswith(f"{hand}-")] for hand in NAMED}
-    found = [
+    measured = [
         of(f"hand {hand}: rms over at rest, worst of three", mine, "after", max, at_most=1.2)
         for hand, mine in hands.items()
     ]
     cpu = of("CPU time of an attempt at 1600 x 1200, median", calibrated, "cpu_s", median, "s")
-    return [*found, made_worse(rows), cpu], {"seed": seed, "rows": rows}
+    return [*measured, made_worse(rows), cpu], {"seed": seed, "rows": rows}

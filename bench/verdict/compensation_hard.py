@@ -1,4 +1,5 @@
-"""What undoing a hand's motion is worth where it is hard: flickering light, milky water, no paint, steps with sharp labels."""
+"""Effect of motion compensation in hard conditions: flickering light, milky water, no texture, depth steps with sharp
+labels."""
 
 from __future__ import annotations
 
@@ -15,15 +16,15 @@ from bench.verdict.worlds import ORDINARY
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Every named hand in every such condition; ``scans`` does not matter."""
+    """Return the figures of every named motion in every such condition; ``scans`` is not used."""
     rows = judged(hard_cases(seed), say, keep, world)
-    found = []
+    measured = []
     for name in HARD:
         mine = [row for row in rows if row["name"].split("-", 1)[1] == name]
         used = [row for row in mine if row["used"]]
-        found += [
+        measured += [
             Measured(f"{name}: compensated", float(len(used)), f"of {len(mine)}"),
             of(f"{name}, compensated: rms over at rest, worst", used, "after", max, at_most=1.2),
             of(f"{name}, compensated: the same, nothing done", used, "before", max),
         ]
-    return [*found, made_worse(rows)], {"seed": seed, "rows": rows}
+    return [*measured, made_worse(rows)], {"seed": seed, "rows": rows}

@@ -1,4 +1,4 @@
-"""Owns the tables and the curve of ``docs/compensation.md``: written from what was measured, never by hand."""
+"""Generator of tables and curve of ``docs/compensation.md`` from measured values."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def table(rows: Rows) -> list[str]:
 
 
 def summary(rows: Rows) -> list[str]:
-    """Of drawn scans: how many were shown compensated, and what each of them gained."""
+    """Return the summary of random scans: how many were shown compensated, and their gain."""
     used = sorted((row for row in rows if row["used"]), key=lambda row: -float(row["after"] / row["before"]))
     left = [row for row in rows if not row["used"] and row["moved"]]
     still = [row for row in rows if not row["moved"]]

@@ -1,4 +1,4 @@
-"""Draws what compensation does to a scan: each point's distance to the true surface, plain, compensated and at rest.
+"""Picture of a compensated scan: each point's distance to the true surface, plain, compensated and at rest.
 
 ``./dev run python -m bench.verdict.compensation_picture docs/pictures/compensation.png``
 """
@@ -35,14 +35,14 @@ def main(path: Path) -> None:
     moving = _scan(NAMED[HAND])
     calibration = true_calibration(moving.renderer.truth)
     with Pipeline(calibration, WATER, moving.sequence) as pipeline:
-        found = _push(pipeline, moving)
-        plain = pipeline.table.cloud(found)
+        full = _push(pipeline, moving)
+        plain = pipeline.table.cloud(full)
         images = recorded(moving, pipeline)
         added = judge_motion(images, plain, calibration.rig, WATER.index).added
-        tried = attempt(pipeline, found, images, calibration, WATER, added)
-        if tried.motion is None or tried.found is None:
-            raise SystemExit(f"the scan was not compensated: {tried.why}")
-        time_s, compensated = tried.motion.reference_s, pipeline.table.cloud(tried.found)
+        attempted = attempt(pipeline, full, images, calibration, WATER, added)
+        if attempted.motion is None or attempted.found is None:
+            raise SystemExit(f"the scan was not compensated: {attempted.why}")
+        time_s, compensated = attempted.motion.reference_s, pipeline.table.cloud(attempted.found)
     still = _scan(Motion())
     with Pipeline(calibration, WATER, still.sequence) as pipeline:
         at_rest = pipeline.table.cloud(_push(pipeline, still))

@@ -1,4 +1,4 @@
-"""What undoing a hand's motion is worth against the hand's speed: along the fringes, against them, towards the object."""
+"""Effect of motion compensation over the speed of motion: along the fringes, across them, towards the object."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ AS_AT_REST = 1.2
 
 
 def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
-    """Steady hands of growing speed before one object; ``scans`` does not matter."""
+    """Return the figures of steady motions of growing speed before one object; ``scans`` is not used."""
     cases = speed_cases(seed)
     rows = judged(cases, say, keep)
     speeds = {case.name: max(map(abs, case.scene.motion.velocity_mm_s)) for case in cases}
     for row in rows:
         row["speed_mm_s"] = speeds[row["name"]]
-    found = []
-    for way in WAYS:
-        mine = [row for row in rows if row["name"].split()[0] == way]
+    measured = []
+    for direction in WAYS:
+        mine = [row for row in rows if row["name"].split()[0] == direction]
         good = [row["speed_mm_s"] for row in mine if row["used"] and row["after"] <= AS_AT_REST]
         plain = [row["speed_mm_s"] for row in mine if row["before"] <= AS_AT_REST]
-        found += [
-            Measured(f"{way}: fastest hand that is undone to {AS_AT_REST} of at rest", max(good, default=0.0), "mm/s"),
-            Measured(f"{way}: fastest that needs nothing", max(plain, default=0.0), "mm/s"),
+        measured += [
+            Measured(
+                f"{direction}: fastest hand that is undone to {AS_AT_REST} of at rest", max(good, default=0.0), "mm/s"
+            ),
+            Measured(f"{direction}: fastest that needs nothing", max(plain, default=0.0), "mm/s"),
         ]
-    return [*found, made_worse(rows)], {"seed": seed, "rows": rows}
+    return [*measured, made_worse(rows)], {"seed": seed, "rows": rows}

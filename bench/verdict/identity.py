@@ -1,4 +1,4 @@
-"""What the check of frame identity is worth: good scans at random, and every wrong order of their frames.
+"""Accuracy of the check of frame identity: random good scans, and every wrong order of their frames.
 
 A wrong order is *visible* to a camera where the true patterns of a frame's place and of what it shows differ on at least
 ``VISIBLE`` of what the camera sees of the projector's light; by how much is known from the truth, not from the judge. The
@@ -68,7 +68,7 @@ class Wrong:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A scan at random, and what its classes are."""
+    """A random scan with its classes."""
 
     scene: Scene
     period_px: int
@@ -140,7 +140,7 @@ def draw(seed: int, number: int) -> Drawn:
 
 
 def wrong_orders(n: int) -> Iterator[Wrong]:
-    """All swaps of two frames, all repeats with and without everything after them late, both shifts by one."""
+    """Yield all swaps of two frames, all repeats with and without a delay of later frames, and both shifts by one."""
     straight = list(range(n))
     for i, j in combinations(straight, 2):
         order = straight.copy()
@@ -176,19 +176,21 @@ def _of_scan(drawn: Drawn, seed: int, world: str) -> dict[str, Any]:
         "good_text": judgement.verdict.text,
         "cpu_s": time.process_time() - start,
     }
-    apart, seen = {}, {}
+    apart, visible_shares = {}, {}
     for side in SIDES:
         view = scan.renderer.view(side, 0.0)
-        apart[side], seen[side] = _apart(scan.sequence, scan.frames[side], view.projector_px, view.seen_by_all)
-    row["seen_percent"] = [100.0 * seen[side] for side in SIDES]
+        apart[side], visible_shares[side] = _apart(
+            scan.sequence, scan.frames[side], view.projector_px, view.seen_by_all
+        )
+    row["seen_percent"] = [100.0 * visible_shares[side] for side in SIDES]
     judged = [side for side in SIDES if judgement.verdict.numbers[f"{side}_doubt"] is not None]
     row["judged"] = judged
     row["found"] = [
-        [side, wrong.kind, round(share, 4), found, _relabels(scan.sequence, wrong)]
+        [side, wrong.kind, round(share, 4), is_found, _relabels(scan.sequence, wrong)]
         for side in judged
-        for wrong, share, found in _search(scan.sequence, scan.frames[side], of_side(noise, side), apart[side])
+        for wrong, share, is_found in _search(scan.sequence, scan.frames[side], of_side(noise, side), apart[side])
     ]
-    row["named"] = list(_names(scan.sequence, scan.frames, apart, judged, rng, noise, seen))
+    row["named"] = list(_names(scan.sequence, scan.frames, apart, judged, rng, noise, visible_shares))
     return row
 
 
@@ -199,7 +201,7 @@ def _changes(scene: Scene) -> bool:
 def _search(
     sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise, apart: NDArray[np.float64]
 ) -> Iterator[tuple[Wrong, float, bool]]:
-    """Every wrong order, on how much of what is seen it shows, and whether the frames alone tell."""
+    """Yield every wrong order with its visible share, and whether the frames alone show it."""
     straight = Witness(take_lines(frames, sequence, noise), sequence, noise)
     every = np.arange(len(sequence), dtype=np.int64)
     for wrong in wrong_orders(len(sequence)):
@@ -218,10 +220,13 @@ def _names(
     judged: Sequence[str],
     rng: np.random.Generator,
     noise: StereoNoise,
-    seen: Mapping[str, float],
+    visible_shares: Mapping[str, float],
 ) -> Iterator[list[Any]]:
-    """Of some wrong orders on one or both cameras, and of images that stay: kind, both, found, rightly named, frame named, and
-    the least share of the image that is seen of the object by the cameras that show it."""
+    """Yield kind, both cameras, found, rightly named, frame named, and visible share, of some wrong orders and still
+    images.
+
+    The visible share is the least part of the image that the object fills in the cameras that show the order.
+    """
     if not judged:
         return
     n = len(sequence)
@@ -232,8 +237,8 @@ def _names(
     for kind, all_of_kind in kinds.items():
         for number in rng.permutation(len(all_of_kind))[:NAMED_OF_EACH]:
             wrong = all_of_kind[int(number)]
-            both = len(judged) == 2 and bool(rng.random() < 0.5)
-            sides = list(SIDES) if both else [str(rng.choice(judged))]
+            on_both = len(judged) == 2 and bool(rng.random() < 0.5)
+            sides = list(SIDES) if on_both else [str(rng.choice(judged))]
             order = np.array(wrong.order)
             share = min(float(apart[side][np.arange(n), order].max()) for side in sides)
             if share < VISIBLE or _relabels(sequence, wrong):
@@ -241,18 +246,18 @@ def _names(
             wronged = {side: _again(mine, order, rng) if side in sides else mine for side, mine in frames.items()}
             judgement = judge_identity(wronged, sequence, noise)
             numbers = {} if judgement.fault is None else judgement.fault.numbers
-            named = judgement.verdict.passed is False and _rightly(judgement, wrong, both)
-            yield [kind, both, judgement.verdict.passed is False, named, numbers.get("frame") == wrong.frame,
-                   min(seen[side] for side in sides)]  # fmt: skip
+            named = judgement.verdict.passed is False and _rightly(judgement, wrong, on_both)
+            yield [kind, on_both, judgement.verdict.passed is False, named, numbers.get("frame") == wrong.frame,
+                   min(visible_shares[side] for side in sides)]  # fmt: skip
 
 
-def _rightly(judgement: Judgement, wrong: Wrong, both: bool) -> bool:
+def _rightly(judgement: Judgement, wrong: Wrong, is_on_both: bool) -> bool:
     code = None if judgement.fault is None else judgement.fault.code
     if wrong.kind == "still":
         # Both cameras at once: the projector stays on a pattern, or dark; noise is each frame's own.
         on_both = (FaultCode.PATTERN_WRONG, FaultCode.PROJECTOR_DARK)
-        return code in on_both if both else code is FaultCode.CAMERA_STUCK
-    if wrong.kind in ("one late", "one early") and both:
+        return code in on_both if is_on_both else code is FaultCode.CAMERA_STUCK
+    if wrong.kind in ("one late", "one early") and is_on_both:
         shift = None if judgement.fault is None else judgement.fault.numbers.get("shift_frames")
         return code is FaultCode.PROJECTOR_TIMING and shift == (1 if wrong.kind == "one late" else -1)
     return code is FaultCode.PATTERN_WRONG
@@ -297,16 +302,16 @@ def _relabels(sequence: PatternSequence, wrong: Wrong) -> bool:
 def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
     good = [row for row in rows if row["good_passed"] is not None]
     alarms = [row for row in good if row["good_passed"] is False]
-    found = [one for row in rows for one in row["found"]]
-    visible = [one for one in found if one[2] >= VISIBLE]
-    named = [one for row in rows for one in row["named"]]
+    orders = [order for row in rows for order in row["found"]]
+    visible = [order for order in orders if order[2] >= VISIBLE]
+    named = [order for row in rows for order in row["named"]]
     filling = [
-        one
+        order
         for row in rows
-        for one in row["found"]
-        if one[2] >= VISIBLE and row["seen_percent"][SIDES.index(one[0])] >= 100.0 * FILLING
+        for order in row["found"]
+        if order[2] >= VISIBLE and row["seen_percent"][SIDES.index(order[0])] >= 100.0 * FILLING
     ]
-    relabelled = [one for one in visible if one[4]]
+    relabelled = [order for order in visible if order[4]]
     cpu_ms = 1e3 * _median([row["cpu_s"] for row in rows])
     out = [
         tally(
@@ -322,31 +327,34 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
         _found("where the object fills a fifth of the image", filling, 100.0),
         _found("Gray images of one direction swapped", relabelled),
         _named("seen and rightly named", named, NAMED_PERCENT),
-        _named("rightly named where the object fills a fifth", [one for one in named if one[5] >= FILLING], NAMED_PERCENT),
+        _named(
+            "rightly named where the object fills a fifth", [order for order in named if order[5] >= FILLING],
+            NAMED_PERCENT,
+        ),
     ]  # fmt: skip
     for name in sorted({name for row in rows for name in row["classes"]} - {"still", "moving"}):
         out.append(_found(f"where visible, {name}", _visible(rows, name)))
-    for kind in sorted({one[0] for one in named}):
-        out.append(_named(f"rightly named, {kind}", [one for one in named if one[0] == kind]))
+    for kind in sorted({order[0] for order in named}):
+        out.append(_named(f"rightly named, {kind}", [order for order in named if order[0] == kind]))
     for low, high in pairwise(SHARES):
-        mine = [one for one in found if low <= one[2] < high]
+        mine = [order for order in orders if low <= order[2] < high]
         out.append(_found(f"shown on {100 * low:g} to {100 * min(high, 1.0):g} %", mine))
     return out
 
 
 def _found(what: str, orders: Sequence[Any], at_least: float | None = None, key: str | None = None) -> Measured:
-    """How many of these wrong orders the frames alone tell."""
-    return rate(f"identity: found, {what}", sum(one[3] for one in orders), len(orders), at_least=at_least, key=key)
+    """Return the rate of these wrong orders that the frames alone show."""
+    return rate(f"identity: found, {what}", sum(order[3] for order in orders), len(orders), at_least=at_least, key=key)
 
 
 def _named(what: str, orders: Sequence[Any], at_least: float | None = None) -> Measured:
-    """How many of these wrong orders are called what they are."""
-    return rate(f"identity: {what}", sum(one[3] for one in orders), len(orders), at_least=at_least)
+    """Return the rate of these wrong orders that are rightly named."""
+    return rate(f"identity: {what}", sum(order[3] for order in orders), len(orders), at_least=at_least)
 
 
 def _visible(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
-    """What was visible in scans of a class."""
-    return [one for row in rows if name in row["classes"] for one in row["found"] if one[2] >= VISIBLE]
+    """Return the visible orders in scans of a class."""
+    return [order for row in rows if name in row["classes"] for order in row["found"] if order[2] >= VISIBLE]
 
 
 def _median(values: Sequence[float]) -> float:

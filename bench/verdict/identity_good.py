@@ -1,4 +1,4 @@
-"""How far good scans stay away from an alarm of the check of frame identity, and what it says of hands that rush by.
+"""False alarms of the check of frame identity on good scans, and its judgement of very fast motion.
 
 The scenes are those that the verdict on movement is measured with: at rest and moving, dark, textured, turbid, in flicker, with
 specks and fish. A third of them is taken again in milk, and a quarter with hands so fast that nothing can be made of it. All
@@ -30,7 +30,7 @@ from hw_sim.water.medium import Water
 MILK_EVERY, FAST_EVERY = 3, 4
 FAST_MM_S = (60.0, 250.0)
 SLOW_MM_S = 30.0
-"""Hands that move the instrument by less are those of somebody who wants a scan."""
+"""Largest speed of a deliberate scan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,18 +52,21 @@ class Row:
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """``scans`` scenes of ``world``, each at rest and moving and some of them otherwise; their frames come from ``keep``."""
-    kept = scans_of(world, keep)
+    """Measure ``scans`` scenes of ``world``, each at rest and moving, and some of them otherwise.
+
+    Their frames come from ``keep``.
+    """
+    scan_source = scans_of(world, keep)
     rows: list[Row] = []
     for number in range(scans):
         say(f"identity: scene {number + 1} of {scans}", number / scans)
         for kind, case, take in takes(seed, number):
-            rows.append(_judged(kind, case, take, kept))
+            rows.append(_judged(kind, case, take, scan_source))
     return _figures(rows), {"scans": [_as_row(row) for row in rows]}
 
 
 def takes(seed: int, number: int) -> Iterator[tuple[str, Case, Take]]:
-    """What is recorded of scene ``number``."""
+    """Yield the recordings of scene ``number``."""
     case = case_of(seed, number)
     yield "rest", case, Take.REST
     yield "moving", case, Take.MOVING
@@ -72,14 +75,14 @@ def takes(seed: int, number: int) -> Iterator[tuple[str, Case, Take]]:
         milk = Water(float(rng.uniform(1.0, 3.5)), float(rng.uniform(0.2, 0.9)), float(rng.uniform(0.1, 0.8)))
         yield "milk", replace(case, scene=replace(case.scene, water=milk)), Take.REST
     if number % FAST_EVERY == 0:
-        way = rng.standard_normal(3)
+        direction = rng.standard_normal(3)
         speed = float(rng.uniform(*FAST_MM_S))
-        x, y, z = (speed * way / np.linalg.norm(way)).tolist()
+        x, y, z = (speed * direction / np.linalg.norm(direction)).tolist()
         yield "fast", replace(case, motion=Motion((x, y, z)), speed_mm_s=speed), Take.MOVING
 
 
-def _judged(kind: str, case: Case, take: Take, kept: Scans) -> Row:
-    frames, noise = kept.recorded(case, take, 1).noisy, kept.noise(case)
+def _judged(kind: str, case: Case, take: Take, scan_source: Scans) -> Row:
+    frames, noise = scan_source.recorded(case, take, 1).noisy, scan_source.noise(case)
     begun = time.process_time()
     verdict = judge_identity(frames, build_sequence(case.period_px), noise).verdict
     cpu_ms = 1e3 * (time.process_time() - begun)
@@ -90,24 +93,24 @@ def _judged(kind: str, case: Case, take: Take, kept: Scans) -> Row:
 
 
 def _figures(rows: Sequence[Row]) -> list[Measured]:
-    found: list[Measured] = []
+    measured: list[Measured] = []
     for kind in ("rest", "moving", "milk", "fast"):
         mine = [row for row in rows if row.kind == kind]
         if not mine:
             continue
         alarms = sum(row.passed is False for row in mine)
         name = f"identity: {len(mine)} good scans, {kind}"
-        found += [
+        measured += [
             tally(f"{name}: called wrong", alarms, len(mine), at_most=0.0, key=f"identity_good_{kind}_alarms"),
             rate(f"{name}: judged", sum(row.passed is not None for row in mine), len(mine)),
             Measured(f"{name}: largest doubt of those that pass", _largest(mine), ""),
         ]
     for name in sorted({name for row in rows for name in row.classes}):
         mine = [row for row in rows if name in row.classes and row.speed_mm_s <= SLOW_MM_S and row.kind != "milk"]
-        found.append(Measured(f"identity: up to {SLOW_MM_S:.0f} mm/s, {name}, largest doubt", _largest(mine), ""))
+        measured.append(Measured(f"identity: up to {SLOW_MM_S:.0f} mm/s, {name}, largest doubt", _largest(mine), ""))
     cpu = [row.cpu_ms for row in rows if row.kind == "rest"]
-    found.append(Measured("identity: CPU of a good scan, median", float(np.median(cpu)), "ms", at_most=20.0))
-    return found
+    measured.append(Measured("identity: CPU of a good scan, median", float(np.median(cpu)), "ms", at_most=20.0))
+    return measured
 
 
 def _largest(rows: Sequence[Row]) -> float:

@@ -1,7 +1,7 @@
-"""Owns the rendered scans that a measurement keeps in a folder: drawn once, judged as often as the judges change.
+"""Rendered scans that a measurement keeps in a folder: rendered once, judged again after each change of the judges.
 
-A file is named after the case that it shows and after everything that its picture depends on here; frames of another
-definition are not found under it. The simulator's own state is not in the name: an empty folder starts anew.
+The name of a file contains the case and all that its images depend on here, so that frames of another definition are
+not found. The simulator's own version is not in the name: use an empty folder after changing it.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ Frames = Mapping[str, NDArray[np.uint8]]
 
 
 class Take(Enum):
-    """Which recording of a case."""
+    """Recordings of a case."""
 
     REST = "rest"
-    """At rest, without the movement that the case is about: no fish, but snow and whatever light there is."""
+    """At rest, without the motion of the case: no fish, but snow and the light of the case."""
     MOVING = "moving"
 
 
@@ -56,7 +56,7 @@ class Scans(Protocol):
         """The frames of a take; ``noise_seed``: other noise than its own, where noise is put on afterwards."""
 
     def renderer(self, case: Case, take: Take) -> Renderer:
-        """What rendered it."""
+        """Return the renderer of a recording."""
 
     def water(self, case: Case) -> Water:
         """Of the true index, in the product's words."""
@@ -82,7 +82,7 @@ class KeptScans:
         return Recorded(clean, record(clean, case.gain_db, case.seed, noise_seed), case.exposure_s)
 
     def renderer(self, case: Case, take: Take) -> Renderer:
-        """What rendered it."""
+        """Return the renderer of a recording."""
         truth = draw_truth(TRUTH_SET, case.seed, self.width_px, self.width_px * 3 // 4, case.scene.water.index)
         return Renderer(truth, scene_of(case, take))
 
@@ -95,20 +95,20 @@ class KeptScans:
         return data_sheet_noise(case.gain_db)
 
     def frames(self, case: Case, take: Take) -> Frames:
-        """(n, h, w) uint8 of ``left`` and ``right``, without noise."""
+        """Return the frames (n, h, w) uint8 of ``left`` and ``right``, without noise."""
         scene = scene_of(case, take)
         name = self._name(case, scene)
         if self._folder is not None and (self._folder / name).exists():
-            both = np.load(self._folder / name)
+            stacks = np.load(self._folder / name)
         else:
             scan = render_scan(
                 scene, TRUTH_SET, case.seed, self.width_px, case.period_px, case.exposure_s,
                 frame_s=0.0 if scene.motion.still else FRAME_S, gain_db=case.gain_db,
             )  # fmt: skip
-            both = np.stack([scan.frames["left"], scan.frames["right"]])
+            stacks = np.stack([scan.frames["left"], scan.frames["right"]])
             if self._folder is not None:
-                _keep(self._folder, name, both)
-        return {"left": both[0], "right": both[1]}
+                _keep(self._folder, name, stacks)
+        return {"left": stacks[0], "right": stacks[1]}
 
     def _name(self, case: Case, scene: Scene) -> str:
         what = repr((scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, self.width_px, FRAME_S, STEPS))
@@ -118,7 +118,7 @@ class KeptScans:
 def kept_scan(
     folder: Path | None, scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int, frame_s: float
 ) -> RenderedScan:
-    """As ``render_scan``, with frames from ``folder`` where they are there, and kept there where not; ``None`` keeps nothing."""
+    """Render a scan as ``render_scan``; frames are read from and stored in ``folder``, if it is not ``None``."""
     what = repr((scene, truth_set, width_px, period_px, frame_s, STEPS))
     name = f"scan-{seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npy"
     if folder is None or not (folder / name).exists():
@@ -126,21 +126,21 @@ def kept_scan(
         if folder is not None:
             _keep(folder, name, np.stack([scan.frames["left"], scan.frames["right"]]))
         return scan
-    both = np.load(folder / name)
+    stacks = np.load(folder / name)
     truth = draw_truth(truth_set, seed, width_px, width_px * 3 // 4, scene.water.index)
-    frames = {"left": both[0], "right": both[1]}
+    frames = {"left": stacks[0], "right": stacks[1]}
     return RenderedScan(Renderer(truth, scene), build_sequence(period_px), frames, frame_s=frame_s)
 
 
-def _keep(folder: Path, name: str, both: NDArray[np.uint8]) -> None:
+def _keep(folder: Path, name: str, stacks: NDArray[np.uint8]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     draft = folder / f".{name}"
-    np.save(draft, both)
+    np.save(draft, stacks)
     draft.replace(folder / name)
 
 
 def scene_of(case: Case, take: Take) -> Scene:
-    """What is before the instrument in that take."""
+    """Return the scene before the instrument in that recording."""
     match take:
         case Take.REST:
             return without_fish(case.scene)

@@ -1,4 +1,4 @@
-"""Owns the figures of the judge of light: exposures proposed, flicker reported from steady light by its harm.
+"""Figures of the judge of light: proposed exposures, and reported flicker by its added noise.
 
 The truth of a flicker is its harm: the same scene is photographed without noise, with and without what changes in its
 light; the phases' difference, against the noise they would have, is what the judge should have seen.
@@ -45,12 +45,12 @@ from tests.support.truth import WATER, true_calibration
 MOST_PROPOSALS = 4
 ROUNDING_DN2 = 1.0 / 12.0
 CLEARLY_HARMED, CLEARLY_NOT = (1.3, 0.20), (0.8, 0.05)
-"""Harm that must be told, and harm that must not: ripple in multiples of what is harmful, and the share of lit pixels with
-more. What lies between may go either way, and is counted."""
+"""Flicker that must be reported, and that must not: multiple of the harmful ripple, and share of illuminated pixels
+with more. Between them either result is right, and is counted."""
 
 
 def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
-    """``scans`` random scenes for exposure and steady light, as many for light that changes."""
+    """Measure ``scans`` random scenes for exposure and steady light, and as many with changing light."""
     exposures = []
     for k in range(scans):
         say("exposure", k / (2 * scans))
@@ -65,22 +65,22 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
         pairs.append(_pair(np.random.default_rng([seed, 33, k])))
     gained = [pair["together"][0] - max(pair["short"][0], pair["long"][0]) for pair in pairs]
     worse = [pair["together"][1] / max(pair["short"][1], pair["long"][1]) for pair in pairs]
-    seen = [one for one in exposures if one["top"] is not None]
-    wrong = [one for one in changes if one["verdict"] != "either" and one["told"] != (one["verdict"] == "harm")]
-    harm = [one for one in changes if one["verdict"] == "harm"]
-    free = [one for one in changes if one["verdict"] == "none"]
-    ripples = [one["ripple_told"] / one["ripple"] for one in changes if one["ripple"] > 0.5 and one["ripple_told"]]
-    right = 100.0 * float(np.mean([one["right"] for one in seen])) if seen else float("nan")
-    missed = 100.0 * float(np.mean([not one["told"] for one in harm])) if harm else float("nan")
-    false = 100.0 * float(np.mean([one["told"] for one in free])) if free else float("nan")
+    with_points = [row for row in exposures if row["top"] is not None]
+    wrong = [row for row in changes if row["verdict"] != "either" and row["told"] != (row["verdict"] == "harm")]
+    harm = [row for row in changes if row["verdict"] == "harm"]
+    free = [row for row in changes if row["verdict"] == "none"]
+    ripples = [row["ripple_told"] / row["ripple"] for row in changes if row["ripple"] > 0.5 and row["ripple_told"]]
+    right = 100.0 * float(np.mean([row["right"] for row in with_points])) if with_points else float("nan")
+    missed = 100.0 * float(np.mean([not row["told"] for row in harm])) if harm else float("nan")
+    false = 100.0 * float(np.mean([row["told"] for row in free])) if free else float("nan")
     return [
         Measured("exposures right after at most one proposal", right, "%", at_least=95.0, key="exposure_right_percent"),
         Measured(
-            "scenes where a proposal led to another", float(sum(one["proposals"] > 1 for one in exposures)), "scenes",
+            "scenes where a proposal led to another", float(sum(row["proposals"] > 1 for row in exposures)), "scenes",
             at_most=0.0, key="exposure_oscillations",
         ),
         Measured(
-            "flicker reported of steady light", float(sum(one["flickers"] for one in exposures)), "scans", at_most=0.0,
+            "flicker reported of steady light", float(sum(row["flickers"] for row in exposures)), "scans", at_most=0.0,
             key="flicker_false_steady",
         ),
         Measured("flicker reported where it does no harm", false, "%", at_most=2.0, key="flicker_false_percent")
@@ -95,33 +95,33 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
 
 
 def _expose(rng: np.random.Generator) -> dict[str, Any]:
-    """From an exposure at random, proposal by proposal; right: the brightest surfaces use the scale and keep it."""
+    """Follow the proposals from a random exposure; right if the brightest surfaces use the scale without saturation."""
     case = draw_case(rng)
     renderer = renderer_of(case)
     # More gain is set only where an object was too dark for any exposure; from there, a bright one may take two.
     usual = [step for step in STEPS if step.gain_db == 0.0]
     exposure = usual[rng.integers(0, len(usual))]
-    way, flickers = [exposure.label], 0
+    labels, flickers = [exposure.label], 0
     while True:
         frames = photograph(renderer, exposure, int(rng.integers(1 << 30)))
         judged = judge_light(recorded(frames, exposure), exposure, STEPS)
         flickers += judged.fault is not None and judged.fault.code is FaultCode.LIGHT_FLICKERS
-        if judged.proposal is None or len(way) > MOST_PROPOSALS:
+        if judged.proposal is None or len(labels) > MOST_PROPOSALS:
             break
         exposure = judged.proposal
-        way.append(exposure.label)
+        labels.append(exposure.label)
     top, saturated = _level(frames)
     enough = top >= 0.5 or exposure == STEPS[-1]
-    kept = saturated <= 0.02 or exposure == STEPS[0]
+    is_unsaturated = saturated <= 0.02 or exposure == STEPS[0]
     return {
-        "case": case.name, "way": way, "proposals": len(way) - 1, "flickers": int(flickers), "top": top,
-        "saturated": saturated, "right": bool(enough and kept and len(way) <= 2),
+        "case": case.name, "way": labels, "proposals": len(labels) - 1, "flickers": int(flickers), "top": top,
+        "saturated": saturated, "right": bool(enough and is_unsaturated and len(labels) <= 2),
         "fault": None if judged.fault is None else judged.fault.code.value,
     }  # fmt: skip
 
 
 def _pair(rng: np.random.Generator) -> dict[str, Any]:
-    """Completeness in percent and rms error in mm of 2.5 ms, of 16 ms, and of both as one."""
+    """Return completeness in percent and RMS error in mm of 2.5 ms, of 16 ms, and of both as one."""
     case = draw_case(rng)
     renderer = renderer_of(replace(case, scene=replace(case.scene, texture="checker")))
     calibration, clouds = true_calibration(renderer.truth), {}
@@ -141,24 +141,27 @@ def _pair(rng: np.random.Generator) -> dict[str, Any]:
                     merge(decoders[0], decoders[1], (camera, camera), SEQUENCE.period_px, variance_px2[side])
             pipeline.coarse()
             cloud = pipeline.table.cloud(pipeline.find_changed(variance_px2=variance_px2 or None))
-            found = judge(scan_of(renderer, stacks[0]), cloud)
-        clouds[name] = (found.completeness_percent, found.rms_mm)
+            accuracy = judge(scan_of(renderer, stacks[0]), cloud)
+        clouds[name] = (accuracy.completeness_percent, accuracy.rms_mm)
     return {"case": case.name, **clouds}
 
 
 def _level(frames: dict[str, NDArray[np.uint8]]) -> tuple[float, float]:
-    """Of the brighter camera: how much of the scale the brightest 0.3 % use, and the share of lit pixels at its end."""
+    """Return the share of the scale that the brightest 0.3 % use, and the saturated share of illuminated pixels.
+
+    Both are of the brighter camera.
+    """
     tops, shares = [], []
     for stack in frames.values():
         bright, dark = stack[SEQUENCE.bright], stack[SEQUENCE.dark]
-        lit = (bright.astype(int) - dark >= 8) | (bright == 255)
-        tops.append(float(np.quantile(np.where(lit, bright, 0), 0.997)) / 255.0)
-        shares.append(float(np.mean(bright[lit] == 255)) if lit.any() else 0.0)
+        illuminated = (bright.astype(int) - dark >= 8) | (bright == 255)
+        tops.append(float(np.quantile(np.where(illuminated, bright, 0), 0.997)) / 255.0)
+        shares.append(float(np.mean(bright[illuminated] == 255)) if illuminated.any() else 0.0)
     return max(tops), max(shares)
 
 
 def _change(rng: np.random.Generator) -> dict[str, Any]:
-    """One scene in changing light, judged, and what the change really does."""
+    """Judge one scan in changing light, and measure the true effect of the change."""
     case = draw_case(rng)
     daylight, ambient, name = draw_daylight(rng)
     scene = replace(case.scene, ambient=ambient, daylight=daylight)
@@ -171,8 +174,8 @@ def _change(rng: np.random.Generator) -> dict[str, Any]:
     changing = photograph(renderer, exposure, 0, ("left",))["left"]
     renderer.scene = _still(scene)
     steady = photograph(renderer, exposure, 0, ("left",))["left"]
-    over_noise, lit = _ripple(changing, steady, exposure)
-    harmed = {factor: float(np.mean(over_noise[lit] > factor * HARMFUL_RIPPLE)) for factor in (0.8, 1.0, 1.3)}
+    over_noise, is_valid = _ripple(changing, steady, exposure)
+    harmed = {factor: float(np.mean(over_noise[is_valid] > factor * HARMFUL_RIPPLE)) for factor in (0.8, 1.0, 1.3)}
     verdict = "either"
     if harmed[CLEARLY_HARMED[0]] > CLEARLY_HARMED[1]:
         verdict = "harm"
@@ -184,7 +187,8 @@ def _change(rng: np.random.Generator) -> dict[str, Any]:
         "told": judged.fault is not None and judged.fault.code is FaultCode.LIGHT_FLICKERS,
         "fault": None if judged.fault is None else judged.fault.code.value,
         "harmed_told": [numbers["left_flicker_harmed_percent"], numbers["right_flicker_harmed_percent"]],
-        "ripple": float(np.sqrt(np.median(over_noise[lit] ** 2))), "ripple_told": numbers["left_flicker_over_noise"],
+        "ripple": float(np.sqrt(np.median(over_noise[is_valid] ** 2))),
+        "ripple_told": numbers["left_flicker_over_noise"],
     }  # fmt: skip
 
 
@@ -197,13 +201,13 @@ def _still(scene: Any) -> Any:
 def _ripple(
     changing: NDArray[np.uint8], steady: NDArray[np.uint8], exposure: Exposure
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Local rms bias of the phase over its noise (h, w), of both directions, and where it means something."""
+    """Return the local RMS phase error over its noise (h, w), of both directions, and where it is valid."""
     noise = noise_at(exposure).left
     bright, dark = steady[SEQUENCE.bright].astype(float), steady[SEQUENCE.dark].astype(float)
-    lit = bright - dark >= 12.0
-    lit &= (changing < 248).all(axis=0) & (steady < 248).all(axis=0)
-    total = np.zeros(lit.shape)
-    weight = np.full(lit.shape, 1e-9)
+    is_valid = bright - dark >= 12.0
+    is_valid &= (changing < 248).all(axis=0) & (steady < 248).all(axis=0)
+    total = np.zeros(is_valid.shape)
+    weight = np.full(is_valid.shape, 1e-9)
     for direction in Direction:
         numbers = list(SEQUENCE.axis(direction).sine)
         i, j = changing[numbers].astype(float), steady[numbers].astype(float)
@@ -211,11 +215,11 @@ def _ripple(
         amplitude = 0.5 * np.abs(b)
         bias2 = np.angle(a * np.conj(b)) ** 2 - ROUNDING_DN2 / np.maximum(amplitude, 1.0) ** 2
         sigma2 = (noise.read_dn**2 + noise.dn_per_e * np.maximum(j.mean(axis=0) - noise.black_dn, 0.0)) / 2.0
-        good = lit & (amplitude >= 5.0)
+        good = is_valid & (amplitude >= 5.0)
         total += _around(np.where(good, bias2 * amplitude**2 / sigma2, 0.0))
         weight += _around(good.astype(float))
-        lit &= good
-    return np.sqrt(np.maximum(total / weight, 0.0)), lit
+        is_valid &= good
+    return np.sqrt(np.maximum(total / weight, 0.0)), is_valid
 
 
 def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:

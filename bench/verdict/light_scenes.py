@@ -1,4 +1,4 @@
-"""Owns the scenes that the judge of light is measured with: drawn at random by a seed, photographed by the simulated rig."""
+"""Random scenes for the judge of light, by a seed, and their images by the simulated rig."""
 
 from __future__ import annotations
 
@@ -116,5 +116,5 @@ def scan_of(
 
 
 def without(scene: Scene, *, noise: bool = True, daylight: bool = True) -> Scene:
-    """The same scene, without noise or without what changes in its light."""
+    """Return the scene without noise, or without changes of its light."""
     return replace(scene, noise=scene.noise and noise, daylight=scene.daylight if daylight else Daylight())

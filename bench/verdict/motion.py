@@ -1,4 +1,4 @@
-"""What the verdict on movement is worth: refused when it harms, kept when it does not, and never a scan at rest."""
+"""Accuracy of the verdict on motion: scans are rejected if it harms them, kept if not, and never rejected at rest."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SEEDS_PER_SEED = 1_000_000
 FULL_PX = (1600, 1200)
 OUT = Path("bench/out")
 LEAST_POINTS = 500
-"""Fewer say nothing of what was added to them."""
+"""Least number of points for measuring the added noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,21 +47,21 @@ class Judged:
 
     case: Case
     noise_mm: float
-    """What the cameras' noise moves points by; NaN: too few points to tell."""
+    """Error of points by camera noise; NaN for too few points."""
     added: float
-    """By the movement, truly, as a fraction of the noise; NaN: as above."""
+    """True added noise by the motion, as a fraction of the noise; NaN for too few points."""
     lost: float
-    """Share of the points that the movement costs: they contradict themselves and are left out."""
+    """Share of the points that are lost by the motion."""
     still: MotionJudgement
     moving: MotionJudgement
     compensated: float | None
-    """Where the moving recording is refused and then shown with its movement undone: its error over that at rest; ``None``: it is
-    not, and NaN where too few points tell."""
+    """Error of a rejected moving recording after compensation, over that at rest; ``None`` without compensation, NaN
+    for too few points."""
     bright: NDArray[np.uint8]
     """(h, w): the left camera's bright frame of the moving recording."""
 
     def as_row(self) -> Row:
-        """Ready for JSON; what was not judged is null."""
+        """Return a row, JSON-ready; values that were not judged are null."""
         case = self.case
         return {
             "seed": case.seed,
@@ -81,13 +81,13 @@ class Judged:
         }
 
 
-def _said(one: MotionJudgement) -> dict[str, Any]:
+def _said(judged: MotionJudgement) -> dict[str, Any]:
     return {
-        "passed": one.judgement.verdict.passed,
-        "added_percent": None if one.added is None else _rounded(100.0 * one.added),
-        "kind": one.kind.value,
-        "score": None if one.scores.largest is None else _rounded(one.scores.largest),
-        "text": one.judgement.verdict.text,
+        "passed": judged.judgement.verdict.passed,
+        "added_percent": None if judged.added is None else _rounded(100.0 * judged.added),
+        "kind": judged.kind.value,
+        "score": None if judged.scores.largest is None else _rounded(judged.scores.largest),
+        "text": judged.judgement.verdict.text,
     }
 
 
@@ -105,16 +105,19 @@ def case_of(seed: int, number: int) -> Case:
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """``scans`` scenes of ``world``, each at rest and moving; their frames come from ``keep`` and are kept there."""
-    kept = scans_of(world, keep)
+    """Measure ``scans`` scenes of ``world``, each at rest and moving.
+
+    Their frames are read from and stored in ``keep``.
+    """
+    scan_source = scans_of(world, keep)
     rows: list[Row] = []
     shown: dict[str, Judged] = {}
     cases = [case_of(seed, number) for number in range(scans)]
     say(f"motion: {scans} scenes", 0.0)
-    for number, judged in enumerate(spread(partial(examine, kept=kept), cases), 1):
+    for number, judged in enumerate(spread(partial(examine, scan_source=scan_source), cases), 1):
         say(f"motion: {number} of {scans} scenes", number / scans)
         rows.append(judged.as_row())
-        # The one nearest to the limit tells more than a gross one.
+        # A scene near the limit is a better example than a clear one.
         nearest = shown.get(judged.case.kind)
         if judged.added > HARMFUL and (nearest is None or judged.added < nearest.added):
             shown[judged.case.kind] = judged
@@ -129,15 +132,15 @@ def measure(
     return figures(rows, cpu_ms), {"scans": rows, "roc": roc_table(rows), "cpu_ms": cpu_ms}
 
 
-def examine(case: Case, kept: Scans) -> Judged:
-    """Both recordings of one scene, judged with noise; the truth from those without."""
-    recorded = {take: kept.recorded(case, take) for take in Take}
-    standing, moved = (kept.renderer(case, take) for take in Take)
+def examine(case: Case, scan_source: Scans) -> Judged:
+    """Judge both recordings of one scene with noise; the truth comes from those without."""
+    recorded = {take: scan_source.recorded(case, take) for take in Take}
+    standing, moved = (scan_source.renderer(case, take) for take in Take)
     calibration = complete_calibration(standing.truth)
-    noise, water = kept.noise(case), kept.water(case)
+    noise, water = scan_source.noise(case), scan_source.water(case)
     still, moving = (
-        judge_frames(one.noisy, calibration, case.period_px, case.gain_db, one.exposure_s, noise, water)
-        for one in recorded.values()
+        judge_frames(take_frames.noisy, calibration, case.period_px, case.gain_db, take_frames.exposure_s, noise, water)
+        for take_frames in recorded.values()
     )
     noise_of_points_mm, added, lost = harm(case, standing, moved, recorded, water, noise)
     undone = None
@@ -155,18 +158,18 @@ def harm(
     water: Water,
     stated: StereoNoise,
 ) -> tuple[float, float, float]:
-    """The noise of the points in mm, what the movement truly adds as a fraction of it, and the share of points it costs."""
+    """Return the noise of the points in mm, the true added noise as a fraction of it, and the lost share of points."""
     sequence = build_sequence(case.period_px)
     at_s = float(np.mean(sequence.axis(Direction.X).sine)) * FRAME_S
     with Pipeline(complete_calibration(standing.truth), water, sequence, noise=stated) as pipeline:
-        rest = cloud_of(pipeline, recorded[Take.REST].clean)
-        rest_mm, fit = errors_mm(standing, rest, 0.0)
+        rest_cloud = cloud_of(pipeline, recorded[Take.REST].clean)
+        rest_mm, fit = errors_mm(standing, rest_cloud, 0.0)
         with_noise = cloud_of(pipeline, recorded[Take.REST].noisy)
-        noise = noise_mm(rest, rest_mm, with_noise, errors_mm(standing, with_noise, 0.0, fit)[0])
+        noise = noise_mm(rest_cloud, rest_mm, with_noise, errors_mm(standing, with_noise, 0.0, fit)[0])
         moving = cloud_of(pipeline, recorded[Take.MOVING].clean)
         moving_mm, _ = errors_mm(moved, moving, at_s)
-    lost = 1.0 - len(moving.pixel) / max(len(rest.pixel), 1)
-    if min(len(rest.pixel), len(with_noise.pixel), len(moving.pixel)) < LEAST_POINTS:
+    lost = 1.0 - len(moving.pixel) / max(len(rest_cloud.pixel), 1)
+    if min(len(rest_cloud.pixel), len(with_noise.pixel), len(moving.pixel)) < LEAST_POINTS:
         return math.nan, math.nan, lost
     squared = max(rms_mm(moving_mm) ** 2 - rms_mm(rest_mm) ** 2, 0.0)
     return noise, math.sqrt(1.0 + squared / noise**2) - 1.0, lost
@@ -181,21 +184,23 @@ def compensated(
     stated: StereoNoise,
     judged_to_add: float | None,
 ) -> float | None:
-    """Return how far the points of the moving recording err when they are shown with the movement undone, over those at rest, both with
-    noise; ``None`` where compensation is not shown, NaN where too few points tell."""
+    """Return the error of the points of the moving recording after compensation, over that at rest, both with noise.
+
+    ``None`` where compensation is not shown, NaN for too few points.
+    """
     sequence, calibration = build_sequence(case.period_px), complete_calibration(standing.truth)
     with Pipeline(calibration, water, sequence, noise=stated) as pipeline:
-        rest = cloud_of(pipeline, recorded[Take.REST].noisy)
+        rest_cloud = cloud_of(pipeline, recorded[Take.REST].noisy)
         moving = recorded[Take.MOVING]
         images, _ = as_judged(pipeline, moving.noisy, case.gain_db, moving.exposure_s, stated)
-        tried = attempt(pipeline, pipeline.find_full(straightened=False), images, calibration, water, judged_to_add)
-        if tried.found is None:
+        attempted = attempt(pipeline, pipeline.find_full(straightened=False), images, calibration, water, judged_to_add)
+        if attempted.found is None:
             return None
-        assert tried.motion is not None, "what is shown has a moment that it belongs to"
-        cloud = pipeline.table.cloud(tried.found)
-        if min(len(rest.pixel), len(cloud.pixel)) < LEAST_POINTS:
+        assert attempted.motion is not None, "what is shown has a moment that it belongs to"
+        cloud = pipeline.table.cloud(attempted.found)
+        if min(len(rest_cloud.pixel), len(cloud.pixel)) < LEAST_POINTS:
             return math.nan
-        errors, at_rest = errors_mm(moved, cloud, tried.motion.reference_s), errors_mm(standing, rest, 0.0)
+        errors, at_rest = errors_mm(moved, cloud, attempted.motion.reference_s), errors_mm(standing, rest_cloud, 0.0)
     return rms_mm(errors[0]) / rms_mm(at_rest[0])
 
 
@@ -208,9 +213,9 @@ def cloud_of(pipeline: Pipeline, frames: Frames) -> Cloud:
     return pipeline.full()
 
 
-def cpu_at_full_size_ms(case: Case, kept: KeptScans, repeats: int = 7) -> float:
-    """Median CPU time of a verdict on frames enlarged to full size."""
-    clean = kept.frames(case, Take.REST)
+def cpu_at_full_size_ms(case: Case, scan_source: KeptScans, repeats: int = 7) -> float:
+    """Return the median CPU time of a verdict on frames enlarged to full size."""
+    clean = scan_source.frames(case, Take.REST)
     frames = {
         side: np.stack([cv2.resize(f, FULL_PX, interpolation=cv2.INTER_CUBIC) for f in stack])
         for side, stack in clean.items()

@@ -1,5 +1,4 @@
-"""Owns the scans that the verdicts on movement and identity are measured with: what lies before the instrument, in which
-water and light, how it is held, what it records.
+"""Scans for the verdicts on motion and identity: object, water, light, motion and settings.
 
 A case follows from its seed. It is rendered without noise, at rest and moving, so that what a movement adds to a cloud can
 be separated from noise, which is put onto the same frames afterwards.
@@ -50,7 +49,7 @@ class Case:
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """Words for what is special about it."""
+        """Classes of the case, by its special properties."""
         scene = self.scene
         return (
             f"texture {scene.texture}",
@@ -66,10 +65,10 @@ class Case:
 
 
 def draw_case(seed: int, kind: str | None = None, texture: str | None = None, period_px: int | None = None) -> Case:
-    """Everything at random, or the kind of movement, the texture, the period given."""
+    """Return a random case, or one with the given kind of motion, texture or period."""
     rng = np.random.default_rng([seed, 2025])
     which = str(rng.choice(OBJECTS, p=[0.2, 0.18, 0.18, 0.18, 0.18, 0.08]))
-    turn = rng.uniform(-22.0, 22.0, 3)
+    rotation_deg = rng.uniform(-22.0, 22.0, 3)
     middle = np.array([rng.uniform(-25, 25), rng.uniform(-18, 18), rng.uniform(490, 570)])
     drawn_texture, drawn_kind = str(rng.choice(TEXTURES)), str(rng.choice(TURNS))
     texture, kind = texture or drawn_texture, kind or drawn_kind
@@ -78,7 +77,7 @@ def draw_case(seed: int, kind: str | None = None, texture: str | None = None, pe
     bright = rng.uniform(0.6, 1.25) if rng.random() < 0.85 else 10.0 ** rng.uniform(-1.0, -0.4)
     scene = Scene(
         object=which,
-        pose=(*_triple(middle), *_triple(turn)),
+        pose=(*_triple(middle), *_triple(rotation_deg)),
         texture=texture,
         water=_draw_water(rng),
         ambient=float(10.0 ** rng.uniform(-3.0, -0.8)),

@@ -1,4 +1,4 @@
-"""Owns the figures of the verdict on movement: counts with their limits, ROC curves, from one row for each scene."""
+"""Figures of the verdict on motion: counts with their limits, and ROC curves, from one row for each scene."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ def compensated(row: Row) -> bool:
 
 
 def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
-    """What the targets ask for, each with its limits; what is shown compensated is counted apart."""
+    """Return the figures with their targets; compensated scans are counted separately."""
     judged = [row for row in rows if row["at_rest"]["passed"] is not None]
     alarms = sum(refused(row, "at_rest") for row in judged)
-    found = [tally("motion: at rest and refused", alarms, len(judged), at_most=0.0, key="motion_false_alarms")]
+    measured = [tally("motion: at rest and refused", alarms, len(judged), at_most=0.0, key="motion_false_alarms")]
     hands = [row for row in rows if row["kind"] != "fish"]
     fish = [row for row in rows if row["kind"] == "fish"]
     gross = [row for row in hands if harmful(row) and row["added_percent"] > 20.0]
     calm = [row for row in hands if harmless(row)]
-    asked: list[tuple[str, Rows, float | None, float | None]] = [
+    targets: list[tuple[str, Rows, float | None, float | None]] = [
         ("adding over 10 %", [row for row in hands if harmful(row)], REFUSED_PERCENT, None),
         ("adding over 20 %", gross, None, None),
         ("adding under 5 %", calm, None, 0.0),
@@ -64,30 +64,30 @@ def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
         ("fish adding over 10 %", [row for row in fish if harmful(row)], None, None),
         ("fish adding under 5 %", [row for row in fish if harmless(row)], None, None),
     ]
-    for what, mine, at_least, at_most in asked:
+    for what, mine, at_least, at_most in targets:
         mine = [row for row in mine if row["moving"]["passed"] is not None]
         stopped = [row for row in mine if refused(row)]
         name = f"motion: refused, of those {what}"
-        found.append(rate(name, len(stopped), len(mine), at_most=at_most, at_least=at_least))
+        measured.append(rate(name, len(stopped), len(mine), at_most=at_most, at_least=at_least))
         if stopped:
             shown = f"motion: shown compensated, of those refused {what}"
-            found.append(tally(shown, sum(map(compensated, stopped)), len(stopped)))
+            measured.append(tally(shown, sum(map(compensated, stopped)), len(stopped)))
     undone = [row for row in hands if compensated(row)]
-    known = [row["compensated_over_rest"] for row in undone if row["compensated_over_rest"] is not None]
-    beyond = sum(one > COMPENSATED_MOST for one in known)
-    found.append(
+    over_rest = [row["compensated_over_rest"] for row in undone if row["compensated_over_rest"] is not None]
+    beyond = sum(value > COMPENSATED_MOST for value in over_rest)
+    measured.append(
         tally(
             f"motion: shown compensated and erring over {COMPENSATED_MOST:g} times as at rest",
             beyond,
-            len(known),
+            len(over_rest),
             at_most=0.0,
         )
     )
     left = [row for row in hands if harmful(row)]
     unjudged = sum(row["moving"]["passed"] is None for row in left)
-    found.append(tally("motion: adding over 10 %, too few points left to be judged", unjudged, len(left)))
+    measured.append(tally("motion: adding over 10 %, too few points left to be judged", unjudged, len(left)))
     ratio = ratios(hands)
-    found.append(
+    measured.append(
         Measured(
             f"motion: predicted over true addition near the limit ({len(ratio)})",
             float(np.median(ratio)) if ratio else math.nan,
@@ -96,10 +96,10 @@ def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
             spread=_tenths(ratio),
         )
     )
-    found.append(
+    measured.append(
         Measured("motion: CPU of a verdict on 2 x 24 frames of 1600 x 1200", cpu_ms, "ms", at_most=60.0)
     )  # fmt: skip
-    return found
+    return measured
 
 
 def ratios(rows: Rows) -> list[float]:
@@ -130,8 +130,11 @@ def roc(positive: Sequence[float], negative: Sequence[float]) -> tuple[list[floa
 
 
 def roc_table(rows: Rows) -> dict[str, dict[str, Any]]:
-    """For each group of textures with each kind of movement, and for each disturbance, of what was judged, ready for JSON: ``harm`` (over 10 %
-    against at rest and below 5 %, by the predicted addition) and ``seen`` (moving against at rest, by the largest score)."""
+    """Return ROC curves of the judged scans for each group of textures with each kind of motion, and each disturbance.
+
+    JSON-ready: ``harm`` (over 10 % against at rest and below 5 %, by the predicted addition) and ``seen`` (moving
+    against at rest, by the largest score).
+    """
     table = {
         f"{group} {kind}": _curves([row for row in rows if row["texture"] in textures and row["kind"] == kind], rows)
         for group, textures in GROUPS.items()
@@ -146,11 +149,11 @@ def roc_table(rows: Rows) -> dict[str, dict[str, Any]]:
 def _curves(mine: Rows, at_rest: Rows) -> dict[str, Any]:
     mine = [row for row in mine if row["moving"]["passed"] is not None]
     at_rest = [row for row in at_rest if row["at_rest"]["passed"] is not None]
-    rest = [row["at_rest"]["added_percent"] or 0.0 for row in at_rest]
+    rest_added = [row["at_rest"]["added_percent"] or 0.0 for row in at_rest]
     bad = [row["moving"]["added_percent"] or 0.0 for row in mine if harmful(row)]
     good = [row["moving"]["added_percent"] or 0.0 for row in mine if harmless(row) and keeps_points(row)]
     curves = {
-        "harm": (*roc(bad, good + rest), len(bad)),
+        "harm": (*roc(bad, good + rest_added), len(bad)),
         "seen": (
             *roc([row["moving"]["score"] or 0.0 for row in mine], [row["at_rest"]["score"] or 0.0 for row in at_rest]),
             len(mine),

@@ -1,4 +1,4 @@
-"""Owns the table, curves and pictures of ``docs/motion.md``: written from what was measured, never by hand."""
+"""Generator of table, curves and pictures of ``docs/motion.md`` from measured values."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ def write_page(content: Mapping[str, Any], docs: Path) -> None:
 
 
 def table(rows: Rows, cpu_ms: float) -> list[str]:
-    """Lines of Markdown."""
+    """Return the table as lines of Markdown."""
     hands = [row for row in rows if row["kind"] != "fish"]
-    rest = [row for row in rows if row["at_rest"]["passed"] is not None]
+    judged_at_rest = [row for row in rows if row["at_rest"]["passed"] is not None]
     judged = [row for row in hands if row["moving"]["passed"] is not None]
-    largest = max(row["at_rest"]["added_percent"] for row in rest)
+    largest = max(row["at_rest"]["added_percent"] for row in judged_at_rest)
 
     def share(mine: Rows) -> str:
         return counted(sum(map(refused, mine)), len(mine))
 
     bad, good = [row for row in judged if harmful(row)], [row for row in judged if harmless(row)]
     ratio = ratios(judged)
-    alarms = counted(sum(refused(row, "at_rest") for row in rest), len(rest))
+    alarms = counted(sum(refused(row, "at_rest") for row in judged_at_rest), len(judged_at_rest))
     near = "none" if not ratio else "{:.2f}, {:.2f} to {:.2f}".format(*np.percentile(ratio, (50, 10, 90)))
     gone = [100.0 - row["lost_percent"] for row in hands if harmful(row) and row["moving"]["passed"] is None]
 
@@ -50,9 +50,12 @@ def table(rows: Rows, cpu_ms: float) -> list[str]:
         stopped = [row for row in mine if refused(row)]
         return counted(sum(map(compensated, stopped)), len(stopped))
 
-    kept = [row for row in good if keeps_points(row)]
+    with_points = [row for row in good if keeps_points(row)]
     lines = [
-        f"{len(rows)} scenes, each at rest and moving; {len(rows) - len(rest)} too dark or milky to be judged. In brackets 95 % limits.",
+        (
+            f"{len(rows)} scenes, each at rest and moving; {len(rows) - len(judged_at_rest)} too dark or milky to be "
+            "judged. In brackets 95 % limits."
+        ),
         "",
         "| | measured | of these shown compensated | target |",
         "|---|---|---|---|",
@@ -60,7 +63,7 @@ def table(rows: Rows, cpu_ms: float) -> list[str]:
         f"| refused, of those whose hands add over 10 % | {share(bad)} | {undone(bad)} | 99 % |",
         f"| harmful, but not judged: they keep {min(gone, default=0.0):.0f} to {max(gone, default=0.0):.0f} % of their points | {len(gone)} | – | – |",
         f"| refused, of those that add under 5 % | {share(good)} | {undone(good)} | 0 |",
-        f"| the same, that keep 90 % of the points | {share(kept)} | {undone(kept)} | 0 |",
+        f"| the same, that keep 90 % of the points | {share(with_points)} | {undone(with_points)} | 0 |",
         f"| predicted over true addition between 3 and 30 %: median, first and ninth tenth ({len(ratio)}) | {near} | – | – |",
         f"| CPU for 2 × 24 frames of 1600 × 1200 | {cpu_ms:.0f} ms | – | 60 ms |",
         "",
@@ -68,7 +71,7 @@ def table(rows: Rows, cpu_ms: float) -> list[str]:
     for what, mine in (
         ("Harmful and kept", [row for row in bad if not refused(row)]),
         ("Harmless and refused", [row for row in good if refused(row)]),
-        ("At rest and refused", [row for row in rest if refused(row, "at_rest")]),
+        ("At rest and refused", [row for row in judged_at_rest if refused(row, "at_rest")]),
     ):
         for row in mine:
             lines.append(

@@ -1,4 +1,4 @@
-"""Owns the pictures of the verdict on movement: predicted against true harm, ROC curves, and maps of drift; drawn with OpenCV."""
+"""Pictures of the verdict on motion: predicted over true added noise, ROC curves and drift maps, drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SIDE, _GAP, _LEFT, _TOP = 170, 44, 110, 70
 
 
 def draw_scatter(path: Path, scans: Sequence[Scan]) -> None:
-    """Write a PNG: what each movement adds to the noise, true across and predicted up, both logarithmic."""
+    """Write a PNG of the added noise of each motion: predicted over true, both logarithmic."""
     size, left, top = 640, 90, 50
     image: Image = np.full((size + top + 70, size + left + 190, 3), 255, np.uint8)
 
@@ -117,23 +117,23 @@ def _panel(image: Image, x0: int, y0: int, curves: Mapping[str, Any]) -> None:
 
 
 def draw_maps(path: Path, rows: Sequence[tuple[str, Image, MotionJudgement]]) -> None:
-    """Write a PNG: for each scan the left bright image, the drift E over the pattern, and the ripple predicted over noise."""
+    """Write a PNG with the left bright image of each scan, the drift E over the pattern, and the ripple over noise."""
     width, height, gap, top = 320, 240, 16, 34
     image: Image = np.full((40 + len(rows) * (height + top + gap), 3 * (width + gap) + gap, 3), 255, np.uint8)
     titles = ("left image", "drift E: red away, blue nearer", "ripple over noise: white 0, red 1")
     for column, title in enumerate(titles):
         write(image, title, (gap + column * (width + gap), 26))
-    for row, (name, bright, said) in enumerate(rows):
+    for row, (name, bright, judgement) in enumerate(rows):
         y = 40 + row * (height + top + gap)
-        write(image, f"{name}: {said.judgement.verdict.text}", (gap, y + 22))
-        drift = said.harm.drift_px
+        write(image, f"{name}: {judgement.judgement.verdict.text}", (gap, y + 22))
+        drift = judgement.harm.drift_px
         scale = float(np.nanpercentile(np.abs(drift), 95)) or 1.0
         with np.errstate(invalid="ignore"):
-            ripple = np.nan_to_num(said.harm.ripple_mm / said.harm.noise_mm)
+            ripple = np.nan_to_num(judgement.harm.ripple_mm / judgement.harm.noise_mm)
         pictures = (
             cv2.cvtColor(cv2.resize(bright, (width, height), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR),
-            _coloured(drift / scale, said.harm.weight > 0.0, width, height),
-            _coloured(ripple, said.harm.weight > 0.0, width, height),
+            _coloured(drift / scale, judgement.harm.weight > 0.0, width, height),
+            _coloured(ripple, judgement.harm.weight > 0.0, width, height),
         )
         for column, picture in enumerate(pictures):
             x = gap + column * (width + gap)
@@ -141,9 +141,9 @@ def draw_maps(path: Path, rows: Sequence[tuple[str, Image, MotionJudgement]]) ->
     cv2.imwrite(str(path), image)
 
 
-def _coloured(values: NDArray[np.float64], known: NDArray[np.bool_], width: int, height: int) -> Image:
-    """−1 blue, 0 white, 1 red; grey where nothing is known."""
+def _coloured(values: NDArray[np.float64], is_valid: NDArray[np.bool_], width: int, height: int) -> Image:
+    """Return −1 as blue, 0 as white, 1 as red; grey where no value is valid."""
     strength = np.clip(np.nan_to_num(np.abs(values)), 0.0, 1.0)[..., None]
     end = np.where(values[..., None] > 0.0, np.array([60.0, 60.0, 210.0]), np.array([200.0, 110.0, 40.0]))
-    colour = np.where(known[..., None], 255.0 + strength * (end - 255.0), 190.0)
+    colour = np.where(is_valid[..., None], 255.0 + strength * (end - 255.0), 190.0)
     return np.asarray(cv2.resize(colour.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)

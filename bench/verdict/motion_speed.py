@@ -1,4 +1,4 @@
-"""The noise of the points against the speed of the hands, for both orders of the steps, in both worlds."""
+"""Noise of the points over the speed of motion, for both orders of the steps, in both worlds."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ Case = tuple[str, str, str, float, str, int]
 
 
 def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
-    """``scans`` does not matter: each speed before two rigs of ``seed``."""
-    ways = [(way, mm_s) for way in WAYS for mm_s in SPEEDS_MM_S if mm_s > 0.0 or way == "along"]
+    """Return the figures of each speed before two rigs of ``seed``; ``scans`` is not used."""
+    ways = [(direction, mm_s) for direction in WAYS for mm_s in SPEEDS_MM_S if mm_s > 0.0 or direction == "along"]
     cases: list[Case] = [
-        (world, thing, way, mm_s, order, seed + rig)
-        for world, thing, (way, mm_s), order, rig in itertools.product(WORLDS, THINGS, ways, ORDERS, range(RIGS))
+        (world, thing, direction, mm_s, order, seed + rig)
+        for world, thing, (direction, mm_s), order, rig in itertools.product(WORLDS, THINGS, ways, ORDERS, range(RIGS))
     ]
     rows = []
     for number, row in enumerate(spread(_row, cases), 1):
@@ -59,27 +59,27 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
         rows.append(row)
     PICTURE.parent.mkdir(parents=True, exist_ok=True)
     draw(PICTURE, rows)
-    found = [
+    measured = [
         Measured(
-            f"{world}, {thing}, {way} at {DIVER_MM_S:g} mm/s, steps {order}: noise over that at rest",
-            over_rest(rows, world, thing, way, DIVER_MM_S, order),
+            f"{world}, {thing}, {direction} at {DIVER_MM_S:g} mm/s, steps {order}: noise over that at rest",
+            over_rest(rows, world, thing, direction, DIVER_MM_S, order),
             "×",
-            at_most=1.6 if (way, thing, ORDERS[order]) == ("along", "bare", STEPS) else None,
+            at_most=1.6 if (direction, thing, ORDERS[order]) == ("along", "bare", STEPS) else None,
         )
-        for world, thing, way, order in itertools.product(WORLDS, THINGS, WAYS, ORDERS)
+        for world, thing, direction, order in itertools.product(WORLDS, THINGS, WAYS, ORDERS)
     ]
-    return found, {"seed": seed, "rows": rows}
+    return measured, {"seed": seed, "rows": rows}
 
 
 def _row(case: Case) -> dict[str, Any]:
-    world, thing, way, mm_s, order, seed = case
-    right, down, away = WAYS[way]
+    world, thing, direction, mm_s, order, seed = case
+    right, down, away = WAYS[direction]
     motion = Motion(velocity_mm_s=(mm_s * right, mm_s * down, mm_s * away))
     scene = replace(THINGS[thing], motion=motion)
     sequence = build_sequence(PERIOD_PX, steps=ORDERS[order])
     noise_mm, points = (_outside if world == OUTSIDE else _ordinary)(scene, seed, sequence)
     return {
-        "world": world, "thing": thing, "way": way, "speed_mm_s": mm_s, "order": order, "seed": seed,
+        "world": world, "thing": thing, "way": direction, "speed_mm_s": mm_s, "order": order, "seed": seed,
         "rms_um": 1e3 * noise_mm, "points": points,
     }  # fmt: skip
 
@@ -92,8 +92,8 @@ def _ordinary(scene: Scene, seed: int, sequence: PatternSequence) -> tuple[float
 def _outside(scene: Scene, seed: int, sequence: PatternSequence) -> tuple[float, int]:
     world = put_outside(scene, seed, TRUTH_SET, hands=False)
     renderer = world.renderer()
-    taken = record_sequence(renderer, sequence, suited_s(renderer, 0.0, 1.0), 0.0)
-    return _error_mm(renderer, taken.noisy, sequence, water_of(world.rig))
+    recorded = record_sequence(renderer, sequence, suited_s(renderer, 0.0, 1.0), 0.0)
+    return _error_mm(renderer, recorded.noisy, sequence, water_of(world.rig))
 
 
 def _error_mm(renderer: Renderer, frames: Any, sequence: PatternSequence, water: Water) -> tuple[float, int]:
@@ -104,15 +104,15 @@ def _error_mm(renderer: Renderer, frames: Any, sequence: PatternSequence, water:
     return rms_mm(errors_mm(renderer, cloud, at_s)[0]), len(cloud.pixel)
 
 
-def over_rest(rows: Sequence[dict[str, Any]], world: str, thing: str, way: str, mm_s: float, order: str) -> float:
+def over_rest(rows: Sequence[dict[str, Any]], world: str, thing: str, direction: str, mm_s: float, order: str) -> float:
     """Return the root mean square over all rigs, over that of the same rigs at rest."""
 
-    def of(way: str, mm_s: float) -> float:
-        known = {"world": world, "thing": thing, "way": way, "speed_mm_s": mm_s, "order": order}
-        mine = [row["rms_um"] for row in rows if all(row[name] == value for name, value in known.items())]
+    def of(direction: str, mm_s: float) -> float:
+        keys = {"world": world, "thing": thing, "way": direction, "speed_mm_s": mm_s, "order": order}
+        mine = [row["rms_um"] for row in rows if all(row[name] == value for name, value in keys.items())]
         return float(np.sqrt(np.mean(np.square(mine))))
 
-    return of(way, mm_s) / of("along", 0.0) if mm_s > 0.0 else 1.0
+    return of(direction, mm_s) / of("along", 0.0) if mm_s > 0.0 else 1.0
 
 
 def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -120,11 +120,11 @@ def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     panels = []
     for world in WORLDS:
         curves = {
-            f"{way}, {order}": (
+            f"{direction}, {order}": (
                 np.array(SPEEDS_MM_S),
-                np.array([over_rest(rows, world, SHOWN, way, mm_s, order) for mm_s in SPEEDS_MM_S]),
+                np.array([over_rest(rows, world, SHOWN, direction, mm_s, order) for mm_s in SPEEDS_MM_S]),
             )
-            for way, order in itertools.product(WAYS, ORDERS)
+            for direction, order in itertools.product(WAYS, ORDERS)
         }
         across = f"hands, mm/s ({'the world outside' if world == OUTSIDE else ORDINARY + ' world'})"
         encoded = draw_curves(curves, across, "noise of the points over that at rest")

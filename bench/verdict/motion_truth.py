@@ -1,9 +1,9 @@
-"""Owns what a movement truly adds to the noise of the points.
+"""True noise that a motion adds to the points.
 
-Every point's distance to the true surface is taken, at rest and moving, without the cameras' noise: what remains after a
-rigid displacement of the whole cloud, which does no harm to a cloud that has no other frame than its own. The movement's
-part is what its mean square exceeds that of the scan at rest by (``bends`` of light and paint are there, too). Noise is what
-the cameras' noise then moves the same points by. Of all, 0.3 % are left out, as figures of this field do.
+Every point's distance to the true surface is measured, at rest and moving, without camera noise, after a rigid
+displacement of the entire cloud, which does not harm it. The added noise is the excess of the mean square over that of
+the scan at rest (errors by light and albedo are in both). The noise is the error that camera noise then adds to the
+same points. 0.3 % of the points are left out, as usual.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hw_sim.rendering.render import Renderer, Surface
 from tests.support.truth import left_to_rig
 
 FALSE_MM = 1.0
-"""What is farther off was matched to something else."""
+"""Error of a false correspondence."""
 KEPT = 0.997
 _FIT_POINTS, _TURN, _ROBUST_MM = 3000, 1e-2, 0.1
 
@@ -69,13 +69,13 @@ def errors_mm(
 
 
 def rms_mm(values: Array) -> float:
-    """Without what is false, and without the largest 0.3 %."""
+    """Return the RMS without false values and without the largest 0.3 %."""
     squared = np.sort(values[np.abs(values) < FALSE_MM] ** 2)
-    kept = squared[: int(KEPT * squared.size)]
-    return math.sqrt(float(np.mean(kept))) if kept.size else math.nan
+    trimmed = squared[: int(KEPT * squared.size)]
+    return math.sqrt(float(np.mean(trimmed))) if trimmed.size else math.nan
 
 
 def noise_mm(clean: Cloud, clean_errors: Array, noisy: Cloud, noisy_errors: Array) -> float:
-    """RMS of what noise moves points by, across the surface."""
-    _, here, there = np.intersect1d(clean.pixel, noisy.pixel, return_indices=True)
-    return rms_mm(noisy_errors[there] - clean_errors[here])
+    """Return the RMS error of points by noise, across the surface."""
+    _, clean_rows, noisy_rows = np.intersect1d(clean.pixel, noisy.pixel, return_indices=True)
+    return rms_mm(noisy_errors[noisy_rows] - clean_errors[clean_rows])

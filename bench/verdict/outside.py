@@ -1,10 +1,11 @@
-"""Owns how the scans that verdicts are measured with are taken in the world ``outside``: the same draws as in the ordinary one, with
-the families of that world put on, by the seed of each scene.
+"""Scans for the verdicts in the world ``outside``: the same draws as in the ordinary one, with the families of that
+world by the seed of each scene.
 
-What hands do comes from the family ``hands`` on top of the scene's own movement, so a scene at rest is without it. The exposure is
-one that suits the scene, by the brightest of its bright frame, times what the draw says (a quarter are underexposed): a
-diver chooses it, and other whites, sensors and spots would else turn most scenes black or white. The cameras' noise is stated
-as an instrument finds it that has measured its own (``calibration measure noise``); the water is of the index that the LED's light truly has.
+What hands do comes from the family ``hands`` on top of the scene's own movement, so a scene at rest is without it. The
+exposure is one that suits the scene, by the brightest of its bright frame, times what the draw says (a quarter are
+underexposed): a diver chooses it, and other whites, sensors and spots would else turn most scenes black or white. The
+cameras' noise is stated as an instrument finds it that has measured its own (``calibration measure noise``); the water
+is of the index that the LED's light truly has.
 """
 
 from __future__ import annotations
@@ -49,32 +50,32 @@ class OutsideScans:
         self._folder = folder
 
     def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> Recorded:
-        """The frames of a take, with the noise that they were read out with."""
+        """Return the frames of a recording, with the noise of their readout."""
         world = _world_of(case, take)
         what = repr((world.scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, WIDTH_PX, FRAME_S, STEPS))
         name = f"outside-{case.seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npz"
         if self._folder is not None and (self._folder / name).exists():
-            with np.load(self._folder / name) as kept:
-                clean, noisy, exposure_s = kept["clean"], kept["noisy"], float(kept["exposure_s"])
+            with np.load(self._folder / name) as stored:
+                clean, noisy, exposure_s = stored["clean"], stored["noisy"], float(stored["exposure_s"])
             return Recorded(dict(zip(SIDES, clean, strict=True)), dict(zip(SIDES, noisy, strict=True)), exposure_s)
         renderer = world.renderer()
         share = case.exposure_s * 10.0 ** (case.gain_db / 20.0) / SHARE_OF_S
         exposure_s = suited_s(renderer, case.gain_db, share)
-        found = record_sequence(
+        recorded = record_sequence(
             renderer, build_sequence(case.period_px), exposure_s, case.gain_db, list(Take).index(take)
         )
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
             draft = self._folder / f".{name}"
             np.savez(
-                draft, clean=np.stack(list(found.clean.values())), noisy=np.stack(list(found.noisy.values())),
+                draft, clean=np.stack(list(recorded.clean.values())), noisy=np.stack(list(recorded.noisy.values())),
                 exposure_s=exposure_s,
             )  # fmt: skip
             draft.replace(self._folder / name)
-        return found
+        return recorded
 
     def renderer(self, case: Case, take: Take) -> Renderer:
-        """What rendered it."""
+        """Return the renderer of a recording."""
         return _world_of(case, take).renderer()
 
     def water(self, case: Case) -> Water:
@@ -144,15 +145,15 @@ def suited_s(renderer: Renderer, gain_db: float, share: float) -> float:
 
 
 def noise_of(scene: Scene, gain_db: float) -> StereoNoise:
-    """Return the noise as an instrument states it that has measured its own cameras."""
+    """Return the noise as an instrument states it after measuring its own cameras."""
     traits = scene.outside.cameras
     assert traits is not None, "a scene of the world outside"
-    one = camera_noise(traits.full_well_e, traits.read_noise_e, traits.black_dn, gain_db)
-    return StereoNoise(one, one)
+    noise = camera_noise(traits.full_well_e, traits.read_noise_e, traits.black_dn, gain_db)
+    return StereoNoise(noise, noise)
 
 
 def water_of(rig: TrueRig) -> Water:
-    """Return water of the index that the rig's has, by the wavelength: what a calibration in the water would find."""
+    """Return water with the rig's refractive index, by its wavelength, as a calibration in the water would find it."""
     low, high = 450.0, 650.0
     for _ in range(40):
         middle = 0.5 * (low + high)
@@ -164,31 +165,31 @@ def water_of(rig: TrueRig) -> Water:
 def kept_scan_outside(
     folder: Path | None, scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int, *, hands: bool
 ) -> RenderedScan:
-    """As ``recorded_scan`` at a suitable exposure, with frames from ``folder`` where they are there, and kept there where not."""
+    """Record a scan as ``recorded_scan`` at a suitable exposure; frames are read from and stored in ``folder``."""
     world = put_outside(scene, seed, truth_set, width_px=width_px, hands=hands)
     what = repr((world.scene, truth_set, width_px, period_px, FRAME_S, STEPS))
     name = f"outside-scan-{seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npz"
     frame_s = FRAME_S if world.scene.moves else 0.0
     if folder is not None and (folder / name).exists():
-        with np.load(folder / name) as kept:
-            frames, exposure_s = dict(zip(SIDES, kept["noisy"], strict=True)), float(kept["exposure_s"])
+        with np.load(folder / name) as stored:
+            frames, exposure_s = dict(zip(SIDES, stored["noisy"], strict=True)), float(stored["exposure_s"])
         return RenderedScan(world.renderer(), build_sequence(period_px), frames, exposure_s, frame_s)
     renderer = world.renderer()
-    taken = record_sequence(renderer, build_sequence(period_px), suited_s(renderer, 0.0, 1.0), 0.0)
+    recorded = record_sequence(renderer, build_sequence(period_px), suited_s(renderer, 0.0, 1.0), 0.0)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         draft = folder / f".{name}"
-        np.savez(draft, noisy=np.stack(list(taken.noisy.values())), exposure_s=taken.exposure_s)
+        np.savez(draft, noisy=np.stack(list(recorded.noisy.values())), exposure_s=recorded.exposure_s)
         draft.replace(folder / name)
-    return RenderedScan(renderer, build_sequence(period_px), taken.noisy, taken.exposure_s, frame_s)
+    return RenderedScan(renderer, build_sequence(period_px), recorded.noisy, recorded.exposure_s, frame_s)
 
 
 def recorded_scan(
     scene: Scene, seed: int, truth_set: str, width_px: int, period_px: int, share: float, gain_db: float = 0.0
 ) -> RenderedScan:
-    """Record one scan with noise, exposed as suits it times ``share``."""
+    """Record one scan with noise, at the suitable exposure times ``share``."""
     world = put_outside(scene, seed, truth_set, width_px=width_px, hands=not scene.motion.still)
     renderer = world.renderer()
-    taken = record_sequence(renderer, build_sequence(period_px), suited_s(renderer, gain_db, share), gain_db)
+    recorded = record_sequence(renderer, build_sequence(period_px), suited_s(renderer, gain_db, share), gain_db)
     frame_s = FRAME_S if world.scene.moves else 0.0
-    return RenderedScan(renderer, build_sequence(period_px), taken.noisy, taken.exposure_s, frame_s)
+    return RenderedScan(renderer, build_sequence(period_px), recorded.noisy, recorded.exposure_s, frame_s)

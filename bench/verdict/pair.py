@@ -1,4 +1,4 @@
-"""Owns the figures of a second exposure: what the pair the judge of light proposes shows, against each single exposure.
+"""Figures of a bracket: points with the second exposure that the judge of light proposes, against each single exposure.
 
 Each scene goes the diver's way: a scan at the rig's exposure, then the second one that was proposed, at rest and after a hand's
 movement; and, in its place, the one other exposure that EXPOSE would have set.
@@ -26,7 +26,7 @@ from tests.support.truth import WATER, true_calibration
 
 OBJECTS = ("frustum", "stones", "plane")
 MOVED_BY = (1.5, -1.0, 2.0, 0.3, -0.4, 0.5)
-"""What a hand moves between two sequences: mm and degrees."""
+"""Motion between both sequences: mm and degrees."""
 WIDTH_PX, PERIOD_PX = 400, 16
 SCANS_PER_CASE = 4
 
@@ -35,7 +35,10 @@ Figures = tuple[float, float, float]
 
 
 def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
-    """White labels on black rubber; every fourth scan of ``scans`` is a case, with an object, a place and a rig of its own."""
+    """Measure white labels on black rubber.
+
+    Every fourth scan of ``scans`` is a case with its own object, pose and rig.
+    """
     rng = np.random.default_rng([seed, 61])
     count = max(1, scans // SCANS_PER_CASE)
     cases: list[dict[str, Any]] = []
@@ -43,10 +46,12 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
         name = OBJECTS[k % len(OBJECTS)]
         say(f"two exposures: {name}", k / count)
         cases.append(_case(name, int(rng.integers(1 << 30)), rng))
-    offered = [one for one in cases if one["second"] is not None]
-    merged = [(one, one[way]) for one in offered for way in ("at rest", "moved") if one[way] is not None]
-    gained = [both[0] - max(single[0] for single in one["alone"].values()) for one, both in merged]
-    error = [both[1] / max(single[1] for single in one["alone"].values()) for one, both in merged]
+    offered = [case for case in cases if case["second"] is not None]
+    merged = [(case, case[key]) for case in offered for key in ("at rest", "moved") if case[key] is not None]
+    gained = [
+        merged_figures[0] - max(single[0] for single in case["alone"].values()) for case, merged_figures in merged
+    ]
+    error = [merged_figures[1] / max(single[1] for single in case["alone"].values()) for case, merged_figures in merged]
     nothing = float("nan")
     share = 100.0 * len(merged) / (2 * len(offered)) if offered else nothing
     return [
@@ -71,25 +76,25 @@ def _case(name: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
         processor = SequenceProcessor(pipeline, calibration, WATER)
         full = _process(processor, first, NOMINAL)
         cloud = pipeline.table.cloud(full.found)
-        (light,) = [one for one in full.judgements if one.verdict.name == "light"]
+        (light,) = [judgement for judgement in full.judgements if judgement.verdict.name == "light"]
         case["alone"][NOMINAL.label] = _figures(first, cloud)
         if light.second is None:
             return case
         case["second"] = light.second.label
         held = processor.hold()
-        for way, where in (("at rest", scene), ("moved", gone)):
+        for key, where in (("at rest", scene), ("moved", gone)):
             second = _render(where, light.second, seed)
             cloud = pipeline.table.cloud(_process(processor, second, light.second).found)
-            if way == "at rest":
+            if key == "at rest":
                 case["alone"][light.second.label] = _figures(second, cloud)
             merged = processor.merge_with(held)
             verdict = merged.pair.verdict
-            case[f"{way}: verdict"] = {"text": verdict.text, **verdict.numbers}
-            case[way] = None if merged.found is None else _figures(first, pipeline.table.cloud(merged.found))
+            case[f"{key}: verdict"] = {"text": verdict.text, **verdict.numbers}
+            case[key] = None if merged.found is None else _figures(first, pipeline.table.cloud(merged.found))
         if light.proposal is not None:
-            other = _render(scene, light.proposal, seed)
+            single = _render(scene, light.proposal, seed)
             case["alone"][light.proposal.label] = _figures(
-                other, pipeline.table.cloud(_process(processor, other, light.proposal).found)
+                single, pipeline.table.cloud(_process(processor, single, light.proposal).found)
             )
     return case
 
@@ -105,5 +110,5 @@ def _process(processor: SequenceProcessor, scan: RenderedScan, exposure: Exposur
 
 
 def _figures(scan: RenderedScan, cloud: Cloud) -> Figures:
-    found = judge(scan, cloud)
-    return found.completeness_percent, found.rms_mm, found.outliers_ppm
+    accuracy = judge(scan, cloud)
+    return accuracy.completeness_percent, accuracy.rms_mm, accuracy.outliers_ppm

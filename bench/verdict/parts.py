@@ -1,4 +1,4 @@
-"""Owns the list of what is measured of the verdict, and how a part of it is asked for."""
+"""List of the parts of the measurement of verdicts, and how a part is called."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any, Protocol, cast
 from bench.result import Measured
 
 Say = Callable[[str, float], None]
-"""What is being done, and the share 0..1 of the part that is done."""
+"""Function that shows the present step, and the share 0..1 of the part that is done."""
 
 
 class Part(Protocol):
     """A module of this package that judges scans drawn at random by ``seed``; ``scans`` scales the work."""
 
     def measure(self, scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
-        """Figures with their bounds, and what is needed to draw their curves again, ready for JSON."""
+        """Return figures with their limits, and the data of their curves, JSON-ready."""
 
 
 class KeepingPart(Protocol):
@@ -27,7 +27,7 @@ class KeepingPart(Protocol):
     def measure(
         self, scans: int, seed: int, say: Say, keep: Path | None = None
     ) -> tuple[list[Measured], dict[str, Any]]:
-        """As ``Part.measure``, with the rendered scans in the folder ``keep``; what is missing there is added."""
+        """Measure as ``Part.measure``, with rendered scans in the folder ``keep``; missing ones are added."""
 
 
 class WorldPart(Protocol):
@@ -82,8 +82,10 @@ def part(name: str) -> Part:
 def measure_part(
     name: str, scans: int, seed: int, say: Say, keep: Path | None, world: str | None = None
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """What the part of that name finds out; only those of ``KEEPING`` care for ``keep``, only those of ``IN_WORLDS`` for
-    ``world`` (``None``: the ordinary one). Raises KeyError."""
+    """Return the results of part ``name``. Raises KeyError.
+
+    Only parts of ``KEEPING`` use ``keep``, only those of ``IN_WORLDS`` use ``world`` (``None``: the ordinary one).
+    """
     if name in IN_WORLDS and world is not None:
         return cast(WorldPart, part(name)).measure(scans, seed, say, keep, world)
     if name in KEEPING:

@@ -1,4 +1,4 @@
-"""What snow, bubbles and fish before an object at rest do to its points: wrong ones that stay, true ones that are lost.
+"""Effect of snow, bubbles and fish before an object at rest: wrong points that stay, and true ones that are lost.
 
 Each scene is scanned twice by the same hidden rig, with and without what drifts before it. A point is wrong when it is farther
 from the true surface than a millimetre and five of its expected errors. Points of the scan without drift that are missing with
@@ -102,7 +102,7 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
 
 
 def _take(scene: Scene, rig_seed: int) -> Taken:
-    """Recorded, judged and reconstructed as the worker does."""
+    """Record, judge and reconstruct a scan as the worker does."""
     scan = render_scan(scene, "modelled", rig_seed, WIDTH_PX, PERIOD_PX, EXPOSURE.time_us / 1e6)
     water = set_water(scene)
     renderer = Renderer(rig_in(water, "modelled", rig_seed, WIDTH_PX), scene)
@@ -110,7 +110,7 @@ def _take(scene: Scene, rig_seed: int) -> Taken:
     with Pipeline(calibration, water, scan.sequence) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         full = processor.process(scan.frames, AcquisitionSettings(EXPOSURE, noise=noise_at(EXPOSURE), steps=STEPS))
-        (dirty,) = [one for one in full.judgements if one.verdict.name == "water"]
+        (dirty,) = [judgement for judgement in full.judgements if judgement.verdict.name == "water"]
         cloud = pipeline.table.cloud(full.found)
         decoded = pipeline.decoded("left").mask == Mask.VALID
     off = np.abs(np.nan_to_num(depth_errors(renderer, cloud).along_ray_mm, nan=1e3))
@@ -124,7 +124,7 @@ def _count(kind: str, scene: Scene, seed: int, clear: Taken, drifting: Taken) ->
         np.maximum(difference, np.abs(before.astype(np.int16) - after), out=difference)
     touched = clear.decoded & (difference > TOUCHED_DN)
     untouched = clear.decoded & ~touched
-    said = drifting.water
+    water = drifting.water
     return Counted(
         kind=kind,
         what=scene.object,
@@ -138,8 +138,8 @@ def _count(kind: str, scene: Scene, seed: int, clear: Taken, drifting: Taken) ->
         masked=_some(touched & ~drifting.decoded),
         untouched=_some(untouched),
         masked_untouched=_some(untouched & ~drifting.decoded),
-        specks_percent=float(said.verdict.numbers["speck_percent"] or 0.0),
-        dirty=said.fault is not None,
+        specks_percent=float(water.verdict.numbers["speck_percent"] or 0.0),
+        dirty=water.fault is not None,
     )
 
 
@@ -150,9 +150,9 @@ def _some(flags: NDArray[np.bool_]) -> int:
 def _figures(kind: str, rows: list[Counted]) -> list[Measured]:
     mine = [row for row in rows if row.kind == kind]
 
-    def share(part: str, of: str) -> float:
-        count, whole = (float(sum(getattr(row, name) for row in mine)) for name in (part, of))
-        return count / max(whole, 1.0)
+    def share(part: str, denominator: str) -> float:
+        count, total = (float(sum(getattr(row, name) for row in mine)) for name in (part, denominator))
+        return count / max(total, 1.0)
 
     key = kind.replace(" ", "_").replace(",", "")
     return [

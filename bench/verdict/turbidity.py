@@ -1,4 +1,4 @@
-"""Owns what the judgement of the water is worth: attenuation and veil of waters drawn at random, against the truth."""
+"""Accuracy of the judgement of the water: attenuation and backscatter of random waters, against the truth."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def measure(scans: int, seed: int, say: Callable[[str, float], None]) -> tuple[l
         say("water", k / scans)
         rows.append(_row(np.random.default_rng([seed, k, 24]), seed * 1000 + k))
     z = np.array([row["z"] for row in rows if row["z"] is not None])
-    known = [row for row in rows if row["sigma_per_m"] is not None and row["sigma_per_m"] < KNOWN_PER_M]
-    wrong = [abs(row["attenuation_per_m"] - row["true_attenuation_per_m"]) for row in known]
+    precise = [row for row in rows if row["sigma_per_m"] is not None and row["sigma_per_m"] < KNOWN_PER_M]
+    wrong = [abs(row["attenuation_per_m"] - row["true_attenuation_per_m"]) for row in precise]
     veil = np.array([row["veil_percent"] - row["true_veil_percent"] for row in rows])
     good = [row for row in rows if row["completeness_percent"] > 90.0]
     nan = float("nan")
@@ -49,36 +49,38 @@ def measure(scans: int, seed: int, say: Callable[[str, float], None]) -> tuple[l
 def _row(rng: np.random.Generator, rig_seed: int) -> dict[str, Any]:
     scene = drawn_scene(rng, drawn_water(rng))
     renderer = Renderer(rig_in(set_water(scene), "realistic", rig_seed, WIDTH_PX), scene)
-    taken = take(renderer)
-    said = taken.judgement
+    scan = take(renderer)
+    water = scan.judgement
     true_per_m = scene.water.attenuation_per_m
-    stated, sigma = said.attenuation_per_m, said.attenuation_sigma_per_m
+    stated, sigma = water.attenuation_per_m, water.attenuation_sigma_per_m
     return {
         "object": scene.object,
         "texture": scene.texture,
         "true_attenuation_per_m": true_per_m,
         "true_backscatter_percent": 100.0 * scene.water.backscatter,
-        "true_veil_percent": true_veil_percent(taken),
-        "completeness_percent": 100.0 * taken.completeness,
-        "exposure_ms": 1e3 * taken.shutter.exposure_s,
+        "true_veil_percent": true_veil_percent(scan),
+        "completeness_percent": 100.0 * scan.completeness,
+        "exposure_ms": 1e3 * scan.shutter.exposure_s,
         "attenuation_per_m": stated,
         "sigma_per_m": sigma,
         "z": None if stated is None or sigma is None else (stated - true_per_m) / sigma,
-        "veil_percent": said.veil_percent,
-        "backscatter_percent": said.backscatter_percent,
-        "masked_percent": said.masked_percent,
-        "dirty": said.judgement.fault is not None,
-        "cpu_ms": 1e3 * taken.judging_cpu_s,
+        "veil_percent": water.veil_percent,
+        "backscatter_percent": water.backscatter_percent,
+        "masked_percent": water.masked_percent,
+        "dirty": water.judgement.fault is not None,
+        "cpu_ms": 1e3 * scan.judging_cpu_s,
     }
 
 
-def true_veil_percent(taken: Taken) -> float:
-    """Of the light on the left camera's pixels that have coordinates: the bright frame less the same frame of water that scatters
-    nothing back."""
-    scene, sequence = taken.renderer.scene, taken.sequence
-    bright, dark = (taken.frames["left"][k].astype(np.float64) for k in (sequence.bright, sequence.dark))
+def true_veil_percent(scan: Taken) -> float:
+    """Return the backscatter as a share of the light on the left camera's pixels with coordinates.
+
+    It is the bright frame minus the same frame of water without backscatter.
+    """
+    scene, sequence = scan.renderer.scene, scan.sequence
+    bright, dark = (scan.frames["left"][k].astype(np.float64) for k in (sequence.bright, sequence.dark))
     clear_water = replace(scene.water, backscatter=0.0)
-    clear = Renderer(taken.renderer.truth, replace(scene, water=clear_water))
-    without = expose(clear, sequence, taken.shutter, sequence.bright)["left"][0]
-    seen = taken.decoded & (bright < 255.0)
-    return 100.0 * float((bright - without)[seen].sum() / (bright - dark)[seen].sum())
+    clear = Renderer(scan.renderer.truth, replace(scene, water=clear_water))
+    without = expose(clear, sequence, scan.shutter, sequence.bright)["left"][0]
+    is_valid = scan.decoded & (bright < 255.0)
+    return 100.0 * float((bright - without)[is_valid].sum() / (bright - dark)[is_valid].sum())

@@ -1,4 +1,4 @@
-"""Owns the judgement of sigma: how far points of scans drawn at random are from the truth, in units of what they expect.
+"""Accuracy of sigma: errors of the points of random scans, in units of their sigma.
 
 The error of a point is taken along the ray of its left pixel, which is what sigma is of; where that exact ray meets
 nothing, it is the distance to the true surface. The calibration knows the rig exactly, lens field and wedge included:
@@ -48,7 +48,7 @@ FEWEST = 500
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """One scan as drawn."""
+    """Settings of one random scan."""
 
     scene: Scene
     truth_seed: int
@@ -57,7 +57,7 @@ class Draw:
     exposure_s: float
     gain_db: float
     patterns: str
-    """What the sine images were drawn for: ``codes`` or ``light`` (a sine of codes, or of light)."""
+    """Correction of the sine patterns: ``codes`` or ``light`` (a sine of codes, or of light)."""
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
 def judged(
     draws: Sequence[Draw], residuals: Sequence[Array], sigmas: Sequence[Array]
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Figures and raw data of scans whose points have ``residuals`` in units of ``sigmas``."""
+    """Return figures and raw data of scans whose points have ``residuals`` in units of ``sigmas``."""
     figures: list[Measured] = []
     classes: dict[str, Any] = {}
     names = list(dict.fromkeys(name for draw in draws for name in draw.classes))
@@ -98,7 +98,7 @@ def judged(
                 Measured("within two sigmas (normal: 0.954)", classes[name]["within_2"], "", 0.98, 0.93),
             ]
     each = [spread(r) for r in residuals]
-    good = [0.9 <= one["rms_trimmed"] <= 1.1 for one in each if one["points"] >= FEWEST]
+    good = [0.9 <= scan_figures["rms_trimmed"] <= 1.1 for scan_figures in each if scan_figures["points"] >= FEWEST]
     figures.append(Measured("scans within 10 % of 1", 100.0 * float(np.mean(good)) if good else math.nan, "%"))
     data = {
         "classes": classes,
@@ -110,16 +110,16 @@ def judged(
                 "exposure_s": draw.exposure_s, "gain_db": draw.gain_db, "ambient": draw.scene.ambient,
                 "attenuation_per_m": draw.scene.water.attenuation_per_m,
                 "backscatter": draw.scene.water.backscatter, "response": draw.scene.imaging.response,
-                "patterns": draw.patterns, "sigma_um": float(1e3 * np.median(s)) if len(s) else None, **one,
+                "patterns": draw.patterns, "sigma_um": float(1e3 * np.median(s)) if len(s) else None, **scan_figures,
             }
-            for draw, one, s in zip(draws, each, sigmas, strict=True)
+            for draw, scan_figures, s in zip(draws, each, sigmas, strict=True)
         ],
     }  # fmt: skip
     return figures, data
 
 
 def drawn(number: int, seed: int) -> Draw:
-    """The ``number``-th scan of a seed: objects in turns, everything else at random."""
+    """Return the ``number``-th scan of a seed: objects in turns, all else at random."""
     rng = np.random.default_rng([seed, number, 5])
     name = OBJECTS[number % len(OBJECTS)]
     away = rng.normal(0.0, (12.0, 10.0, 15.0, 8.0, 8.0, 15.0))
@@ -171,7 +171,10 @@ def cloud_of(scan: RenderedScan, draw: Draw) -> Cloud:
 
 
 def along_the_ray(scan: RenderedScan, cloud: Cloud, time_s: float = 0.0) -> Array:
-    """At ``time_s``, how much too far each point is, (n,), in mm; where its pixel meets nothing, how far from the surface."""
+    """Return the error of each point (n,) along its ray in mm at ``time_s``, positive if too far.
+
+    Where its pixel sees no surface, it is the distance from the surface.
+    """
     truth = scan.renderer.truth
     v, u = np.divmod(cloud.pixel.astype(np.int64), truth.left.width_px)
     points = left_to_rig(truth, cloud.points_mm)
@@ -192,35 +195,35 @@ def response_of(kind: str) -> Response:
 
 
 def spread(residuals: Array) -> dict[str, float]:
-    """Of residuals (n,) in sigmas."""
+    """Return the distribution of residuals (n,) in sigmas."""
     if not len(residuals):
         return {"points": 0, "rms": math.nan, "rms_trimmed": math.nan, "within_1": math.nan, "within_2": math.nan}
     size = np.sort(np.abs(residuals))
-    kept = size[: len(size) - math.ceil(TRIM * len(size))] if len(size) > 1 else size
+    trimmed = size[: len(size) - math.ceil(TRIM * len(size))] if len(size) > 1 else size
     return {
         "points": len(size),
         "rms": float(np.sqrt(np.mean(size**2))),
-        "rms_trimmed": float(np.sqrt(np.mean(kept**2))),
+        "rms_trimmed": float(np.sqrt(np.mean(trimmed**2))),
         "within_1": float(np.mean(size < 1.0)),
         "within_2": float(np.mean(size < 2.0)),
     }
 
 
 def reliability(residuals: Array, sigmas_mm: Array) -> list[dict[str, float]]:
-    """Bin by bin of sigma: what was expected (RMS), and what came."""
+    """Return expected and actual RMS error, bin by bin of sigma."""
     rows = []
     for low, high in itertools.pairwise(BINS_UM):
         inside = (sigmas_mm >= 1e-3 * low) & (sigmas_mm < 1e-3 * high)
         if np.count_nonzero(inside) >= FEWEST:
             expected = 1e3 * float(np.sqrt(np.mean(sigmas_mm[inside] ** 2)))
             error = 1e3 * np.sort(np.abs(residuals[inside] * sigmas_mm[inside]))
-            kept = error[: len(error) - math.ceil(TRIM * len(error))]
+            trimmed = error[: len(error) - math.ceil(TRIM * len(error))]
             rows.append(
                 {
                     "points": int(np.count_nonzero(inside)),
                     "expected_um": expected,
                     "rms_um": float(np.sqrt(np.mean(error**2))),
-                    "rms_trimmed_um": float(np.sqrt(np.mean(kept**2))),
+                    "rms_trimmed_um": float(np.sqrt(np.mean(trimmed**2))),
                 }
             )
     return rows

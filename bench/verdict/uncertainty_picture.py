@@ -1,4 +1,4 @@
-"""Owns the picture of sigma's worth: actual against expected error, and how residuals are spread; drawn with OpenCV.
+"""Picture of the accuracy of sigma: actual over expected error, and the distribution of residuals; drawn with OpenCV.
 
 ``python -m bench.verdict.uncertainty_picture bench/out/verdict.json docs/pictures/uncertainty.png``
 """
@@ -25,7 +25,7 @@ Image = NDArray[np.uint8]
 
 
 def draw_uncertainty(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a PNG of what ``uncertainty.measure`` returns: reliability on the left, scan by scan on the right."""
+    """Write a PNG of the data of ``uncertainty.measure``: reliability on the left, scan by scan on the right."""
     image: Image = np.full((SIDE_PX + 2 * TOP_PX + 20, 2 * (SIDE_PX + LEFT_PX) + 40, 3), 255, np.uint8)
     _reliability(image[:, : SIDE_PX + LEFT_PX + 20], data["reliability"])
     _scans(image[:, SIDE_PX + LEFT_PX + 20 :], data["scans"])
@@ -50,9 +50,9 @@ def _reliability(image: Image, bins: Sequence[Mapping[str, float]]) -> None:
         _write(image, f"{um:g}", (place(um, LOW_UM)[0] - 10, TOP_PX + SIDE_PX + 20))
         _write(image, f"{um:g}", (LEFT_PX - 40, place(LOW_UM, um)[1] + 5))
     cv2.line(image, place(LOW_UM, LOW_UM), place(HIGH_UM, HIGH_UM), INK, 1, cv2.LINE_AA)
-    for one in bins:
-        cv2.circle(image, place(one["expected_um"], one["rms_um"]), 5, BLUE, -1, cv2.LINE_AA)
-        cv2.circle(image, place(one["expected_um"], one["rms_trimmed_um"]), 5, RED, 1, cv2.LINE_AA)
+    for sigma_bin in bins:
+        cv2.circle(image, place(sigma_bin["expected_um"], sigma_bin["rms_um"]), 5, BLUE, -1, cv2.LINE_AA)
+        cv2.circle(image, place(sigma_bin["expected_um"], sigma_bin["rms_trimmed_um"]), 5, RED, 1, cv2.LINE_AA)
     _write(image, "Error (rms, um) against sigma (um); band: 10 %", (LEFT_PX - 60, 25), 0.55)
     _write(image, "filled: all points; ring: without the largest 0.3 %", (LEFT_PX - 60, 47), 0.45)
     _write(image, "sigma of the points, um", (LEFT_PX + 130, TOP_PX + SIDE_PX + 45))
@@ -80,8 +80,8 @@ def _scans(image: Image, scans: Sequence[Mapping[str, Any]]) -> None:
     _write(image, "Error in sigmas (rms), scan by scan", (LEFT_PX - 60, 25), 0.55)
 
 
-def _write(image: Image, text: str, at: tuple[int, int], size: float = 0.5) -> None:
-    cv2.putText(image, text, at, FONT, size, INK, 1, cv2.LINE_AA)
+def _write(image: Image, text: str, position_px: tuple[int, int], size: float = 0.5) -> None:
+    cv2.putText(image, text, position_px, FONT, size, INK, 1, cv2.LINE_AA)
 
 
 if __name__ == "__main__":

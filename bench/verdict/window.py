@@ -1,4 +1,4 @@
-"""What the watch over the windows is worth: alarms over clean ones, and fog of known strength that it finds, names and measures.
+"""Accuracy of the watch over the ports: alarms on clean ones, and detected fog of known strength.
 
 A dive is six scans of things drawn at random, each in a water of its own, with one hidden rig. Its windows are clean, or one
 place of one of them is fogged: so much of the light of that place is thrown aside. The watch is told as on the instrument; it
@@ -49,11 +49,11 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
 
 
 def _dive(rng: np.random.Generator, strength: float) -> dict[str, Any]:
-    """Its scans, and what is told after them."""
+    """Return the scans of a dive, and the reported ports after them."""
     side = str(rng.choice(SIDES))
     place = (float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.1, 0.2)))
     fog = Fog(**{side: strength}, x=place[0], y=place[1], radius=place[2]) if strength else Fog()
-    rig_seed, watch, falls, told = int(rng.integers(1, 10_000)), WindowWatch(), [], set[str]()
+    rig_seed, watch, falls, reported = int(rng.integers(1, 10_000)), WindowWatch(), [], set[str]()
     after: list[list[str]] = []
     scenes: list[Scene] = []
     for _ in range(DIVE):
@@ -61,16 +61,16 @@ def _dive(rng: np.random.Generator, strength: float) -> dict[str, Any]:
         scenes.append(drawn_scene(rng, water))
         windows = _looked(scenes[-1], fog, rig_seed)
         watch.judge(windows)
-        told |= {str(device) for code, device, fault in watch.conditions() if fault and code is FaultCode.WINDOW}
-        after.append(sorted(told))
-        seen = windows.falls[side]
-        falls.append(None if np.isnan(seen).all() else float(np.nanmax(seen)))
+        reported |= {str(device) for code, device, fault in watch.conditions() if fault and code is FaultCode.WINDOW}
+        after.append(sorted(reported))
+        side_falls = windows.falls[side]
+        falls.append(None if np.isnan(side_falls).all() else float(np.nanmax(side_falls)))
     return {
         "strength": strength,
         "side": side if strength else None,
         "place": place,
         "scenes": [f"{scene.object}, fringes fall by {scene.water.attenuation_per_m:.2f}/m" for scene in scenes],
-        "told": sorted(told),
+        "told": sorted(reported),
         "told_after_least": after[LEAST - 1],
         "most_fall": falls,
     }

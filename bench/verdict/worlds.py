@@ -1,4 +1,4 @@
-"""Owns the names of the worlds that verdicts are measured in, and which recordings of cases each gives."""
+"""Names of the worlds for measuring verdicts, and their recordings of cases."""
 
 from __future__ import annotations
 
