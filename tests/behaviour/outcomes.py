@@ -24,9 +24,14 @@ from appliance.base import silent
 from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
+from appliance.calibrate.water.report import as_html
 from appliance.cli import main
 from appliance.desk.reconstruct import work_through
-from appliance.measure.calibration.file import encode_calibration
+from appliance.measure.calibration.file import Calibration, encode_calibration
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.news import CoarseCloud, FullCloud, PatternIdentity, Verdicts
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.procedure import SequenceProcessor
 from appliance.store.config import load_rig
 from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.origin import SourceScan
@@ -52,6 +57,7 @@ CALLS = (
     ("cloud-e57", "cloud --root root 1 --out still.e57"),
     ("cloud-incomplete", "cloud --root root incomplete:1 --out rescued.ply"),
     ("cloud-merged", "cloud --rig rig.toml root/scans/000001+root/scans/000012 --out merged.ply"),
+    ("cloud-merged-far-apart", "cloud --rig rig.toml root/scans/000001+root/scans/000002 --out apart.ply"),
     ("object-add-new", "object add --root root Frustum 1 2"),
     ("object-add", "object add --root root Frustum 3"),
     ("object-solve", "object solve --root root Frustum"),
@@ -172,7 +178,9 @@ def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tupl
     wish = ScanOptions(rig=load_rig(Path(rig)), root=scan.parents[1])
     source = SourceScan.open(scan, wish)
     try:
-        worked = work_through(change(source.scan), source.rig, source.calibration_for(wish).calibration, silent)
+        changed, calibration = change(source.scan), source.calibration_for(wish).calibration
+        facts = list(_facts(changed, calibration, Instrument(source.rig).settings_of_scan(changed.manifest.record)))
+        worked = work_through(changed, source.rig, calibration, silent)
     except ScanError as error:
         return {"refused": str(error)}, {}
     verdicts = [
@@ -189,7 +197,25 @@ def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tupl
     ]
     cloud = worked.cloud
     arrays = {"pixel": cloud.pixel, "points_mm": cloud.points_mm, "sigma_mm": cloud.sigma_mm}
-    return {"grade": worked.grade.value, "verdicts": verdicts}, arrays
+    return {"grade": worked.grade.value, "verdicts": verdicts, "facts": facts}, arrays
+
+
+def _facts(scan: StoredScan, calibration: Calibration, settings: AcquisitionSettings) -> Iterator[Any]:
+    """Yield what the instrument hears of a sequence, fact by fact."""
+    water = scan.water(calibration)
+    with Pipeline(calibration, water, scan.sequence, noise=settings.noise) as pipeline:
+        processor = SequenceProcessor(pipeline, calibration, water)
+        processor.begin(settings)
+        for _ in processor.push_all(scan.frames):
+            pass
+        for fact in processor.steps():
+            match fact:
+                case PatternIdentity(judgement):
+                    yield ["PatternIdentity", judgement.verdict.passed]
+                case Verdicts(judgements):
+                    yield ["Verdicts", [one.verdict.name for one in judgements], fact.compensating]
+                case CoarseCloud(found) | FullCloud(found):
+                    yield [type(fact).__name__, found.summary.points]
 
 
 def _calibrated_in_water(folder: Path, method: Method, today: str) -> Any:
@@ -206,8 +232,16 @@ def _calibrated_in_water(folder: Path, method: Method, today: str) -> Any:
     ]
     result = calibrate(method, recordings, load_calibration(folder / "air.json"))
     said = json.loads(encode_calibration(result.calibration))
+    page = as_html(result, load_calibration(folder / "air.json"), {}, {"000009": "too few points"})
+    problems = re.findall(r'<p class="no">(.*?)</p>', page)
     return _steady(
-        {"calibration": said, "systematic_px": result.systematic_px, "warnings": list(result.warnings)}, today
+        {
+            "calibration": said,
+            "systematic_px": result.systematic_px,
+            "warnings": list(result.warnings),
+            "problems": problems,
+        },
+        today,
     )
 
 
