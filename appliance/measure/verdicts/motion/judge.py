@@ -94,8 +94,7 @@ def judge_motion(
     water_index: float,
     means: Mapping[str, Means] | None = None,
 ) -> MotionJudgement:
-    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 40 ms of CPU
-    at full size.
+    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm.
 
     ``means`` of both sides, where they were taken while the frames arrived.
     """
