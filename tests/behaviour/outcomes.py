@@ -10,7 +10,7 @@ import io
 import json
 import re
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -22,11 +22,14 @@ from numpy.typing import NDArray
 
 from appliance.base import silent
 from appliance.calibrate.recordings import ArtefactKind, Recording
+from appliance.calibrate.stored_recordings import recording_of_scan
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
 from appliance.calibrate.water.report import as_html
 from appliance.cli import main
 from appliance.desk.reconstruct import work_through
+from appliance.instrument.worker.neighbours import Neighbours
+from appliance.measure import NotFound
 from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.news import CoarseCloud, FullCloud, PatternIdentity, Verdicts
@@ -162,6 +165,8 @@ def outcome_of(folder: Path) -> Outcome:
             outcome.said[f"verdicts {name}"], outcome.clouds[name] = _processed(scan, rig)
     for name, (scan_id, change) in CHANGES.items():
         outcome.said[f"verdicts with {name}"], _ = _processed(Path("root/scans") / scan_id, ROOTS["root"], change)
+    outcome.said["overlaps"] = list(_overlaps(["000001", "000002", "000003", "000004", "000013"]))
+    outcome.said["recording of a plane"] = _recording("000013")
     for name, words in CALLS:
         outcome.said[name] = _answer(shlex.split(words), today)
     for method in Method:
@@ -182,7 +187,7 @@ def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tupl
         facts = list(_facts(changed, calibration, Instrument(source.rig).settings_of_scan(changed.manifest.record)))
         worked = work_through(changed, source.rig, calibration, silent)
     except ScanError as error:
-        return {"refused": str(error)}, {}
+        return {"refused": str(error), "facts": facts}, {}
     verdicts = [
         {
             "name": one.verdict.name,
@@ -216,6 +221,40 @@ def _facts(scan: StoredScan, calibration: Calibration, settings: AcquisitionSett
                     yield ["Verdicts", [one.verdict.name for one in judgements], fact.compensating]
                 case CoarseCloud(found) | FullCloud(found):
                     yield [type(fact).__name__, found.summary.points]
+
+
+def _overlaps(scan_ids: Iterable[str]) -> Iterator[Any]:
+    """Yield the share of each scan that the one before has, as the diver is told."""
+    neighbours: Neighbours | None = None
+    for scan_id in scan_ids:
+        wish = ScanOptions(rig=load_rig(Path(ROOTS["root"])), root=Path("root"))
+        source = SourceScan.open(Path("root/scans") / scan_id, wish)
+        scan, calibration = source.scan, source.calibration_for(wish).calibration
+        water = scan.water(calibration)
+        with Pipeline(calibration, water, scan.sequence) as pipeline:
+            for index in range(len(scan.sequence)):
+                for side, frames in scan.frames.items():
+                    pipeline.push(side, frames, index)
+            coarse = pipeline.table.cloud(pipeline.find_coarse())
+            stride_px = pipeline.coarse_stride
+        neighbours = neighbours or Neighbours(calibration, water, scan.sequence, stride_px)
+        neighbours.begin(1)
+        neighbours.coarse(coarse)
+        neighbours.add_full(scan.frames["left"])
+        while neighbours.has_work:
+            if (fact := neighbours.go_on()) is not None:
+                yield [scan_id, fact.overlap.share]
+        neighbours.keep()
+
+
+def _recording(scan_id: str) -> Any:
+    """Return what a calibration in water takes of a scan of a plane: number and mean places of its points."""
+    scan, wish = Path("root/scans") / scan_id, ScanOptions(rig=load_rig(Path(ROOTS["root"])), root=Path("root"))
+    source = SourceScan.open(scan, wish)
+    recording = recording_of_scan(scan, None, source.calibration_for(wish).calibration, source.rig, silent)
+    if isinstance(recording, NotFound):
+        return recording.reason
+    return [len(recording.left_px), recording.left_px.mean(0).tolist(), recording.right_px.mean(0).tolist()]
 
 
 def _calibrated_in_water(folder: Path, method: Method, today: str) -> Any:
