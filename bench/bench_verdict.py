@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.progress import Progress
 from bench.result import Measured
-from bench.runner import machine
+from bench.runner import machine, version
 from bench.verdict.compensation_page import write_page as write_compensation
 from bench.verdict.motion_page import write_page as write_motion
 from bench.verdict.parts import IN_WORLDS, KEEPING, PARTS, measure_part, part
@@ -81,7 +81,14 @@ def run(
 ) -> bool:
     """Measure part by part; the file is written after each. Return True if every limit was kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    content: dict[str, Any] = {"machine": machine(), "scans": scans, "seed": seed, "world": world, "parts": {}}
+    content: dict[str, Any] = {
+        "machine": machine(),
+        "version": version(),
+        "scans": scans,
+        "seed": seed,
+        "world": world,
+        "parts": {},
+    }
     all_kept = True
     for finished, name in enumerate(names):
         progress = Progress(1)

@@ -23,7 +23,7 @@ def write_page(content: Mapping[str, Any], docs: Path) -> None:
     """
     page, parts = docs / "compensation.md", content["parts"]
     if "compensation_full" in parts:
-        rows = table(parts["compensation_full"]["data"]["rows"])
+        rows = [*table(parts["compensation_full"]["data"]["rows"]), "", f"*Figures of {content['version']}.*"]
         page.write_text(_put(page.read_text(encoding="utf-8"), MARK, rows), encoding="utf-8")
     if "compensation_speed" in parts:
         draw_curve(docs / "pictures" / "compensation-speed.png", parts["compensation_speed"]["data"]["rows"])

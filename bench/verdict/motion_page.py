@@ -23,14 +23,14 @@ def write_page(content: Mapping[str, Any], docs: Path) -> None:
     if BEGIN not in text or END not in text:
         raise ValueError(f"{page} has no marks {BEGIN} and {END}")
     before, after = text.split(BEGIN)[0], text.split(END)[1]
-    lines = table(data["scans"], data["cpu_ms"])
+    lines = table(data["scans"], data["cpu_ms"], content["version"])
     page.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
     draw_scatter(docs / "pictures" / "motion-harm.png", data["scans"])
     draw_roc(docs / "pictures" / "motion-roc.png", data["scans"])
     (docs / "motion-roc.json").write_text(json.dumps(roc_table(data["scans"])) + "\n", encoding="utf-8")
 
 
-def table(rows: Rows, cpu_ms: float) -> list[str]:
+def table(rows: Rows, cpu_ms: float, version: str | None) -> list[str]:
     """Return the table as lines of Markdown."""
     hands = [row for row in rows if row["kind"] != "fish"]
     judged_at_rest = [row for row in rows if row["at_rest"]["passed"] is not None]
@@ -66,6 +66,8 @@ def table(rows: Rows, cpu_ms: float) -> list[str]:
         f"| the same, that keep 90 % of the points | {share(with_points)} | {undone(with_points)} | 0 |",
         f"| predicted over true addition between 3 and 30 %: median, first and ninth tenth ({len(ratio)}) | {near} | – | – |",
         f"| CPU for 2 × 24 frames of 1600 × 1200 | {cpu_ms:.0f} ms | – | 60 ms |",
+        "",
+        f"*Figures of {version}.*",
         "",
     ]
     for what, mine in (
