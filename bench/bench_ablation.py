@@ -41,7 +41,7 @@ from appliance.measure.verdicts.causes import with_causes
 from appliance.measure.verdicts.holes import grid_step_px, judge_distance, judge_holes
 from appliance.measure.verdicts.identity.judge import judge_identity
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.causes_scenes import PERIOD_PX, STEPS, draw_base, grid_of
 from bench.verdict.causes_truth import Truth
 from bench.verdict.kept_scans import Frames, Take
@@ -89,9 +89,9 @@ class Rule:
         )
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Yield the number of constants of the judges. Their effects take hours: see ``main``."""
-    yield Measured("constants of the judges", float(len(list(rules()))), "")
+    yield Measurement("constants of the judges", float(len(list(rules()))), "")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -154,8 +154,8 @@ def _of_causes(seed: int, keep: Path | None, world: str) -> Iterator[Scene]:
     for number in count():
         base = draw_base(seed, number)
         truth = Truth(base, keep, world)
-        for spoilt in grid_of(seed, number):
-            scan, settings, calibration, water = truth.taken(spoilt)
+        for levels in grid_of(seed, number):
+            scan, settings, calibration, water = truth.scan_inputs(levels)
             yield _scene(scan.frames, settings, calibration, water, PERIOD_PX)
 
 

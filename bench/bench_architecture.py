@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import version
 
 ROOT = Path(__file__).parents[1]
@@ -162,14 +162,14 @@ def table(before: dict[str, Figures] | None, after: dict[str, Figures]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def measure() -> Iterable[Measured]:
+def measure() -> Iterable[Measurement]:
     """Yield the counts of each package, with the limit of fragments."""
     for package, counts in figures(ROOT).items():
-        yield Measured(f"{package}: files", counts.files, "")
-        yield Measured(f"{package}: files under {SMALL_LINES} lines", counts.small, "")
-        yield Measured(f"{package}: comment lines", counts.comment_percent, "%")
-        yield Measured(f"{package}: fragments among docstrings", counts.fragments, "", at_most=0)
-        yield Measured(f"{package}: class names that occur twice", counts.homonyms, "")
+        yield Measurement(f"{package}: files", counts.files, "")
+        yield Measurement(f"{package}: files under {SMALL_LINES} lines", counts.small, "")
+        yield Measurement(f"{package}: comment lines", counts.comment_percent, "%")
+        yield Measurement(f"{package}: fragments among docstrings", counts.fragments, "", at_most=0)
+        yield Measurement(f"{package}: class names that occur twice", counts.homonyms, "")
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -12,12 +12,12 @@ from pathlib import Path
 
 from bench.archive.ratio import figures, packed_scans
 from bench.archive.scenes import FAMILIES, FULL_PX, drawn_scans
-from bench.result import Measured
+from bench.result import Measurement
 
 FEW = 6
 
 
-def measure() -> Iterable[Measured]:
+def measure() -> Iterable[Measurement]:
     """The ratio over one full-size scan of each object; the figures of docs/archive.md are of more, see ``main``."""
     with tempfile.TemporaryDirectory() as folder:
         yield from _ratio("ordinary", FEW, Path(folder))
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--json", type=Path, help="write the figures there")
     options = parser.parse_args(arguments)
-    measured: list[Measured] = []
+    measured: list[Measurement] = []
     options.keep.mkdir(parents=True, exist_ok=True)
     for world in options.worlds.split(","):
         for number in _ratio(world, options.count, options.keep):
@@ -45,10 +45,10 @@ def main(arguments: Sequence[str]) -> int:
         options.json.write_text(
             json.dumps([number.as_dict() for number in measured], indent=1) + "\n", encoding="utf-8"
         )
-    return 0 if all(number.kept for number in measured) else 1
+    return 0 if all(number.is_kept for number in measured) else 1
 
 
-def _ratio(world: str, count: int, keep: Path) -> Iterable[Measured]:
+def _ratio(world: str, count: int, keep: Path) -> Iterable[Measurement]:
     drawn = drawn_scans(keep / world, world, count, FULL_PX, _say)
     archive = keep / f"{world}-packed"
     yield from figures(packed_scans(drawn, archive, _say), bound=world == "ordinary")

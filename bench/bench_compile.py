@@ -24,7 +24,7 @@ from appliance.base.kernel_build import PIECE_S
 from appliance.cli.simrig import simulator_kernels
 from appliance.measure.warm import PIECES
 from bench.document import COMPILING
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import machine, version
 
 OUT = Path("bench/out")
@@ -38,7 +38,7 @@ STAGES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Compiled:
+class CompileCost:
     """Cost of one piece."""
 
     what: str
@@ -49,7 +49,7 @@ class Compiled:
     """CPU time by numba's name of each stage."""
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     OUT.mkdir(parents=True, exist_ok=True)
     pieces = [(piece.what, piece.function) for piece in PIECES]
     begun_s = time.monotonic()
@@ -59,12 +59,12 @@ def measure() -> Iterator[Measured]:
     yield from figures(done, taken_s)
 
 
-def compiled(pieces: Sequence[tuple[str, str]], processes: int) -> list[Compiled]:
+def compiled(pieces: Sequence[tuple[str, str]], processes: int) -> list[CompileCost]:
     """Compile ``pieces`` (text, function) into an empty folder by ``processes``. Raises RuntimeError."""
     left: queue.SimpleQueue[int] = queue.SimpleQueue()
     for number in range(len(pieces)):
         left.put(number)
-    done: dict[int, Compiled] = {}
+    done: dict[int, CompileCost] = {}
     failed: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         environment = dict(os.environ, NUMBA_CACHE_DIR=folder)
@@ -79,7 +79,7 @@ def compiled(pieces: Sequence[tuple[str, str]], processes: int) -> list[Compiled
                         number = left.get_nowait()
                         what, function = pieces[number]
                         answer = _asked(process, function)
-                        done[number] = Compiled(
+                        done[number] = CompileCost(
                             what,
                             answer["cpu_s"],
                             [(name, own_s) for name, own_s in answer["kernels"]],
@@ -120,21 +120,23 @@ def _asked(process: subprocess.Popen[bytes], function: str) -> dict[str, Any]:
     return answer
 
 
-def figures(done: Sequence[Compiled], taken_s: float) -> Iterator[Measured]:
+def figures(done: Sequence[CompileCost], taken_s: float) -> Iterator[Measurement]:
     """Yield the total, the pieces, and the functions of numba itself."""
     whole_s = sum(piece.cpu_s for piece in done)
-    yield Measured("all kernels compiled, processor time", whole_s, "s CPU", key="compile_cpu_s")
-    yield Measured("by the clock", taken_s, "s", key="compile_wall_s")
+    yield Measurement("all kernels compiled, processor time", whole_s, "s CPU", key="compile_cpu_s")
+    yield Measurement("by the clock", taken_s, "s", key="compile_wall_s")
     numba_s = [own_s for piece in done for name, own_s in piece.kernels if name.startswith("numba.")]
-    yield Measured(
+    yield Measurement(
         f"of it numba's own array functions, {len(numba_s)}", sum(numba_s), "s CPU", key="compile_of_numba_cpu_s"
     )
-    yield Measured("functions compiled", sum(len(piece.kernels) for piece in done), "", key="compile_functions")
+    yield Measurement("functions compiled", sum(len(piece.kernels) for piece in done), "", key="compile_functions")
     for name, key in STAGES.items():
         spent_s = sum(piece.stages_s.get(name, 0.0) for piece in done)
-        yield Measured(f"of it {key}", spent_s, "s CPU", key=f"compile_{key.partition(',')[0].replace(' ', '_')}_cpu_s")
+        yield Measurement(
+            f"of it {key}", spent_s, "s CPU", key=f"compile_{key.partition(',')[0].replace(' ', '_')}_cpu_s"
+        )
     for piece in done:
-        yield Measured(
+        yield Measurement(
             f"{piece.what}: {_words(dearest(piece))}",
             piece.cpu_s,
             "s CPU",
@@ -142,7 +144,7 @@ def figures(done: Sequence[Compiled], taken_s: float) -> Iterator[Measured]:
         )
 
 
-def dearest(piece: Compiled) -> Sequence[tuple[str, float, int]]:
+def dearest(piece: CompileCost) -> Sequence[tuple[str, float, int]]:
     """Return short name, processor time and number of forms of the dearest functions of a piece, the dearest first."""
     spent_s: Mapping[str, list[float]] = defaultdict(list)
     for name, own_s in piece.kernels:
@@ -151,7 +153,7 @@ def dearest(piece: Compiled) -> Sequence[tuple[str, float, int]]:
     return [(_short(name), taken_s, forms) for taken_s, name, forms in ranked[:LISTED]]
 
 
-def table(done: Sequence[Compiled], of_the_product: int, taken_s: float) -> str:
+def table(done: Sequence[CompileCost], of_the_product: int, taken_s: float) -> str:
     """Return the table of ``docs/performance.md``; the first ``of_the_product`` pieces are the product's, the others the simulator's."""
     on, whole_s = machine(), sum(piece.cpu_s for piece in done)
     ours_s = sum(piece.cpu_s for piece in done[:of_the_product])
@@ -169,7 +171,7 @@ def table(done: Sequence[Compiled], of_the_product: int, taken_s: float) -> str:
     return "\n".join([*lines, "", f"*Figures of {version()}.*"]) + "\n"
 
 
-def _stage_s(done: Sequence[Compiled], number: int) -> float:
+def _stage_s(done: Sequence[CompileCost], number: int) -> float:
     return sum(piece.stages_s.get(list(STAGES)[number], 0.0) for piece in done)
 
 

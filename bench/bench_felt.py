@@ -22,7 +22,7 @@ from appliance.store.library import Library
 from appliance.store.manifest import SequenceInfo
 from appliance.store.scan import ScanOrigin
 from bench.archive.scenes import rig_text
-from bench.result import Measured
+from bench.result import Measurement
 from bench.timing import median_of, run_python, verb
 from bench.warm_worker import FRAME_S
 from bench.whole_scan.paced import PacedScan, paced_worker
@@ -68,12 +68,12 @@ class Effort:
     """The scene of the moving hand is taken, too; it is drawn in minutes."""
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     OUT.mkdir(parents=True, exist_ok=True)
     yield from measured_with(Effort(), OUT)
 
 
-def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
+def measured_with(effort: Effort, out: Path) -> Iterator[Measurement]:
     """Yield all figures; scans are written to the disk of ``out``."""
     disc = timed_scene(DISC, effort.width_px, effort.folder)
     yield from key_to_answers(disc, effort, out)
@@ -82,7 +82,7 @@ def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
         yield from desk(Path(folder), disc, effort.starts)
 
 
-def key_to_answers(disc: TimedScene, effort: Effort, out: Path) -> Iterator[Measured]:
+def key_to_answers(disc: TimedScene, effort: Effort, out: Path) -> Iterator[Measurement]:
     """Yield the times from the key to each answer, and start and memory of the worker."""
     scans, ready_s, peak_mb, shared_mb = [], [], [], []
     for _ in range(effort.starts):
@@ -92,7 +92,7 @@ def key_to_answers(disc: TimedScene, effort: Effort, out: Path) -> Iterator[Meas
             peak_mb.append(worker.peak_mb)
             shared_mb.append(worker.peak_mb - worker.own_peak_mb)
     recording_ms = 1e3 * FRAME_S * len(disc.sequence)
-    yield Measured("recording of the sequence", recording_ms, "ms", key="felt_recording_ms")
+    yield Measurement("recording of the sequence", recording_ms, "ms", key="felt_recording_ms")
     for label, key, after_ms in ANSWERS:
         yield median_of(f"key to {label}", [recording_ms + after_ms(scan) for scan in scans], "ms", key)
     if effort.compensated:
@@ -107,7 +107,7 @@ def key_to_answers(disc: TimedScene, effort: Effort, out: Path) -> Iterator[Meas
     yield median_of("of it shared with the service", shared_mb, "MB", "felt_shared_mb")
 
 
-def power_to_aim(root: Path, effort: Effort) -> Iterator[Measured]:
+def power_to_aim(root: Path, effort: Effort) -> Iterator[Measurement]:
     """Yield the time from the start of the appliance to AIM. Raises RuntimeError where it does not come."""
     size = f"size={effort.width_px}x{effort.width_px * 3 // 4}"
     aim_s = []
@@ -126,7 +126,7 @@ def power_to_aim(root: Path, effort: Effort) -> Iterator[Measured]:
     yield median_of("power to AIM, simulated devices", aim_s, "s", "felt_aim_s")
 
 
-def desk(folder: Path, disc: TimedScene, repetitions: int) -> Iterator[Measured]:
+def desk(folder: Path, disc: TimedScene, repetitions: int) -> Iterator[Measurement]:
     """Yield clock and CPU of each verb. Raises RuntimeError where one fails."""
     (folder / EMPTY).mkdir()
     store(disc, folder / LARGE_SCAN)

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.result import Measured
+from bench.result import Measurement
 from bench.timing import run_python, verb
 from tests.appliance.cli.test_first_mistake import ALL, place
 
@@ -20,7 +20,7 @@ NAMED = 5
 """Number of the slowest verbs that are listed by name."""
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Make each mistake in a process of its own, one after the other."""
     with tempfile.TemporaryDirectory() as folder:
         place(Path(folder))
@@ -28,7 +28,7 @@ def measure() -> Iterator[Measured]:
             name: run_python(verb(f"{name} {mistake.words}"), Path(folder)).cpu_s for name, mistake in ALL.items()
         }
     slowest = sorted(spent_s, key=lambda name: spent_s[name], reverse=True)
-    yield Measured(
+    yield Measurement(
         f"the slowest of {len(spent_s)} first mistakes, {slowest[0]}",
         spent_s[slowest[0]],
         "s CPU",
@@ -36,7 +36,7 @@ def measure() -> Iterator[Measured]:
         key="first_mistake_cpu_s",
     )
     for name in slowest[1:NAMED]:
-        yield Measured(name, spent_s[name], "s CPU")
-    yield Measured(
+        yield Measurement(name, spent_s[name], "s CPU")
+    yield Measurement(
         "the middle one", sorted(spent_s.values())[len(spent_s) // 2], "s CPU", key="first_mistake_middle_cpu_s"
     )

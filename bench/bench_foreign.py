@@ -17,7 +17,7 @@ from appliance.desk.foreign.guess import guess_sequence
 from appliance.desk.foreign.importing import read_foreign
 from appliance.desk.foreign.points import ForeignScan, find_points
 from appliance.desk.foreign.problem import ForeignError
-from bench.result import Measured
+from bench.result import Measurement
 from tests.support.foreign_sets import CONVENTIONS, Convention, ForeignSet, make_set
 from tests.support.truth import left_to_rig
 
@@ -52,7 +52,7 @@ WRONG: tuple[tuple[str, str, str], ...] = (
 """Convention, what its description says, and a wrong word in its place."""
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Yield the figures of every convention, described and guessed, and of wrong descriptions."""
     with tempfile.TemporaryDirectory() as root:
         sets = {
@@ -65,53 +65,57 @@ def measure() -> Iterator[Measured]:
                     convention, make_set(convention, Path(root) / f"{convention.name}-half", HALF_WIDTH_PX)
                 )
         named = [_is_named(sets[name], before, after) for name, before, after in WRONG]
-        yield Measured("wrong words that are named", float(sum(named)), f"of {len(named)}", at_least=float(len(named)))
+        yield Measurement(
+            "wrong words that are named", float(sum(named)), f"of {len(named)}", at_least=float(len(named))
+        )
         refused = sum(bool(read_foreign(convention.description, silent).wrong) for convention in sets.values())
-        yield Measured("right descriptions that are refused", float(refused), f"of {len(sets)}", at_most=0.0)
+        yield Measurement("right descriptions that are refused", float(refused), f"of {len(sets)}", at_most=0.0)
 
 
-def _measured(convention: Convention, image_set: ForeignSet) -> Iterator[Measured]:
+def _measured(convention: Convention, image_set: ForeignSet) -> Iterator[Measurement]:
     begin_s = process_time()
     judged = _judged(image_set, read_foreign(image_set.description, silent))
     cpu_s = process_time() - begin_s
     least_percent = LEAST_COARSE_PERCENT if convention.coarse else LEAST_PERCENT
-    yield Measured(f"{convention.name}: points of what all see", judged.complete_percent, "%", at_least=least_percent)
-    yield Measured(f"{convention.name}: distance from the surface", judged.off_mm, "mm")
-    yield Measured(
+    yield Measurement(
+        f"{convention.name}: points of what all see", judged.complete_percent, "%", at_least=least_percent
+    )
+    yield Measurement(f"{convention.name}: distance from the surface", judged.off_mm, "mm")
+    yield Measurement(
         f"{convention.name}: distance in pixels of disparity",
         judged.off_mm / judged.pixel_mm,
         "px",
         at_most=MOST_PIXELS,
     )
-    yield Measured(f"{convention.name}: noise that points say", judged.noise_mm, "mm")
+    yield Measurement(f"{convention.name}: noise that points say", judged.noise_mm, "mm")
     of_noise = judged.off_mm / (NORMAL_MEDIAN * judged.noise_mm)
-    yield Measured(f"{convention.name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_NOISE)
-    yield Measured(
+    yield Measurement(f"{convention.name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_NOISE)
+    yield Measurement(
         f"{convention.name}: points farther away than {OUTLIER_MM:g} mm",
         judged.outliers_ppm,
         "ppm",
         at_most=MOST_OUTLIERS_PPM,
     )
-    yield Measured(f"{convention.name}: CPU, tests and points", cpu_s, "s")
+    yield Measurement(f"{convention.name}: CPU, tests and points", cpu_s, "s")
     guess = image_set.description.with_name("guess.toml")
     best = guess_sequence(image_set.description.parent, silent)[0]
     guess.write_text(describe_guess(best, guess.parent), encoding="utf-8")
     guessed = _judged(image_set, read_foreign(guess, silent))
-    yield Measured(f"{convention.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
+    yield Measurement(f"{convention.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
 
 
-def _at_half_size(convention: Convention, image_set: ForeignSet) -> Iterator[Measured]:
+def _at_half_size(convention: Convention, image_set: ForeignSet) -> Iterator[Measurement]:
     """Measure with stripes finer than the simulator's pixels, which sample them at a point.
 
     So their edges lie a tenth of a pixel off instead of a hundredth; the points must state that.
     """
     judged = _judged(image_set, read_foreign(image_set.description, silent))
     name = f"{convention.name}, images {HALF_WIDTH_PX} px wide"
-    yield Measured(
+    yield Measurement(
         f"{name}: distance in pixels of disparity", judged.off_mm / judged.pixel_mm, "px", at_most=2.0 * MOST_PIXELS
     )
     of_noise = judged.off_mm / (NORMAL_MEDIAN * judged.noise_mm)
-    yield Measured(f"{name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_STRIPES)
+    yield Measurement(f"{name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_STRIPES)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from appliance.calibrate.water.method import Method
 from appliance.measure.cloud import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
-from bench.result import Measured
+from bench.result import Measurement
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from tests.support.gap_scans import Calibrated, calibrated, follow, scan
 
@@ -36,7 +36,7 @@ LENGTH_LEFT_OUT_PERCENT = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class DetectionResult:
     """Result for one change, median over the rigs; ``None`` if it is outside the tested sizes."""
 
     change: Change
@@ -46,11 +46,11 @@ class Seen:
     """Length error per unit of size."""
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     rigs = [calibrated(seed) for seed in RIGS]
     results = [_seen(change, rigs) for change in changes()]
     for result in results:
-        yield Measured(
+        yield Measurement(
             f"seen at the second scan: {result.change.name}",
             float("nan") if result.second is None else result.second,
             result.change.unit,
@@ -60,7 +60,7 @@ def measure() -> Iterator[Measured]:
     for method in (Method.SPLINE, Method.PORTS):
         totals = [total for seed in RIGS for total in _normal(calibrated(seed, method))]
         largest.append(max(totals))
-        yield Measured(
+        yield Measurement(
             f"largest sum of {len(totals)} normal scans, {method.value}",
             largest[-1],
             f"of {LIMIT:g}",
@@ -68,7 +68,7 @@ def measure() -> Iterator[Measured]:
             key=f"health_largest_sum_{method.value}",
         )
     for bias in (0.0, 1.0, 2.0):
-        yield Measured(
+        yield Measurement(
             f"false alarms of {CHAINS * LINKS:.0e} scans, offset of {bias:g} standard deviations",
             _false_alarms(bias),
             "alarms",
@@ -78,7 +78,7 @@ def measure() -> Iterator[Measured]:
     draw_health(OUT / "health.png", rigs[0].modes, _story(rigs[0]))
 
 
-def _seen(change: Change, rigs: list[Calibrated]) -> Seen:
+def _seen(change: Change, rigs: list[Calibrated]) -> DetectionResult:
     sizes: list[float | None] = []
     lengths = []
     for rig in rigs:
@@ -91,7 +91,7 @@ def _seen(change: Change, rigs: list[Calibrated]) -> Seen:
             third = [eye.gaps(rig.rig, gaps) for gaps in gaps_of_both]
             pairs.append((_Change(*gaps_of_both), _Change(*third)))
         sizes.append(_smallest(trend, pairs, change))
-    return Seen(change, _median(sizes), float(np.median(lengths)))
+    return DetectionResult(change, _median(sizes), float(np.median(lengths)))
 
 
 class _Change:
@@ -126,7 +126,7 @@ def _followed(rig: Calibrated, scans: Iterable[PatchGaps]) -> Iterator[tuple[Hea
 def _smallest(trend: HealthTrend, pairs: list[tuple[_Change, _Change]], change: Change) -> float | None:
     """Return, by bisection, the size that raises an alarm at the second scan in 95 of 100 trials."""
 
-    def seen(size: float) -> bool:
+    def is_detected(size: float) -> bool:
         hits = 0
         blocks = range(0, len(pairs), 2)
         for k in blocks:
@@ -141,11 +141,11 @@ def _smallest(trend: HealthTrend, pairs: list[tuple[_Change, _Change]], change: 
         return hits >= SEEN * len(blocks)
 
     low, high = 0.0, change.largest
-    if not seen(high):
+    if not is_detected(high):
         return None
     for _ in range(14):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if seen(middle) else (middle, high)
+        low, high = (low, middle) if is_detected(middle) else (middle, high)
     return high
 
 
@@ -194,7 +194,7 @@ def _story(rig: Calibrated) -> HealthTrend:
     return [trend for trend, _ in follow(HealthTrend(), scans)][-1]
 
 
-def _table(results: list[Seen], largest: float) -> str:
+def _table(results: list[DetectionResult], largest: float) -> str:
     """Return the table of the page: sizes that the second scan detects, and their length errors."""
     lines = ["| change | seen from | E_L | |", "|---|---:|---:|---|"]
     for result in results:

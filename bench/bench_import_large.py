@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from bench.result import Measured
+from bench.result import Measurement
 from tests.support import strangers
 from tests.support.other_programs import draw_laboratory, of_periods, opencv
 
@@ -42,12 +42,12 @@ def main(arguments: Sequence[str]) -> int:
     chosen = parser.parse_args(arguments)
     all_kept = True
     for number in measure(chosen.width, chosen.out):
-        all_kept &= number.kept
+        all_kept &= number.is_kept
         print(number.line(), flush=True)
     return 0 if all_kept else 1
 
 
-def measure(width_px: int = WIDTH_PX, out: str = "cloud.npz") -> Iterator[Measured]:
+def measure(width_px: int = WIDTH_PX, out: str = "cloud.npz") -> Iterator[Measurement]:
     """Draw the set, and import it by another process."""
     is_full_size = width_px == WIDTH_PX
     with tempfile.TemporaryDirectory() as name:
@@ -57,9 +57,9 @@ def measure(width_px: int = WIDTH_PX, out: str = "cloud.npz") -> Iterator[Measur
         between = (sys.executable, "-c", BETWEEN, sys.executable, *arguments)
         result = subprocess.run(between, check=True, capture_output=True, timeout=3600)
     points, cpu_s, memory_gb = json.loads(result.stdout)
-    yield Measured("points", points, f"of {width_px * width_px * 3 // 4} pixels")
-    yield Measured("processor time", cpu_s, "s CPU", at_most=MOST_CPU_S if is_full_size else None)
-    yield Measured("largest memory", memory_gb, "GB", at_most=MOST_GB if is_full_size else None)
+    yield Measurement("points", points, f"of {width_px * width_px * 3 // 4} pixels")
+    yield Measurement("processor time", cpu_s, "s CPU", at_most=MOST_CPU_S if is_full_size else None)
+    yield Measurement("largest memory", memory_gb, "GB", at_most=MOST_GB if is_full_size else None)
 
 
 def draw(folder: Path, width_px: int) -> None:

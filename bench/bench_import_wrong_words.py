@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.result import Measured
+from bench.result import Measurement
 from tests.support.wrong_words import DRAWN, WRONG, Described, Wrong, call, drawn_set, outcome, real_sets, told_words
 
 SEED, COUNT = 11, 40
@@ -24,12 +24,12 @@ def main(arguments: Sequence[str]) -> int:
     chosen = parser.parse_args(arguments)
     all_kept = True
     for number in measure(chosen.seed, chosen.count):
-        all_kept &= number.kept
+        all_kept &= number.is_kept
         print(number.line(), flush=True)
     return 0 if all_kept else 1
 
 
-def measure(seed: int = SEED, count: int = COUNT) -> Iterator[Measured]:
+def measure(seed: int = SEED, count: int = COUNT) -> Iterator[Measurement]:
     """Yield the result of every correct set, and of ``count`` mistakes, with the messages of those that are not
     reported."""
     with tempfile.TemporaryDirectory() as temporary:
@@ -39,7 +39,7 @@ def measure(seed: int = SEED, count: int = COUNT) -> Iterator[Measured]:
         for described in sets:
             answer = call(described, None, root / "cloud.npz")
             doubted += len(told_words(answer, "fits") & told_words(answer, "unchecked"))
-            yield Measured(f"{described.name}: described rightly", float(answer.code), "errors", at_most=0.0)
+            yield Measurement(f"{described.name}: described rightly", float(answer.code), "errors", at_most=0.0)
             if answer.code:
                 yield _told(answer.error)
         counts = dict.fromkeys(("named", "unchecked", "refused by another word", "silent"), 0)
@@ -47,16 +47,16 @@ def measure(seed: int = SEED, count: int = COUNT) -> Iterator[Measured]:
             answer = call(described, wrong, root / "cloud.npz")
             result = outcome(answer, wrong)
             counts[result] += 1
-            yield Measured(f"{described.name}: {wrong.name}: {result}", float("nan"), "", why="")
+            yield Measurement(f"{described.name}: {wrong.name}: {result}", float("nan"), "", why="")
             if result != "named":
                 yield _told(answer.error or " | ".join(answer.unchecked))
         total = sum(counts.values())
         for name, number in counts.items():
             target = LEAST_NAMED * total / COUNT if name == "named" else None
-            yield Measured(
+            yield Measurement(
                 name, float(number), f"of {total}", at_most=0.0 if name == "silent" else None, at_least=target
             )
-        yield Measured("words of right sets that fit and are unchecked", float(doubted), "", at_most=0.0)
+        yield Measurement("words of right sets that fit and are unchecked", float(doubted), "", at_most=0.0)
 
 
 def _drawn(sets: Sequence[Described], seed: int, count: int) -> list[tuple[Described, Wrong]]:
@@ -72,5 +72,5 @@ def _drawn(sets: Sequence[Described], seed: int, count: int) -> list[tuple[Descr
     return [(described, wrong) for _, described, wrong in sorted(ranked, key=lambda each: each[0])[:count]]
 
 
-def _told(text: str) -> Measured:
-    return Measured(f"    {' '.join(text.split())[:400]}", float("nan"), "", why="")
+def _told(text: str) -> Measurement:
+    return Measurement(f"    {' '.join(text.split())[:400]}", float("nan"), "", why="")

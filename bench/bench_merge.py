@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.merge import dive, guide, large, loops, overlaps, pairs, row
-from bench.result import Measured
+from bench.result import Measurement
 
 PAIRS, ROW, LARGE, GUIDE, DIVE, LOOPS, OVERLAPS = "pairs", "row", "large", "guide", "dive", "loops", "overlaps"
 
 
-def measure() -> Iterable[Measured]:
+def measure() -> Iterable[Measurement]:
     """A few pairs and one row: enough to see that merging works. The figures of docs/objects.md are of more, see ``main``."""
     yield from pairs.measure(28, 1, None)[0]
     yield from row.measure(3, "realistic", (800, 600), None)[0]
@@ -46,7 +46,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--keep", type=Path, help="keep the views there; they are taken from there the next time")
     parser.add_argument("--json", type=Path, help="write everything there")
     options = parser.parse_args(arguments)
-    measured: list[Measured] = []
+    measured: list[Measurement] = []
     content: dict[str, Any] = {"seed": options.seed}
     if PAIRS in options.parts.split(","):
         figures, content[PAIRS] = pairs.measure(options.pairs, options.seed, options.keep)
@@ -77,4 +77,4 @@ def main(arguments: list[str]) -> int:
     if options.json is not None:
         content["figures"] = {number.name: number.value for number in measured}
         options.json.write_text(json.dumps(content, indent=1) + "\n")
-    return 0 if all(number.kept for number in measured) else 1
+    return 0 if all(number.is_kept for number in measured) else 1

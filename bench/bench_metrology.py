@@ -14,12 +14,12 @@ from bench.metrology.hidden import Effort, examine
 from bench.metrology.rungs import WAYS
 from bench.metrology.table import JsonRow, as_json, summary, text, write
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 
 OUT = Path("bench/out")
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Yield the errors of one realistic rig with half the pixels, as a quick check."""
     summary_of_run = summary(run("realistic", [1], 800, 600, Effort(bars=3, planes=2, frustums=1), None))
     for rung, key, at_most in (
@@ -31,7 +31,7 @@ def measure() -> Iterator[Measured]:
     ):
         values = summary_of_run[rung][key]
         value = float("nan") if values is None else values["worst"]
-        yield Measured(f"{rung}: {key}, 800x600, one rig", value, "%", at_most=at_most)
+        yield Measurement(f"{rung}: {key}, 800x600, one rig", value, "%", at_most=at_most)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -21,7 +21,7 @@ from appliance.measure.light.sides import SIDES
 from appliance.measure.points.first_direction import first_direction_cloud
 from appliance.measure.points.one_direction import NoPoint
 from appliance.measure.points.pipeline import Pipeline
-from bench.result import Measured
+from bench.result import Measurement
 from bench.turbidity.scan import noise_of, set_water
 from bench.verdict.kept_scans import kept_scan
 from hw_sim.scene import Scene
@@ -49,7 +49,7 @@ WITHIN = 0.05
 """Largest share by which one direction may fall behind."""
 
 
-def measure() -> Iterable[Measured]:
+def measure() -> Iterable[Measurement]:
     """Yield completeness against the truth, and noise against the true surface, with one and two directions."""
     noise = noise_of(0.0)
     for name, scene in SCENES.items():
@@ -66,28 +66,28 @@ def measure() -> Iterable[Measured]:
         cloud, matching = first_direction_cloud(scan.frames, scan.sequence, calibration, water, noise)
         cpu_s = time.process_time() - begun_s
         one_direction = judge(scan, cloud)
-        yield Measured(f"{name}: completeness, two directions", two.completeness_percent, "%")
-        yield Measured(f"{name}: completeness, one direction", one_direction.completeness_percent, "%")
-        yield Measured(
+        yield Measurement(f"{name}: completeness, two directions", two.completeness_percent, "%")
+        yield Measurement(f"{name}: completeness, one direction", one_direction.completeness_percent, "%")
+        yield Measurement(
             f"{name}: one over two",
             one_direction.completeness_percent / two.completeness_percent,
             "",
             at_least=1.0 - WITHIN,
         )
-        yield Measured(f"{name}: noise, two directions", 1000.0 * two.rms_mm, "um")
-        yield Measured(f"{name}: noise, one direction", 1000.0 * one_direction.rms_mm, "um")
-        yield Measured(f"{name}: one over two", one_direction.rms_mm / two.rms_mm, "", at_most=1.0 + WITHIN)
-        yield Measured(f"{name}: farther off than 1 mm, two directions", two.outliers_ppm, "ppm")
-        yield Measured(f"{name}: farther off than 1 mm, one direction", one_direction.outliers_ppm, "ppm")
-        yield Measured(
+        yield Measurement(f"{name}: noise, two directions", 1000.0 * two.rms_mm, "um")
+        yield Measurement(f"{name}: noise, one direction", 1000.0 * one_direction.rms_mm, "um")
+        yield Measurement(f"{name}: one over two", one_direction.rms_mm / two.rms_mm, "", at_most=1.0 + WITHIN)
+        yield Measurement(f"{name}: farther off than 1 mm, two directions", two.outliers_ppm, "ppm")
+        yield Measurement(f"{name}: farther off than 1 mm, one direction", one_direction.outliers_ppm, "ppm")
+        yield Measurement(
             f"{name}: several crossings", 1e6 * matching.count(NoPoint.SEVERAL) / matching.reason.size, "ppm"
         )
-        yield Measured(f"{name}: CPU of decoding and matching, one direction", 1000.0 * cpu_s, "ms")
+        yield Measurement(f"{name}: CPU of decoding and matching, one direction", 1000.0 * cpu_s, "ms")
     for steps in STEPS:
         yield from _of_steps(steps)
 
 
-def _of_steps(steps: int) -> Iterable[Measured]:
+def _of_steps(steps: int) -> Iterable[Measurement]:
     """Yield the figures of another rig's images with ``steps`` steps, in air, with and without the second direction."""
     convention = Convention(f"{steps} steps", partial(_patterns, steps), "", one_direction=False)
     with TemporaryDirectory() as folder:
@@ -96,14 +96,14 @@ def _of_steps(steps: int) -> Iterable[Measured]:
         for name in ("xy", "x"):
             image_set.description.write_text(_described(steps, name), encoding="utf-8")
             complete[name], rms_mm[name], far_ppm[name] = _judged(image_set)
-    yield Measured(f"{steps} steps: completeness, two directions", complete["xy"], "%")
-    yield Measured(f"{steps} steps: completeness, one direction", complete["x"], "%")
-    yield Measured(f"{steps} steps: one over two", complete["x"] / complete["xy"], "", at_least=1.0 - WITHIN)
-    yield Measured(f"{steps} steps: noise, two directions", 1000.0 * rms_mm["xy"], "um")
-    yield Measured(f"{steps} steps: noise, one direction", 1000.0 * rms_mm["x"], "um")
-    yield Measured(f"{steps} steps: one over two", rms_mm["x"] / rms_mm["xy"], "", at_most=1.0 + WITHIN)
-    yield Measured(f"{steps} steps: farther off than 1 mm, two directions", far_ppm["xy"], "ppm")
-    yield Measured(f"{steps} steps: farther off than 1 mm, one direction", far_ppm["x"], "ppm")
+    yield Measurement(f"{steps} steps: completeness, two directions", complete["xy"], "%")
+    yield Measurement(f"{steps} steps: completeness, one direction", complete["x"], "%")
+    yield Measurement(f"{steps} steps: one over two", complete["x"] / complete["xy"], "", at_least=1.0 - WITHIN)
+    yield Measurement(f"{steps} steps: noise, two directions", 1000.0 * rms_mm["xy"], "um")
+    yield Measurement(f"{steps} steps: noise, one direction", 1000.0 * rms_mm["x"], "um")
+    yield Measurement(f"{steps} steps: one over two", rms_mm["x"] / rms_mm["xy"], "", at_most=1.0 + WITHIN)
+    yield Measurement(f"{steps} steps: farther off than 1 mm, two directions", far_ppm["xy"], "ppm")
+    yield Measurement(f"{steps} steps: farther off than 1 mm, one direction", far_ppm["x"], "ppm")
 
 
 def _patterns(steps: int) -> list[Pattern]:

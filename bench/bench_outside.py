@@ -15,7 +15,7 @@ from bench.outside.page import write_page
 from bench.outside.parts import PARTS, measure_part
 from bench.outside.record import added, read
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import machine
 
 OUT = Path("bench/out/outside.json")
@@ -23,7 +23,7 @@ USUAL_NOISE = "measured"
 PAGE, PICTURES = Path("docs/outside.md"), Path("docs/pictures")
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Yield every part with a few scenes, as a quick check."""
     for name, entry in PARTS.items():
         measured, _ = measure_part(name, entry.few, 1, lambda what, share: None, None, USUAL_NOISE)
@@ -95,7 +95,7 @@ def run(
         sys.stdout.write(f"{name}: {PARTS[name].subject}\n")
         sys.stdout.writelines(number.line() + "\n" for number in measured)
         sys.stdout.flush()
-        all_kept = all_kept and all(number.kept for number in measured)
+        all_kept = all_kept and all(number.is_kept for number in measured)
         many = PARTS[name].count if count is None else count
         settings = {"count": many, "noise": noise, "measured_on": date.today().isoformat(), "data": data}
         content = added(content, name, seed, measured, settings)

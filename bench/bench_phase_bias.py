@@ -22,7 +22,7 @@ from bench.phase_bias.tables import (
     periods,
 )
 from bench.picture import Bar, Panel, draw
-from bench.result import Measured
+from bench.result import Measurement
 
 OUT = Path("bench/out")
 TABLES: dict[str, Callable[[Response], Iterator[Row]]] = {
@@ -35,12 +35,12 @@ TABLES: dict[str, Callable[[Response], Iterator[Row]]] = {
 ROWS, PICTURE = "phase_bias-rows.json", "phase_bias.png"
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Yield all tables, with limits."""
     yield from measured(tuple(TABLES))
 
 
-def measured(tables: Sequence[str]) -> Iterator[Measured]:
+def measured(tables: Sequence[str]) -> Iterator[Measurement]:
     """Yield some of ``TABLES``; the rows of the others stay as they were in ``ROWS``."""
     OUT.mkdir(parents=True, exist_ok=True)
     rows = [row for row in earlier() if row.table not in (*tables, "response")]
@@ -48,7 +48,7 @@ def measured(tables: Sequence[str]) -> Iterator[Measured]:
     drawn = after_compensation(response)
     rows += [recorded, drawn]
     ratio = abs(recorded.values["phase error, °"] / drawn.values["phase error, °"])
-    yield Measured("phase error of fringes, before over after", ratio, "×", at_least=3.0)
+    yield Measurement("phase error of fringes, before over after", ratio, "×", at_least=3.0)
     for table in tables:
         for row in TABLES[table](response):
             rows.append(row)
@@ -57,7 +57,7 @@ def measured(tables: Sequence[str]) -> Iterator[Measured]:
             )
             for name, value in row.values.items():
                 at_most, at_least = bounds(row, name)
-                yield Measured(f"{row.table}: {row.name}: {name}", value, name.rpartition(" ")[2], at_most, at_least)
+                yield Measurement(f"{row.table}: {row.name}: {name}", value, name.rpartition(" ")[2], at_most, at_least)
     draw(OUT / PICTURE, panels(rows))
 
 
@@ -134,5 +134,5 @@ def main(arguments: Sequence[str]) -> int:
     all_kept = True
     for number in measured(tables):
         sys.stdout.write(number.line() + "\n")
-        all_kept = all_kept and number.kept
+        all_kept = all_kept and number.is_kept
     return 0 if all_kept else 1

@@ -16,7 +16,7 @@ from bench.progress import Progress
 from bench.ranging.picture import draw
 from bench.ranging.scenes import OBJECTS
 from bench.ranging.study import POSED, rows_of
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import machine
 
 OUT = Path("bench/out/ranging.json")
@@ -27,12 +27,12 @@ WRONG_MM = 10.0
 """Error above which a distance is false, because something else was taken for a dot."""
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """A few scenes: whether distances are still right."""
-    yield from judged(rows_of(FEW_SCENES, 1, WIDTH_PX, lambda what, share: None))
+    yield from ranging_figures(rows_of(FEW_SCENES, 1, WIDTH_PX, lambda what, share: None))
 
 
-def judged(rows: Sequence[dict[str, Any]], posed: str = POSED[0]) -> list[Measured]:
+def ranging_figures(rows: Sequence[dict[str, Any]], posed: str = POSED[0]) -> list[Measurement]:
     """Return the figures of the rows. No beam hits a bar that is held as in the sketches unless it is aimed at."""
     with_distance = [row for row in rows if row["distance_mm"] is not None]
     errors = np.abs([row["error_mm"] if row["error_mm"] is not None else math.inf for row in with_distance])
@@ -48,33 +48,33 @@ def judged(rows: Sequence[dict[str, Any]], posed: str = POSED[0]) -> list[Measur
         return float(np.percentile(values, share)) if len(values) else nan
 
     return [
-        Measured("scenes with a dot that both cameras see", float(len(could)), ""),
-        Measured(
+        Measurement("scenes with a dot that both cameras see", float(len(could)), ""),
+        Measurement(
             "distance reported of these", 100.0 * _share(could), "%", at_least=None if len(bars) == len(rows) else 90.0
         ),
-        Measured("distance reported of all", 100.0 * _share(rows), "%"),
-        Measured("distance reported where a beam meets the object", 100.0 * _share(with_truth), "%"),
-        Measured("scenes of the ball bar", float(len(bars)), ""),
-        Measured(
+        Measurement("distance reported of all", 100.0 * _share(rows), "%"),
+        Measurement("distance reported where a beam meets the object", 100.0 * _share(with_truth), "%"),
+        Measurement("scenes of the ball bar", float(len(bars)), ""),
+        Measurement(
             "distance reported of these",
             100.0 * _share(bars),
             "%",
             at_least=80.0 if len(bars) >= FEW_SCENES and posed != "guided" else None,
         ),
-        Measured("error of the distance, median", of(errors, 50.0), "mm"),
-        Measured("error of the distance, 95 %", of(errors, 95.0), "mm", at_most=2.0),
-        Measured("error of the distance, worst", of(errors, 100.0), "mm"),
-        Measured("distances within 2 mm", 100.0 * float(np.mean(errors <= 2.0)), "%", at_least=97.0),
-        Measured("false distances", float(np.sum(errors > WRONG_MM)), "", at_most=0.0),
-        Measured("dots where no beam meets anything", float(sum(row["invented"] for row in rows)), "", at_most=0.0),
-        Measured("tilt of planes, 95 %", of(tilts, 95.0), "deg", at_most=2.0 if planes else None),
-        Measured("tilt of planes, worst", of(tilts, 100.0), "deg"),
-        Measured("error in its stated sigmas, median", of(sigmas, 50.0), ""),
-        Measured("error in its stated sigmas, worst", of(sigmas, 100.0), ""),
-        Measured(
+        Measurement("error of the distance, median", of(errors, 50.0), "mm"),
+        Measurement("error of the distance, 95 %", of(errors, 95.0), "mm", at_most=2.0),
+        Measurement("error of the distance, worst", of(errors, 100.0), "mm"),
+        Measurement("distances within 2 mm", 100.0 * float(np.mean(errors <= 2.0)), "%", at_least=97.0),
+        Measurement("false distances", float(np.sum(errors > WRONG_MM)), "", at_most=0.0),
+        Measurement("dots where no beam meets anything", float(sum(row["invented"] for row in rows)), "", at_most=0.0),
+        Measurement("tilt of planes, 95 %", of(tilts, 95.0), "deg", at_most=2.0 if planes else None),
+        Measurement("tilt of planes, worst", of(tilts, 100.0), "deg"),
+        Measurement("error in its stated sigmas, median", of(sigmas, 50.0), ""),
+        Measurement("error in its stated sigmas, worst", of(sigmas, 100.0), ""),
+        Measurement(
             "distances wrong by more than three of their sigmas", float(np.sum(np.array(sigmas) > 3.0)), "", at_most=0.0
         ),
-        Measured("one pair, median", float(np.median([row["cpu_ms"] for row in rows])), "ms CPU", at_most=10.0),
+        Measurement("one pair, median", float(np.median([row["cpu_ms"] for row in rows])), "ms CPU", at_most=10.0),
     ]
 
 
@@ -104,7 +104,7 @@ def main(arguments: Sequence[str]) -> int:
         rows = rows_of(options.scenes, options.seed, options.width, progress.show, options.posed, options.object)
     finally:
         progress.close()
-    measured = judged(rows, options.posed)
+    measured = ranging_figures(rows, options.posed)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     content = {
         "machine": machine(), "scenes": options.scenes, "seed": options.seed, "width_px": options.width,
@@ -115,4 +115,4 @@ def main(arguments: Sequence[str]) -> int:
     if options.picture:
         draw(PICTURE, rows)
     sys.stdout.writelines(number.line() + "\n" for number in measured)
-    return 0 if all(number.kept for number in measured) else 1
+    return 0 if all(number.is_kept for number in measured) else 1

@@ -17,7 +17,7 @@ import scipy.io
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from bench.result import Measured
+from bench.result import Measurement
 from tests.support.imported import kingfisher
 
 Array = NDArray[np.float64]
@@ -90,10 +90,10 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def measure(pictures: Path | None = None, only: str = "") -> Iterator[Measured]:
+def measure(pictures: Path | None = None, only: str = "") -> Iterator[Measurement]:
     """Yield the figures of every set below ``KINGFISHER_REAL_PICTURES``."""
     if "KINGFISHER_REAL_PICTURES" not in os.environ:
-        yield Measured("sets of others", float("nan"), "", why="KINGFISHER_REAL_PICTURES names no folder")
+        yield Measurement("sets of others", float("nan"), "", why="KINGFISHER_REAL_PICTURES names no folder")
         return
     root = Path(os.environ["KINGFISHER_REAL_PICTURES"])
     clouds: dict[str, Grid] = {}
@@ -105,13 +105,13 @@ def measure(pictures: Path | None = None, only: str = "") -> Iterator[Measured]:
 
 def _measured(
     image_set: Set, root: Path, folder: Path, clouds: dict[str, Grid], pictures: Path | None
-) -> Iterator[Measured]:
+) -> Iterator[Measurement]:
     _linked(image_set, root, folder)
     begin_s = process_time()
     answer = kingfisher("import", folder, "--out", folder.with_suffix(".npz"))
     described = "no word"
     if answer.code:
-        yield Measured(f"{image_set.name}: asked", float("nan"), "", why=" ".join(answer.error.split())[:300])
+        yield Measurement(f"{image_set.name}: asked", float("nan"), "", why=" ".join(answer.error.split())[:300])
         if image_set.description is None:
             return
         described, begin_s = "described by hand", process_time()
@@ -124,20 +124,20 @@ def _measured(
         grid = clouds[image_set.name] = Grid(
             points_mm, np.asarray(file["sigma_mm"], np.float64), np.asarray(file["mask"], bool)
         )
-    yield Measured(f"{image_set.name}: points", float(grid.mask.sum()), f"in {cpu_s:.1f} s CPU, {described}")
-    yield Measured(f"{image_set.name}: depth", float(np.median(grid.points_mm[grid.mask][:, 2])), "mm")
-    yield Measured(f"{image_set.name}: sigma", float(np.median(grid.sigma_mm[grid.mask])), "mm")
+    yield Measurement(f"{image_set.name}: points", float(grid.mask.sum()), f"in {cpu_s:.1f} s CPU, {described}")
+    yield Measurement(f"{image_set.name}: depth", float(np.median(grid.points_mm[grid.mask][:, 2])), "mm")
+    yield Measurement(f"{image_set.name}: sigma", float(np.median(grid.sigma_mm[grid.mask])), "mm")
     if image_set.against == "peer":
         peer = scipy.io.loadmat(str(root / "slstudio/skull_gray/pointCloud.mat"))["xyz"].reshape(-1, 3)
         peer = peer[np.isfinite(peer).all(1) & (peer[:, 2] > 0)]
         off_mm = cKDTree(grid.points_mm[grid.mask]).query(peer)[0]
-        yield Measured(f"{image_set.name}: from the peer's cloud", float(np.median(off_mm)), "mm")
+        yield Measurement(f"{image_set.name}: from the peer's cloud", float(np.median(off_mm)), "mm")
     if image_set.against == "board":
         yield from _board(image_set, grid)
     if image_set.second_set in clouds:
         yield from _between(image_set, grid, clouds[image_set.second_set])
     for line in answer.unchecked:
-        yield Measured(f"    {line[:300]}", float("nan"), "", why="")
+        yield Measurement(f"    {line[:300]}", float("nan"), "", why="")
     if image_set.picture and pictures:
         picture = relief(grid)
         assert cv2.imwrite(str(pictures / image_set.picture), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
@@ -156,7 +156,7 @@ def _linked(image_set: Set, root: Path, folder: Path) -> None:
         (folder / path.name).symlink_to(path)
 
 
-def _board(image_set: Set, grid: Grid) -> Iterator[Measured]:
+def _board(image_set: Set, grid: Grid) -> Iterator[Measurement]:
     """Yield the distance from the plane with most points (of 500 through three points each), fitted robustly."""
     points, sigma_mm = grid.points_mm[grid.mask], grid.sigma_mm[grid.mask]
     random = np.random.default_rng(0)
@@ -173,22 +173,22 @@ def _board(image_set: Set, grid: Grid) -> Iterator[Measured]:
         off_mm = np.abs((points - middle) @ np.linalg.eigh(np.cov((points[is_near] - middle).T))[1][:, 0])
         is_near = off_mm < 4.0 * float(np.median(off_mm[is_near])) / NORMAL_MEDIAN
     rms_mm = float(np.sqrt(np.mean(off_mm[is_near] ** 2)))
-    yield Measured(
+    yield Measurement(
         f"{image_set.name}: from a plane", rms_mm, f"mm rms, {is_near.sum()} points, {100.0 * is_near.mean():.0f} %"
     )
     of_sigma = float(np.median(off_mm[is_near] / sigma_mm[is_near])) / NORMAL_MEDIAN
-    yield Measured(f"{image_set.name}: error over sigma", of_sigma, "")
+    yield Measurement(f"{image_set.name}: error over sigma", of_sigma, "")
 
 
-def _between(image_set: Set, grid: Grid, second: Grid) -> Iterator[Measured]:
+def _between(image_set: Set, grid: Grid, second: Grid) -> Iterator[Measurement]:
     """Yield the difference of the same pixels by two codes, which lies along their rays, against both sigmas."""
     common = grid.mask & second.mask
     off_mm = np.linalg.norm(grid.points_mm[common] - second.points_mm[common], axis=-1)
     sigma_mm = np.hypot(grid.sigma_mm[common], second.sigma_mm[common])
-    yield Measured(
+    yield Measurement(
         f"{image_set.name}: from {image_set.second_set}", float(np.median(off_mm)), f"mm, {common.sum()} pixels"
     )
-    yield Measured(f"{image_set.name}: error over sigma", float(np.median(off_mm / sigma_mm)) / NORMAL_MEDIAN, "")
+    yield Measurement(f"{image_set.name}: error over sigma", float(np.median(off_mm / sigma_mm)) / NORMAL_MEDIAN, "")
 
 
 def relief(grid: Grid) -> NDArray[np.uint8]:

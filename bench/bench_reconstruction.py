@@ -18,9 +18,9 @@ from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import Cloud
 from bench import foreign, roofline
 from bench.disk import durable
-from bench.judgement import judged, judged_at_steps, precision
+from bench.judgement import judge_cloud, judged_at_steps, precision
 from bench.picture import Bar, Panel, draw
-from bench.result import Measured
+from bench.result import Measurement
 from bench.rivals import Rounds, in_turns
 from bench.scan_frames import ScanFrames, make_scan
 from bench.stages import one_scan
@@ -49,12 +49,12 @@ class Effort:
     ask_peers: bool = True
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     OUT.mkdir(parents=True, exist_ok=True)
     yield from measured_with(Effort(), OUT)
 
 
-def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
+def measured_with(effort: Effort, out: Path) -> Iterator[Measurement]:
     """All numbers, and ``reconstruction.png`` in ``out``."""
     scan = make_scan(effort.width_px, effort.height_px)
     with Pipeline(scan.calibration, synthetic.WATER, scan.sequence) as pipeline:
@@ -65,7 +65,7 @@ def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
         numbers = [*stages(rounds), *compared(rounds), *least(rounds, scan, lit_px, len(cloud.points_mm))]
         draw(out / "reconstruction.png", panels({n.key: n for n in numbers if n.key is not None}, rounds))
         yield from numbers
-        yield from judged(scan, cloud)
+        yield from judge_cloud(scan, cloud)
         yield from precision(scan, pipeline)
         yield from judged_at_steps(*with_a_bar(pipeline, effort))
     yield from worker(scan, effort.worker_starts, effort.paced_scans)
@@ -79,7 +79,7 @@ def with_a_bar(pipeline: Pipeline, effort: Effort) -> tuple[ScanFrames, Cloud]:
     return scan, pipeline.full()
 
 
-def stages(rounds: Rounds) -> Iterator[Measured]:
+def stages(rounds: Rounds) -> Iterator[Measurement]:
     """Yield the cost of each part of a scan."""
     pairs = np.array([scan.pairs_ms for scan in rounds.scans])
     dearest = int(np.argmax(np.median(pairs, 0)))
@@ -97,7 +97,7 @@ def stages(rounds: Rounds) -> Iterator[Measured]:
         yield median_of(name, rounds.scan_ms(part), "ms CPU", key)
 
 
-def compared(rounds: Rounds) -> Iterator[Measured]:
+def compared(rounds: Rounds) -> Iterator[Measurement]:
     """Yield the cost of other programs, and its ratio to ours."""
     whole_ms = rounds.scan_ms(lambda s: s.whole_ms)
     decode = rounds.taken_ms["decode"]
@@ -119,30 +119,30 @@ def compared(rounds: Rounds) -> Iterator[Measured]:
                 (label, "ms CPU", f"{name}_cpu_ms"),
                 ("that against ours", "times", f"ratio_{name}"),
             ):
-                yield Measured(row, math.nan, unit, key=key, why=rounds.absent[name])
+                yield Measurement(row, math.nan, unit, key=key, why=rounds.absent[name])
             continue
         yield median_of(label, rounds.taken_ms[name], "ms CPU", f"{name}_cpu_ms")
         yield median_of("that against ours", rounds.ratios(name, ours[name]), "times", f"ratio_{name}")
 
 
-def least(rounds: Rounds, scan: ScanFrames, lit_px: Sequence[int], points: int) -> Iterator[Measured]:
+def least(rounds: Rounds, scan: ScanFrames, lit_px: Sequence[int], points: int) -> Iterator[Measurement]:
     """Yield the time that memory alone needs, at the highest speed of this run."""
     read_gb_s, write_gb_s = (float(best) for best in np.max(rounds.bandwidth_gb_s, 0))
     frames = scan.frames["left"]
     least_ms = roofline.scan_ms(frames[0].size, len(frames), points, read_gb_s, write_gb_s)
-    yield Measured("memory reads", read_gb_s, "GB/s", key="memory_read_gb_s")
-    yield Measured("memory writes", write_gb_s, "GB/s", key="memory_write_gb_s")
-    yield Measured("whole scan, if memory alone counted", least_ms, "ms", key="roofline_scan_ms")
+    yield Measurement("memory reads", read_gb_s, "GB/s", key="memory_read_gb_s")
+    yield Measurement("memory writes", write_gb_s, "GB/s", key="memory_write_gb_s")
+    yield Measurement("whole scan, if memory alone counted", least_ms, "ms", key="roofline_scan_ms")
     ratio = [scan_ms / least_ms for scan_ms in rounds.scan_ms(lambda s: s.whole_ms)]
     yield median_of("ours against that", ratio, "times", "ratio_roofline")
     left_px, right_px = lit_px
     least_ms = roofline.full_cloud_ms(left_px, right_px, points, read_gb_s, write_gb_s)
-    yield Measured("full cloud, if memory alone counted", least_ms, "ms", key="roofline_full_ms")
+    yield Measurement("full cloud, if memory alone counted", least_ms, "ms", key="roofline_full_ms")
     ratio = [full / least_ms for full in rounds.scan_ms(lambda s: s.full_ms)]
     yield median_of("ours against that", ratio, "times", "ratio_full_roofline")
 
 
-def panels(numbers: dict[str, Measured], rounds: Rounds) -> list[Panel]:
+def panels(numbers: dict[str, Measurement], rounds: Rounds) -> list[Panel]:
     """Return the panels of the picture: the steps of a scan, then other programs."""
 
     def bar(name: str, key: str, ratio: str | None = None) -> Bar:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.result import Measured
+from bench.result import Measurement
 from hw_sim.objects.motion import Motion
 from hw_sim.optics.table import fit_table, look_up_all
 from hw_sim.rendering.render import LightSlice, Renderer
@@ -29,7 +29,7 @@ MOVING_STONES = Scene(object="stones", motion=HAND)
 
 
 @dataclass(frozen=True, slots=True)
-class Spent:
+class ActionTime:
     """Time of an action."""
 
     wall_s: float
@@ -43,7 +43,7 @@ class Spent:
         return max(self.cpu_s / CORES, self.longest_thread_s)
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     record(Renderer(draw_truth("realistic", 1, 64, 48, FIRST.water.index), MOVING), frames=1)  # loads the kernels
     for size, size_px, at_most_s in (
         ("1600 x 1200", FULL, {"at rest": 5.0, "moving": 30.0, "moving stones": 30.0}),
@@ -53,21 +53,21 @@ def measure() -> Iterator[Measured]:
         before_s, before_cpu_s = time.perf_counter(), time.process_time()
         renderer = Renderer(truth, FIRST)
         first = record(renderer, frames=1)
-        begun = Spent(time.perf_counter() - before_s, time.process_time() - before_cpu_s, 0.0)
-        yield Measured(f"{size}, rig and first frames", begun.cpu_s, "s CPU", at_most=8.0)
-        yield Measured(f"{size}, rig and first frames", begun.wall_s, "s")
-        yield Measured(f"{size}, of these the frames", first.cpu_s, "s CPU")
+        begun = ActionTime(time.perf_counter() - before_s, time.process_time() - before_cpu_s, 0.0)
+        yield Measurement(f"{size}, rig and first frames", begun.cpu_s, "s CPU", at_most=8.0)
+        yield Measurement(f"{size}, rig and first frames", begun.wall_s, "s")
+        yield Measurement(f"{size}, of these the frames", first.cpu_s, "s CPU")
         for name, scene in (("at rest", AT_REST), ("moving", MOVING), ("moving stones", MOVING_STONES)):
             renderer.scene = scene
             spent = record(renderer, FRAMES)
             sequence = f"{size}, {name}, {FRAMES} of both"
-            yield Measured(sequence, spent.cpu_s, "s CPU")
-            yield Measured(sequence, spent.wall_s, "s")
-            yield Measured(f"{sequence}, idle cores", spent.two_cores_s, "s", at_most=at_most_s[name])
+            yield Measurement(sequence, spent.cpu_s, "s CPU")
+            yield Measurement(sequence, spent.wall_s, "s")
+            yield Measurement(f"{sequence}, idle cores", spent.two_cores_s, "s", at_most=at_most_s[name])
     yield from projection()
 
 
-def record(renderer: Renderer, frames: int) -> Spent:
+def record(renderer: Renderer, frames: int) -> ActionTime:
     """Both cameras' frames, each with a pattern of its own, in two threads as in the world."""
     rng = np.random.default_rng(1)
     patterns = [np.kron(rng.integers(0, 255, (96, 128), np.uint8), np.ones((8, 8), np.uint8)) for _ in range(frames)]
@@ -82,10 +82,10 @@ def record(renderer: Renderer, frames: int) -> Spent:
     with ThreadPoolExecutor(1) as left, ThreadPoolExecutor(1) as right:
         pending = [(left.submit(expose, "left", k), right.submit(expose, "right", k)) for k in range(frames)]
         threads_s = np.array([(a.result(), b.result()) for a, b in pending]).sum(axis=0)
-    return Spent(time.perf_counter() - before_s, time.process_time() - before_cpu_s, float(threads_s.max()))
+    return ActionTime(time.perf_counter() - before_s, time.process_time() - before_cpu_s, float(threads_s.max()))
 
 
-def projection() -> Iterator[Measured]:
+def projection() -> Iterator[Measurement]:
     """Yield the error and the time of projection by table against exact tracing."""
     truth = draw_truth("realistic", 1, *FULL, FIRST.water.index)
     eye = truth.projector.packed(truth.n_water)
@@ -95,8 +95,8 @@ def projection() -> Iterator[Measured]:
     pixels = np.empty_like(uv)
     table = fit_table(eye)
     look_up_all(eye, table, points, pixels)
-    yield Measured("projection by table, largest error", float(np.abs(pixels - uv).max()), "px", at_most=1e-4)
+    yield Measurement("projection by table, largest error", float(np.abs(pixels - uv).max()), "px", at_most=1e-4)
     begun_s = time.thread_time()
     for _ in range(5):
         look_up_all(eye, table, points, pixels)
-    yield Measured("projection by table", (time.thread_time() - begun_s) * 1e9 / (5 * len(uv)), "ns", at_most=300.0)
+    yield Measurement("projection by table", (time.thread_time() - begun_s) * 1e9 / (5 * len(uv)), "ns", at_most=300.0)

@@ -14,7 +14,7 @@ from appliance.desk.foreign.description import equal_steps
 from appliance.desk.foreign.phase import ROWS_AT_ONCE, fit_sine, step_weights
 from appliance.measure.decode.phase import fit_steps, phase, turns_of
 from appliance.measure.decode.scratch import COORDINATE, MODULATION_HALF_DN
-from bench.result import Measured
+from bench.result import Measurement
 from bench.timing import cpu_ms, median_of
 
 WIDTH_PX, HEIGHT_PX = 1600, 1200
@@ -67,7 +67,7 @@ def specialised(count: int) -> Kernel:
     return compiled
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Yield CPU times of both kernels for a whole image in blocks of rows, of the conversion, and of compiling."""
     random = np.random.default_rng(1)
     for count in COUNTS:
@@ -95,7 +95,7 @@ def measure() -> Iterator[Measured]:
         yield median_of(f"{count} steps: a kernel of its own", special, "ms")
         yield median_of(f"{count} steps: general over special, paired", general / special, "")
         yield median_of(f"{count} steps: with conversion of the images", all_of_it, "ms")
-        yield Measured(f"{count} steps: compiling a kernel of its own", compiling_ms, "ms")
+        yield Measurement(f"{count} steps: compiling a kernel of its own", compiling_ms, "ms")
         if count == 4:
             yield from _ours(images, general, fit_image)
 
@@ -104,7 +104,9 @@ def _of(fit_image: Callable[[Kernel], None], kernel: Kernel) -> float:
     return cpu_ms(partial(fit_image, kernel))
 
 
-def _ours(images: NDArray[np.uint8], general: NDArray[Any], fit_image: Callable[[Kernel], None]) -> Iterator[Measured]:
+def _ours(
+    images: NDArray[np.uint8], general: NDArray[Any], fit_image: Callable[[Kernel], None]
+) -> Iterator[Measurement]:
     """Yield the time of our own kernel, which reads 8 bits, writes phase and modulation, and no residual."""
     row = np.zeros(max(COORDINATE, MODULATION_HALF_DN) + 2 * WIDTH_PX + 64, np.float32)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from appliance.instrument.machine.states import Settings
-from bench.result import Measured
+from bench.result import Measurement
 from bench.thermal.dive import Dive, boat_then_dive, dive_of
 from bench.turbidity.plot import Line, Panel, draw
 
@@ -27,7 +27,7 @@ def dives(scans: int = SCANS) -> Iterator[tuple[str, Dive]]:
     yield "the same, were its light never to rest", always_on
 
 
-def measure() -> Iterable[Measured]:
+def measure() -> Iterable[Measurement]:
     """Highest temperatures of each dive, against the limits where scans would be blocked."""
     limits = Settings().temperatures
     for name, dive in dives():
@@ -37,7 +37,7 @@ def measure() -> Iterable[Measured]:
             ("projector", [sample.projector_c for sample in dive.samples]),
         ):
             bound = limits[place].hot_c if within else None
-            yield Measured(f"{name}: warmest {place}", max(values), "°C", at_most=bound)
+            yield Measurement(f"{name}: warmest {place}", max(values), "°C", at_most=bound)
 
 
 def main(arguments: Sequence[str]) -> int:

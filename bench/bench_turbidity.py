@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.turbidity.page import write_page
 from bench.turbidity.study import ARTEFACT_PX, SERIES, SMALL_PX, Row, artefacts, as_json, plane, planes, steps
 
@@ -18,14 +18,14 @@ OUT = Path("bench/out/turbidity.json")
 DATA, PAGE, PICTURES = Path("docs/turbidity.json"), Path("docs/turbidity.md"), Path("docs/pictures")
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """A few waters: whether noise is as expected and clear water is complete."""
     clear, middle, thick = (plane(SERIES[3], attenuation, 1, SMALL_PX) for attenuation in (0.2, 1.0, 2.0))
-    yield Measured("completeness at 0.2 /m", clear.completeness_percent, "%", at_least=99.0)
-    yield Measured("completeness at 2 /m", thick.completeness_percent, "%", at_least=95.0)
+    yield Measurement("completeness at 0.2 /m", clear.completeness_percent, "%", at_least=99.0)
+    yield Measurement("completeness at 2 /m", thick.completeness_percent, "%", at_least=95.0)
     for name, row in (("0.2 /m", clear), ("1 /m", middle), ("2 /m", thick)):
-        yield Measured(f"error in expected errors, rms, at {name}", _known(row.sigma_ratio), "", 1.25, 0.8)
-        yield Measured(f"noise at {name}", _known(row.rms_um), "µm")
+        yield Measurement(f"error in expected errors, rms, at {name}", _known(row.sigma_ratio), "", 1.25, 0.8)
+        yield Measurement(f"noise at {name}", _known(row.rms_um), "µm")
 
 
 def _known(value: float | None) -> float:

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.result import Measured
+from bench.result import Measurement
 from bench.veil.photons import follow
-from bench.veil.table import PERIODS_PX, Checked, write_page
+from bench.veil.table import PERIODS_PX, RayBackscatter, write_page
 from hw_sim.rendering.stage import Stage
 from hw_sim.truth import draw_truth
 from hw_sim.water.medium import Water
@@ -31,7 +31,7 @@ PAGE = Path("docs/outside-world.md")
 Picture = NDArray[np.float32]
 
 
-def measure() -> Iterable[Measured]:
+def measure() -> Iterable[Measurement]:
     """The simulator's veil against photons: how bright, how much brighter than by single scattering, and the fringes in rows."""
     return figures(checked())
 
@@ -49,10 +49,10 @@ def main(arguments: Sequence[str]) -> int:
     sys.stdout.writelines(number.line() + "\n" for number in measured)
     if options.write_docs:
         write_page(rows, PAGE)
-    return 0 if all(number.kept for number in measured) else 1
+    return 0 if all(number.is_kept for number in measured) else 1
 
 
-def checked(photons: int = PHOTONS) -> Iterator[Checked]:
+def checked(photons: int = PHOTONS) -> Iterator[RayBackscatter]:
     """Yield photons and simulator along each of ``PIXELS`` through each of ``WATERS``."""
     stage = Stage(draw_truth("realistic", 1, WIDTH_PX, HEIGHT_PX, Water().index))
     rays = stage.rays("left")
@@ -75,25 +75,25 @@ def checked(photons: int = PHOTONS) -> Iterator[Checked]:
             simulated = [tuple(float(picture[v, u]) for picture in values) for values in contrast]
             # Deflections below the photons' limit do not count as scattering there, so that their single scattering has
             # a little more light.
-            yield Checked(
+            yield RayBackscatter(
                 per_m, index, (u, v), more, tally.errors[0] * more, simulated_light / tally.white[1],
                 (single, every), (simulated[0], simulated[1]), tally.errors[1],
             )  # fmt: skip
 
 
-def figures(rows: Iterable[Checked]) -> Iterator[Measured]:
+def figures(rows: Iterable[RayBackscatter]) -> Iterator[Measurement]:
     """Yield the figures of each ray."""
     for row in rows:
         what = f"{row.per_m:g}/m, n {row.index:g}, at {row.pixel[0]},{row.pixel[1]}"
-        yield Measured(f"{what}: photons, all over single", row.more, "", spread=_around(row.more, row.more_error))
-        yield Measured(f"{what}: simulator over photons", row.over, "", at_least=0.85, at_most=1.15)
+        yield Measurement(f"{what}: photons, all over single", row.more, "", spread=_around(row.more, row.more_error))
+        yield Measurement(f"{what}: simulator over photons", row.over, "", at_least=0.85, at_most=1.15)
         for k, period in enumerate(PERIODS_PX):
             for order, name in enumerate(("single", "all")):
                 drawn, simulated = row.photons[order][k], row.simulated[order][k]
                 label = f"{what}, {period:g} px, {name}"
                 spread = _around(drawn, row.errors[k]) if order else None
-                yield Measured(f"{label}: photons' contrast", drawn, "", spread=spread)
-                yield Measured(
+                yield Measurement(f"{label}: photons' contrast", drawn, "", spread=spread)
+                yield Measurement(
                     f"{label}: simulator's less photons'", simulated - drawn, "", at_least=-0.06, at_most=0.06
                 )
 

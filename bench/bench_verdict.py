@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import machine, version
 from bench.verdict.compensation_page import write_page as write_compensation
 from bench.verdict.motion_page import write_page as write_motion
@@ -22,7 +22,7 @@ OUT = Path("bench/out/verdict.json")
 FEW_SCANS = 20
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     """Yield every part with a few scans, as a quick check."""
     for name in PARTS:
         measured, _ = part(name).measure(FEW_SCANS, 1, lambda what, share: None)
@@ -100,7 +100,7 @@ def run(
         sys.stdout.write(f"{name}: {PARTS[name]}\n")
         sys.stdout.writelines(number.line() + "\n" for number in measured)
         sys.stdout.flush()
-        all_kept = all_kept and all(number.kept for number in measured)
+        all_kept = all_kept and all(number.is_kept for number in measured)
         content["parts"][name] = {"measured": [number.as_dict() for number in measured], "data": data}
         path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return all_kept

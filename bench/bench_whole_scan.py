@@ -20,7 +20,7 @@ from pathlib import Path
 from appliance.instrument.worker.messages import WorkLimits
 from bench import references
 from bench.document import AGAINST
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import Benchmark, run
 from bench.timing import cpu_ms, median_of
 from bench.whole_scan import parts as by_part
@@ -70,7 +70,7 @@ class Effort:
 
 
 @dataclass(frozen=True, slots=True)
-class Timed:
+class SceneTimes:
     """Measurements of one scene."""
 
     scene: TimedScene
@@ -82,7 +82,7 @@ class Timed:
     own_peak_mb: float
 
 
-def measure() -> Iterator[Measured]:
+def measure() -> Iterator[Measurement]:
     OUT.mkdir(parents=True, exist_ok=True)
     yield from measured_with(Effort(), OUT)
 
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.rounds < 1:
         parser.error(f"--rounds is {options.rounds}; at least 1 is needed")
 
-    numbers: list[Measured] = []
+    numbers: list[Measurement] = []
     try:
         sys.stdout.write(
             f"{options.against}: its tree is made, and its kernels are compiled, which takes minutes the first time\n"
@@ -118,7 +118,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stderr.write(f"{error}\n")
         return 2
 
-    def measured() -> Iterator[Measured]:
+    def measured() -> Iterator[Measurement]:
         for number in compared(theirs, options.rounds, scenes):
             numbers.append(number)
             yield number
@@ -130,7 +130,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0 if all_kept else 1
 
 
-def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
+def measured_with(effort: Effort, out: Path) -> Iterator[Measurement]:
     """All numbers, and ``timeline.png`` in ``out``."""
     decoded = timed_scene(DISC, effort.width_px, effort.folder)
     for name in effort.scenes:
@@ -143,7 +143,7 @@ def key_of(scene: str, key: str) -> str:
     return key if scene == DISC else f"{scene}_{key}"
 
 
-def figures(timed: Timed) -> Iterator[Measured]:
+def figures(timed: SceneTimes) -> Iterator[Measurement]:
     """Yield the figures of the scans of one scene."""
     name, scans = timed.scene.name, timed.scans
     label = WORDS[name]
@@ -163,8 +163,8 @@ def figures(timed: Timed) -> Iterator[Measured]:
     for part_name, taken_ms in timed.parts_ms.items():
         yield median_of(f"{name}, {part_name}", taken_ms, "ms CPU", key_of(name, part_key(part_name)))
     label = f"{name}: peak memory of the worker, frames included"
-    yield Measured(label, timed.peak_mb, "MB", key=key_of(name, "complete_peak_mb"))
-    yield Measured(
+    yield Measurement(label, timed.peak_mb, "MB", key=key_of(name, "complete_peak_mb"))
+    yield Measurement(
         f"{name}: without what it shares", timed.own_peak_mb, "MB", WorkLimits().memory_mb,
         key=key_of(name, "complete_own_peak_mb"),
     )  # fmt: skip
@@ -175,7 +175,7 @@ def part_key(part: str) -> str:
     return f"part_{part.replace('of it: ', '').replace(' ', '_')}_cpu_ms"
 
 
-def _timed(scene: TimedScene, decoded: TimedScene, effort: Effort, out: Path) -> Timed:
+def _timed(scene: TimedScene, decoded: TimedScene, effort: Effort, out: Path) -> SceneTimes:
     scans, slower = [], []
     with ExitStack() as stack:
         worker = stack.enter_context(paced_worker(scene, out))
@@ -191,7 +191,7 @@ def _timed(scene: TimedScene, decoded: TimedScene, effort: Effort, out: Path) ->
         for _ in range(effort.rounds):
             procedure.round()
         taken_ms = procedure.parts_ms()
-    return Timed(scene, scans, slower, taken_ms, peak_mb, own_peak_mb)
+    return SceneTimes(scene, scans, slower, taken_ms, peak_mb, own_peak_mb)
 
 
 def machine_factor(scene: TimedScene) -> float:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from appliance.measure.points.table import Cloud
 from appliance.store.library import Library
 from appliance.store.manifest import SequenceInfo
-from bench.result import Measured
+from bench.result import Measurement
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of
 from tests.appliance.store.scenes import ORIGIN
 from tests.appliance.store.scenes import record as plain_record
 
 
-def durable(scan: ScanFrames, cloud: Cloud, parent: Path, rounds: int) -> Iterator[Measured]:
+def durable(scan: ScanFrames, cloud: Cloud, parent: Path, rounds: int) -> Iterator[Measurement]:
     """In turns with the same bytes written plainly, each time in the other order; on the disk of ``parent``."""
     ours, plain, published = [], [], []
     with tempfile.TemporaryDirectory(dir=parent) as folder:

@@ -11,7 +11,7 @@ from appliance.measure.decode.scratch import COORDINATE, DECODING_SIZE
 from appliance.measure.light.patterns import Direction
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import Cloud
-from bench.result import Measured
+from bench.result import Measurement
 from bench.scan_frames import ScanFrames
 from tests.support import oracle, synthetic
 
@@ -32,38 +32,38 @@ def false_ppm(scan: ScanFrames, cloud: Cloud) -> float:
     return 1e6 * float(np.mean(~near))
 
 
-def judged(scan: ScanFrames, cloud: Cloud) -> Iterator[Measured]:
+def judge_cloud(scan: ScanFrames, cloud: Cloud) -> Iterator[Measurement]:
     """Yield the figures of a cloud of a smooth surface."""
     complete = completeness_percent(scan, cloud)
-    yield Measured("completeness", complete, "%", at_least=99.5, key="completeness_percent")
+    yield Measurement("completeness", complete, "%", at_least=99.5, key="completeness_percent")
     false = false_ppm(scan, cloud)
-    yield Measured("false matches (> 1 mm)", false, "ppm", at_most=100.0, key="false_matches_ppm")
+    yield Measurement("false matches (> 1 mm)", false, "ppm", at_most=100.0, key="false_matches_ppm")
     uv_px = scan.right_uv_px.reshape(-1, 2)[cloud.pixel]
     is_known = np.isfinite(uv_px).all(-1)
     found_px = scan.calibration.rig.right.project(cloud.points_mm[is_known].astype(float), synthetic.WATER.index)
     bias = float(np.abs(np.mean(found_px - uv_px[is_known], 0)).max())
-    yield Measured("bias of the correspondence", bias, "px", at_most=0.001, key="bias_px")
+    yield Measurement("bias of the correspondence", bias, "px", at_most=0.001, key="bias_px")
     off_mm = (cloud.points_mm - scan.points_mm.reshape(-1, 3)[cloud.pixel])[:, 2]
-    yield Measured("noise of the depth", float(np.nanstd(off_mm)), "mm", key="noise_mm")
+    yield Measurement("noise of the depth", float(np.nanstd(off_mm)), "mm", key="noise_mm")
 
 
-def judged_at_steps(scan: ScanFrames, cloud: Cloud) -> Iterator[Measured]:
+def judged_at_steps(scan: ScanFrames, cloud: Cloud) -> Iterator[Measurement]:
     """Where a bar stands before the surface: pixels at its edges are left out on purpose, wrong ones are not."""
     complete = completeness_percent(scan, cloud)
-    yield Measured("completeness with a bar in front", complete, "%", key="step_completeness_percent")
+    yield Measurement("completeness with a bar in front", complete, "%", key="step_completeness_percent")
     false = false_ppm(scan, cloud)
-    yield Measured("false matches with a bar in front", false, "ppm", at_most=100.0, key="step_false_matches_ppm")
+    yield Measurement("false matches with a bar in front", false, "ppm", at_most=100.0, key="step_false_matches_ppm")
 
 
-def precision(scan: ScanFrames, pipeline: Pipeline) -> Iterator[Measured]:
+def precision(scan: ScanFrames, pipeline: Pipeline) -> Iterator[Measurement]:
     """32-bit against 64-bit arithmetic, in pattern pixels, on the same frames."""
     worst = phase_error_px(scan)
-    yield Measured("float32 against float64: wrapped phase", worst, "px", at_most=1e-5, key="float32_max_px")
+    yield Measurement("float32 against float64: wrapped phase", worst, "px", at_most=1e-5, key="float32_max_px")
     exact = oracle.decode(scan.sequence, scan.frames["left"])
     maps = pipeline.decoded("left")
     valid = np.isfinite(maps.p_px)
     stored = np.abs(np.stack([maps.p_px, maps.q_px], -1)[valid] - exact.pq[valid]).max()
-    yield Measured("the same, coordinate stored in 32 bits", float(stored), "px", key="float32_coordinate_max_px")
+    yield Measurement("the same, coordinate stored in 32 bits", float(stored), "px", key="float32_coordinate_max_px")
 
 
 def phase_error_px(scan: ScanFrames) -> float:

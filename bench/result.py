@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class Measurement:
     """One number a benchmark found out. A bound that is ``None`` does not judge; the unit is in ``unit``.
 
     Wall time on a machine somebody else uses judges nothing: put bounds on CPU time, on ratios measured in one run,
@@ -30,7 +30,7 @@ class Measured:
     """Of a count or a rate: how many, of how many; so that figures of several parts can be added up."""
 
     @property
-    def kept(self) -> bool:
+    def is_kept(self) -> bool:
         """True when every bound holds. NaN keeps none."""
         if math.isnan(self.value):
             return self.at_most is None and self.at_least is None
@@ -51,7 +51,7 @@ class Measured:
             return f"  {self.name:<48} {'not measured':>12} {self.why}"
         judged = ", ".join(bounds)
         if self.at_least is not None or self.at_most is not None:
-            judged += f": {'kept' if self.kept else 'MISSED'}"
+            judged += f": {'kept' if self.is_kept else 'MISSED'}"
         return f"  {self.name:<48} {self.value:>12.5g} {self.unit:<8} {judged}".rstrip()
 
     def as_dict(self) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class Measured:
             "unit": self.unit,
             "at_most": self.at_most,
             "at_least": self.at_least,
-            "kept": bool(self.kept),
+            "kept": bool(self.is_kept),
             "why": self.why,
             "spread": None if self.spread is None else [float(value) for value in self.spread],
             "share": None if self.share is None else list(self.share),

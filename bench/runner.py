@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.document import write_figures, write_health
-from bench.result import Measured
+from bench.result import Measurement
 
 LATEST = "latest.json"
 WRITE_DOCS = "--write-docs"
 GIT_TIMEOUT_S = 30.0
-Measure = Callable[[], Iterable[Measured]]
+Measure = Callable[[], Iterable[Measurement]]
 Main = Callable[[Sequence[str]], int]
 
 
@@ -78,7 +78,7 @@ def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], objec
     all_kept = True
     for benchmark in benchmarks:
         write(f"{benchmark.name}: {benchmark.summary}\n")
-        measured: list[Measured] = []
+        measured: list[Measurement] = []
         error = None
         try:
             for number in benchmark.measure():
@@ -87,7 +87,7 @@ def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], objec
         except Exception:
             error = traceback.format_exc()
             write(error)
-        all_kept = all_kept and error is None and all(number.kept for number in measured)
+        all_kept = all_kept and error is None and all(number.is_kept for number in measured)
         record = {
             "benchmark": benchmark.name,
             "machine": machine(),
@@ -100,7 +100,7 @@ def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], objec
     return all_kept
 
 
-def note_latest(measured: Sequence[Measured], path: Path) -> None:
+def note_latest(measured: Sequence[Measurement], path: Path) -> None:
     """Write numbers with a key into the file of the latest ones; its other content stays.
 
     A number that could not be measured is null, with the reason under ``why``; ``spread`` has its quantiles, ``bounds``

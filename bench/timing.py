@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.result import Measured
+from bench.result import Measurement
 
 PROGRAM_TIMEOUT_S = 300.0
 
@@ -62,9 +62,9 @@ def median_of(
     key: str | None = None,
     at_most: float | None = None,
     at_least: float | None = None,
-) -> Measured:
+) -> Measurement:
     """The median, with the first and the ninth tenth beside it. Raises ValueError without values."""
     if not len(values):
         raise ValueError(f"{name} was never measured; measure it at least once")
     low, middle, high = (float(value) for value in np.quantile(values, [0.1, 0.5, 0.9]))
-    return Measured(name, middle, unit, at_most, at_least, key, spread=(low, high))
+    return Measurement(name, middle, unit, at_most, at_least, key, spread=(low, high))

@@ -13,7 +13,7 @@ from appliance.instrument.worker.messages import Ready, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
-from bench.result import Measured
+from bench.result import Measurement
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of
 from drivers.native import MonotonicClock
@@ -24,7 +24,7 @@ FIRST_SCAN_TARGET_S = 1.2
 START_TIMEOUT_S, CLOUD_TIMEOUT_S = 60.0, 20.0
 
 
-def worker(scan: ScanFrames, starts: int, paced_scans: int) -> Iterator[Measured]:
+def worker(scan: ScanFrames, starts: int, paced_scans: int) -> Iterator[Measurement]:
     """Start the worker ``starts`` times, after one that may have to compile; the last one also records at 60 Hz."""
     clock = MonotonicClock()
     ready_s, first_s, first_cpu_s = [], [], []
@@ -61,7 +61,7 @@ def worker(scan: ScanFrames, starts: int, paced_scans: int) -> Iterator[Measured
     yield median_of("the worker's CPU time for a scan at 60 Hz", cpu_ms, "ms CPU", "worker_scan_cpu_ms")
     yield median_of("last frame to coarse cloud, by the clock", coarse_ms, "ms", "worker_coarse_wall_ms")
     yield median_of("last frame to full cloud, by the clock", full_ms, "ms", "worker_full_wall_ms")
-    yield Measured("peak memory of the worker, frames included", peak_mb, "MB", key="worker_peak_mb")
+    yield Measurement("peak memory of the worker, frames included", peak_mb, "MB", key="worker_peak_mb")
 
 
 def record(process: ReconstructionWorker, clock: MonotonicClock, number: int, frames: int) -> float:

@@ -36,11 +36,11 @@ if TYPE_CHECKING:
         STEPS,  # Steps of the guided calibration in their order
         UNITS,  # Unit of the number that is shown with each refusal
         USED,  # Steps whose recordings the adjustment uses
+        LengthCheck,  # Length check with a bar that the adjustment has not seen
         RecordingCheck,  # Judgement of the recording of one step; accepted where refusal is None
         Refusal,  # Reasons why a recording is not accepted
         Session,  # Progress of one calibration; its recordings are stored scans
         Step,  # Steps: four recordings, the adjustment, a recording that it has not seen, the decision
-        Verified,  # Length check with a bar that the adjustment has not seen
     )
     from .health import (
         LEARNT_SCANS,  # Scans from which each patch learns its reference

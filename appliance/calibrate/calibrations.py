@@ -98,7 +98,7 @@ class Calibrations:
         except ContentError:
             return Session()
 
-    def kept(self, session: Session) -> Calibration | None:
+    def previous(self, session: Session) -> Calibration | None:
         """Return the calibration that was in use before; ``None`` where none is kept or it cannot be read."""
         if session.kept is None:
             return None

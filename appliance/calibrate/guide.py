@@ -2,7 +2,7 @@
 
 Step, STEPS, HELD, USED           the steps, their order, and the artefact of each recording
 Refusal, UNITS, RecordingCheck    the judgement of one recording
-AdjustmentSummary, Verified       result of the adjustment, and the length check of VERIFY
+AdjustmentSummary, LengthCheck    result of the adjustment, and the length check of VERIFY
 Session                           progress of one calibration
 """
 
@@ -120,7 +120,7 @@ class AdjustmentSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class Verified:
+class LengthCheck:
     """Length check with a bar that the adjustment has not seen: (measured − calibrated)/calibrated."""
 
     before: float | None
@@ -157,7 +157,7 @@ class Session:
     trials: tuple[RecordingCheck, ...] = ()
     """Accepted recordings, at most one for each step."""
     solved: AdjustmentSummary | None = None
-    verified: Verified | None = None
+    verified: LengthCheck | None = None
     in_use: bool = False
     """The instrument measures with the solved calibration."""
     kept: str | None = None
@@ -235,5 +235,5 @@ class Session:
         if verified is not None:  # its error of the calibration in use is still true
             error = self.length_error
             checked = self.solved.calibration_hash if self.in_use and self.solved is not None else verified.checked
-            verified = None if error is None else Verified(error, None, verified.sigma, checked)
+            verified = None if error is None else LengthCheck(error, None, verified.sigma, checked)
         return replace(changed, solved=None, verified=verified, in_use=False)

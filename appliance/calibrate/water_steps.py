@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from appliance import __version__
 from appliance.base import Progress, silent
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Step, Verified
+from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, LengthCheck, RecordingCheck, Refusal, Step
 from appliance.calibrate.recordings import ArtefactKind, CertificateMissing, NotConverged, Recording, RecordingError
 from appliance.calibrate.stored_recordings import cameras_of, recording_of_scan
 from appliance.calibrate.water import report as report_of
@@ -254,7 +254,7 @@ class Examination:
     """Judgement of a recording, and of VERIFY the length check."""
 
     check: RecordingCheck
-    verified: Verified | None = None
+    verified: LengthCheck | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,7 +263,7 @@ class Solution:
 
     calibration: Calibration
     solved: AdjustmentSummary
-    verified: Verified | None
+    verified: LengthCheck | None
     """Its length check; ``None`` without a recording of VERIFY."""
     report: Mapping[str, bytes]
     """Files of the report, by name: adjusted parameters, residuals, and which parameters were observable."""
@@ -282,7 +282,7 @@ def basis_of(rig: Rig) -> Basis:
     current, _ = Instrument(rig).calibration()
     session = calibrations.session()
     # Once the solved calibration is in use, it is compared with the kept file.
-    kept_calibration = calibrations.kept(session) if session.in_use else None
+    kept_calibration = calibrations.previous(session) if session.in_use else None
     certificate = BarCertificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
     before_hash = calibrations.in_use if kept_calibration is None else kept_calibration.hash
     return Basis(start_of(rig), kept_calibration or current, before_hash, rig, certificate)
@@ -401,16 +401,16 @@ def _solved_calibration(rig: Rig) -> Calibration | None:
     return None if calibrations.session().solved is None else load_calibration(calibrations.solved)
 
 
-def _compare_lengths(scan: StoredScan, bar: BallBar, basis: Basis) -> Verified:
+def _compare_lengths(scan: StoredScan, bar: BallBar, basis: Basis) -> LengthCheck:
     """Return the length check of the bar with the solved and the former calibration."""
     old = find_ball_bar(_cloud_for_check(scan, basis.before, basis))
     before = None if isinstance(old, NotFound) else _length_error(old, basis)
-    return Verified(before, _length_error(bar, basis), _length_uncertainty(bar, basis), basis.before_hash)
+    return LengthCheck(before, _length_error(bar, basis), _length_uncertainty(bar, basis), basis.before_hash)
 
 
-def _measure_length(bar: BallBar, basis: Basis) -> Verified:
+def _measure_length(bar: BallBar, basis: Basis) -> LengthCheck:
     """Return the length check of the bar with the calibration in use, before any solution."""
-    return Verified(_length_error(bar, basis), None, _length_uncertainty(bar, basis), basis.before_hash)
+    return LengthCheck(_length_error(bar, basis), None, _length_uncertainty(bar, basis), basis.before_hash)
 
 
 def _length_error(bar: BallBar, basis: Basis) -> float:

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from appliance import __version__
 from appliance.cli.arguments import Verb, collect, declare, suggestion
 from appliance.cli.output import Exit, complain, flush, log_lines, say, use_any_encoding, write
-from appliance.cli.verbs import SECTIONS, SOUGHT, VERBS, Group, Listed
+from appliance.cli.verbs import SECTIONS, SOUGHT, VERBS, Group, VerbEntry
 
 _MISSING = "the following arguments are required: "
 _VALUELESS = re.compile(r"argument ([^:]+): expected (?:one|at least one) arguments?")
@@ -87,7 +87,7 @@ class _Parser(argparse.ArgumentParser):
     The parser of a verb (``listed``) loads the verb and declares its arguments when it first parses.
     """
 
-    def __init__(self, *, listed: Listed | None = None, **settings: Any) -> None:
+    def __init__(self, *, listed: VerbEntry | None = None, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
         self._listed = listed
         self._named_words: Sequence[str] = ()
@@ -205,7 +205,7 @@ def _parser() -> _Parser:
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     commands = top.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     for entry in VERBS:
-        if isinstance(entry, Listed):
+        if isinstance(entry, VerbEntry):
             commands.add_parser(entry.name, description=entry.text, listed=entry)
             continue
         group = commands.add_parser(entry.name, description=entry.text, epilog=_exit_codes())

@@ -12,7 +12,7 @@ from appliance.cli.arguments import Verb
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class VerbEntry:
     """Entry of one verb in the list."""
 
     name: str
@@ -34,63 +34,67 @@ class Group:
 
     name: str
     text: str
-    verbs: tuple[Listed, ...]
+    verbs: tuple[VerbEntry, ...]
 
 
-VERBS: tuple[Listed | Group, ...] = (
-    Listed("run", "run the instrument", "instrument:Run"),
-    Listed("sim", "run the instrument in a simulated world", "sim:Sim"),
-    Listed("check", "open every device once and report", "instrument:Check"),
+VERBS: tuple[VerbEntry | Group, ...] = (
+    VerbEntry("run", "run the instrument", "instrument:Run"),
+    VerbEntry("sim", "run the instrument in a simulated world", "sim:Sim"),
+    VerbEntry("check", "open every device once and report", "instrument:Check"),
     Group(
         "scans",
         "look at stored scans, label them, put them away",
         (
-            Listed("list", "all scans", "scans:ListScans"),
-            Listed("show", "one scan's manifest, or one of its frames as a picture", "scans:ShowScan"),
-            Listed("verify", "compare every byte with its checksum, packed or not", "scans:VerifyScans"),
-            Listed("label", "call a scan something, write a note about it", "scans:LabelScan"),
-            Listed("trash", "put scans away; nothing is deleted, and numbers stay taken", "scans:TrashScans"),
-            Listed("restore", "take scans out of the trash", "scans:RestoreScans"),
+            VerbEntry("list", "all scans", "scans:ListScans"),
+            VerbEntry("show", "one scan's manifest, or one of its frames as a picture", "scans:ShowScan"),
+            VerbEntry("verify", "compare every byte with its checksum, packed or not", "scans:VerifyScans"),
+            VerbEntry("label", "call a scan something, write a note about it", "scans:LabelScan"),
+            VerbEntry("trash", "put scans away; nothing is deleted, and numbers stay taken", "scans:TrashScans"),
+            VerbEntry("restore", "take scans out of the trash", "scans:RestoreScans"),
         ),
     ),
-    Listed("cloud", "points or a mesh of scans or an object, as files for this and other programs", "cloud:MakeCloud"),
-    Listed("import", "points of images that another rig took, by a description of them", "foreign:Import"),
+    VerbEntry(
+        "cloud", "points or a mesh of scans or an object, as files for this and other programs", "cloud:MakeCloud"
+    ),
+    VerbEntry("import", "points of images that another rig took, by a description of them", "foreign:Import"),
     Group(
         "object",
         "many scans as one object",
         (
-            Listed("add", "begin an object, or add scans to one", "object:AddToObject"),
-            Listed("solve", "find where its scans lie relative to each other", "object:SolveObject"),
-            Listed("show", "where its scans lie, how certain that is, what was refused", "object:ShowObject"),
+            VerbEntry("add", "begin an object, or add scans to one", "object:AddToObject"),
+            VerbEntry("solve", "find where its scans lie relative to each other", "object:SolveObject"),
+            VerbEntry("show", "where its scans lie, how certain that is, what was refused", "object:ShowObject"),
         ),
     ),
-    Listed("compare", "how far a scan or an object lies from a CAD model or another object", "compare:Compare"),
-    Listed("report", "one page about a dive, a table of reprocessed scans or an object", "report:MakeReport"),
-    Listed("evaluate", "measure artefacts in stored scans, after VDI/VDE 2634", "evaluate:Evaluate"),
+    VerbEntry("compare", "how far a scan or an object lies from a CAD model or another object", "compare:Compare"),
+    VerbEntry("report", "one page about a dive, a table of reprocessed scans or an object", "report:MakeReport"),
+    VerbEntry("evaluate", "measure artefacts in stored scans, after VDI/VDE 2634", "evaluate:Evaluate"),
     Group(
         "calibration",
         "show, make, use and check calibrations, measure the instrument itself",
         (
-            Listed("show", "a calibration, and whether it still holds", "calibration:ShowCalibration"),
-            Listed("air", "lenses and stereo pose, from pictures of a board in air", "calibrate_air:CalibrateAir"),
-            Listed("water", "calibrate from scans of ball bars and planes in water", "calibrate_water:CalibrateWater"),
-            Listed("use", "use a calibration of before, or that of a file", "calibration:UseCalibration"),
-            Listed(
+            VerbEntry("show", "a calibration, and whether it still holds", "calibration:ShowCalibration"),
+            VerbEntry("air", "lenses and stereo pose, from pictures of a board in air", "calibrate_air:CalibrateAir"),
+            VerbEntry(
+                "water", "calibrate from scans of ball bars and planes in water", "calibrate_water:CalibrateWater"
+            ),
+            VerbEntry("use", "use a calibration of before, or that of a file", "calibration:UseCalibration"),
+            VerbEntry(
                 "measure", "the cameras' noise, the projector's response, its exposures", "measure:MeasureInstrument"
             ),
-            Listed("accept", "take an alarm back after a length check", "calibration:AcceptHealth"),
+            VerbEntry("accept", "take an alarm back after a length check", "calibration:AcceptHealth"),
         ),
     ),
     Group(
         "archive",
         "scans off an instrument, kept in a third of the space, reprocessed",
         (
-            Listed("pull", "scans off an instrument: what is not here, compared, nothing deleted", "pull:Pull"),
-            Listed(
+            VerbEntry("pull", "scans off an instrument: what is not here, compared, nothing deleted", "pull:Pull"),
+            VerbEntry(
                 "pack", "pack the scans of a storage root; none is removed that was not compared", "archive:PackArchive"
             ),
-            Listed("unpack", "bring scans back, byte for byte", "archive:UnpackArchive"),
-            Listed(
+            VerbEntry("unpack", "bring scans back, byte for byte", "archive:UnpackArchive"),
+            VerbEntry(
                 "reprocess", "reprocess the scans of an archive, on this computer or on many", "reprocess:Reprocess"
             ),
         ),
@@ -99,10 +103,10 @@ VERBS: tuple[Listed | Group, ...] = (
         "setup",
         "build a new instrument, install this program",
         (
-            Listed("guide", "from a box of parts to the first plane, in twelve steps", "setup:SetupGuide"),
-            Listed("measure", "the projector by its own cameras, or the trigger lines", "setup:SetupMeasure"),
-            Listed("firmware", "what goes onto trigger board or key pad", "setup:LayOutFirmware"),
-            Listed(
+            VerbEntry("guide", "from a box of parts to the first plane, in twelve steps", "setup:SetupGuide"),
+            VerbEntry("measure", "the projector by its own cameras, or the trigger lines", "setup:SetupMeasure"),
+            VerbEntry("firmware", "what goes onto trigger board or key pad", "setup:LayOutFirmware"),
+            VerbEntry(
                 "compile", "compile the kernels for this processor (an installation does)", "kernels:CompileKernels"
             ),
         ),

@@ -13,8 +13,8 @@ from appliance.measure.light.sides import SIDES
 from appliance.store.archive import CopyOutcome, pack_scan
 from appliance.store.atomic import LocalFileSystem
 from appliance.store.scan import StoredScan
-from bench.archive.scenes import Drawn
-from bench.result import Measured
+from bench.archive.scenes import RandomScan
+from bench.result import Measurement
 
 LEAST_RATIO = 3.1
 DIVE_SCANS = 1440
@@ -26,7 +26,7 @@ GB = 1e9
 class PackedScan:
     """Sizes of one scan, and the CPU time of packing it with all comparisons, and of opening it."""
 
-    drawn: Drawn
+    drawn: RandomScan
     raw_bytes: int
     packed_bytes: int
     pack_cpu_s: float
@@ -40,7 +40,7 @@ class PackedScan:
         return self.raw_bytes / self.packed_bytes
 
 
-def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], None]) -> list[PackedScan]:
+def packed_scans(drawn: Sequence[RandomScan], archive: Path, say: Callable[[str], None]) -> list[PackedScan]:
     """Pack each scan into ``archive``, which is made anew."""
     results = []
     shutil.rmtree(archive, ignore_errors=True)  # of a call that was interrupted
@@ -68,27 +68,27 @@ def _frame_cpu_s(folder: Path, side: str, k: int) -> float:
     return time.process_time() - begun_s
 
 
-def figures(scans: Sequence[PackedScan], *, bound: bool) -> Iterator[Measured]:
+def figures(scans: Sequence[PackedScan], *, bound: bool) -> Iterator[Measurement]:
     """Yield the figures of one world's scans; ``bound``: the ratio has its lower limit."""
     world = scans[0].drawn.world
     raw, held = sum(scan.raw_bytes for scan in scans), sum(scan.packed_bytes for scan in scans)
     limit = LEAST_RATIO if bound else None
-    yield Measured(f"{world}: packed how many times smaller", raw / held, f"all {len(scans)} scans", at_least=limit)
+    yield Measurement(f"{world}: packed how many times smaller", raw / held, f"all {len(scans)} scans", at_least=limit)
     ratios = sorted(scan.ratio for scan in scans)
-    yield Measured(f"{world}: of one scan at least", ratios[0], "times")
-    yield Measured(f"{world}: of one scan at most", ratios[-1], "times")
+    yield Measurement(f"{world}: of one scan at least", ratios[0], "times")
+    yield Measurement(f"{world}: of one scan at most", ratios[-1], "times")
     for name in sorted({scan.drawn.object for scan in scans}):
         some = [scan for scan in scans if scan.drawn.object == name]
         ratio = sum(scan.raw_bytes for scan in some) / sum(scan.packed_bytes for scan in some)
-        yield Measured(f"{world}: {name}", ratio, f"times, {len(some)} scans")
+        yield Measurement(f"{world}: {name}", ratio, f"times, {len(some)} scans")
     each = DIVE_SCANS / len(scans) / GB
-    yield Measured(f"{world}: {DIVE_SCANS} scans, raw", raw * each, "GB")
-    yield Measured(f"{world}: {DIVE_SCANS} scans, packed", held * each, "GB")
-    yield Measured(
+    yield Measurement(f"{world}: {DIVE_SCANS} scans, raw", raw * each, "GB")
+    yield Measurement(f"{world}: {DIVE_SCANS} scans, packed", held * each, "GB")
+    yield Measurement(
         f"{world}: packing and comparing", sum(scan.pack_cpu_s for scan in scans) / len(scans), "CPU s a scan"
     )
-    yield Measured(
+    yield Measurement(
         f"{world}: opening a packed scan", sum(scan.open_cpu_s for scan in scans) / len(scans), "CPU s a scan"
     )
     frame_ms = 1000.0 * median(scan.frame_cpu_s for scan in scans)
-    yield Measured(f"{world}: one frame of a packed scan", frame_ms, "CPU ms")
+    yield Measurement(f"{world}: one frame of a packed scan", frame_ms, "CPU ms")

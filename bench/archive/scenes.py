@@ -30,7 +30,7 @@ SEED = 4711
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class RandomScan:
     """One random scan and its scene."""
 
     folder: Path
@@ -51,7 +51,7 @@ class _Taken:
 
 def drawn_scans(
     root: Path, world: str, count: int, size_px: tuple[int, int], say: Callable[[str], None]
-) -> list[Drawn]:
+) -> list[RandomScan]:
     """Return ``count`` stored scans of ``world`` (``ordinary`` or ``outside``) below ``root``/scans; missing ones are
     made."""
     scans = []
@@ -61,7 +61,7 @@ def drawn_scans(
         if not folder.exists():
             say(f"{world} {number + 1} of {count}")
             _store(folder, _take(world, number, size_px))
-        scans.append(Drawn(folder, world, drawn.object, drawn.texture, drawn.water.attenuation_per_m))
+        scans.append(RandomScan(folder, world, drawn.object, drawn.texture, drawn.water.attenuation_per_m))
     return scans
 
 

@@ -23,7 +23,7 @@ from bench.merge.views import AMBIENT, EXPOSURE
 from bench.outside.scan import SEQUENCE
 from bench.outside.stated import stated_truth
 from bench.outside.world import expose, world_of
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.scene import Scene
@@ -37,7 +37,7 @@ NAME, FILES, PAGE = "pipe", ("object.e57", "object.stl"), "report.html"
 MOST_SIGMAS = 3.0
 
 
-def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Measured]:
+def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Measurement]:
     """Return how many scans have a pose, the largest error, and the cost of one call. Its files stay in ``keep``."""
     poses = poses_along(seed, SCANS, 0)
     with tempfile.TemporaryDirectory() as temporary:
@@ -61,22 +61,22 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
             main(["report", *of_object, "--out", str(root / PAGE)])
         spent = time.process_time() - begun
         return [
-            Measured("dive: exit code", code, "", at_most=0.0),
-            *judged(root, name, seed, size_px),
-            Measured("dive: CPU of one call, raw frames to files", spent, "s"),
+            Measurement("dive: exit code", code, "", at_most=0.0),
+            *judge_dive(root, name, seed, size_px),
+            Measurement("dive: CPU of one call, raw frames to files", spent, "s"),
             *(
-                Measured(f"dive: {file}", (root / file).stat().st_size / 1e6, "MB")
+                Measurement(f"dive: {file}", (root / file).stat().st_size / 1e6, "MB")
                 for file in (*FILES, PAGE)
                 if (root / file).exists()
             ),
         ]
 
 
-def judged(root: Path, name: str, seed: int, size_px: tuple[int, int]) -> list[Measured]:
+def judge_dive(root: Path, name: str, seed: int, size_px: tuple[int, int]) -> list[Measurement]:
     """Return how many scans of the object have a pose, and their errors."""
     places = objects.read_object(root, name).places
     if places is None:
-        return [Measured("dive: scans placed by one call", 0.0, f"of {SCANS}", at_least=SCANS)]
+        return [Measurement("dive: scans placed by one call", 0.0, f"of {SCANS}", at_least=SCANS)]
     poses = poses_along(seed, SCANS, 0)
     rig = world_of(_scene(poses[0]), seed, (), truth_set=RIG_SET, size_px=size_px).rig
     origin = left_to_rig(rig, np.zeros((1, 3)))[0]
@@ -101,12 +101,12 @@ def judged(root: Path, name: str, seed: int, size_px: tuple[int, int]) -> list[M
     ]
     farthest = int(np.argmax(apart_mm))
     return [
-        Measured("dive: scans placed by one call", len(names), f"of {SCANS}", at_least=SCANS),
-        Measured("dive: farthest scan's way from the first", apart_mm[farthest], "mm"),
-        Measured("dive: farthest scan off", 1000.0 * off_mm[farthest], "um"),
-        Measured("dive: stated of it, with what may bend it", 1000.0 * sigma_mm[farthest], "um"),
-        Measured("dive: stated of it by the pairs alone", 1000.0 * own_mm[farthest], "um"),
-        Measured(
+        Measurement("dive: scans placed by one call", len(names), f"of {SCANS}", at_least=SCANS),
+        Measurement("dive: farthest scan's way from the first", apart_mm[farthest], "mm"),
+        Measurement("dive: farthest scan off", 1000.0 * off_mm[farthest], "um"),
+        Measurement("dive: stated of it, with what may bend it", 1000.0 * sigma_mm[farthest], "um"),
+        Measurement("dive: stated of it by the pairs alone", 1000.0 * own_mm[farthest], "um"),
+        Measurement(
             "dive: largest error over stated",
             max((off / sigma for off, sigma in zip(off_mm[1:], sigma_mm[1:], strict=True)), default=float("nan")),
             "standard deviations",

@@ -24,7 +24,7 @@ from bench.outside.scan import SEQUENCE, data_sheet
 from bench.outside.stated import stated_truth
 from bench.outside.world import FRAME_S, expose, world_of
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.rendering.render import LightSlice
@@ -65,7 +65,7 @@ class Row:
     cpu_s: float
 
 
-def measure(seed: int, size_px: tuple[int, int]) -> tuple[list[Measured], list[dict[str, Any]]]:
+def measure(seed: int, size_px: tuple[int, int]) -> tuple[list[Measurement], list[dict[str, Any]]]:
     """Return figures of all live images, and the rows of a table."""
     places = drawn(seed, size_px)
     progress = Progress(len(places))
@@ -73,7 +73,7 @@ def measure(seed: int, size_px: tuple[int, int]) -> tuple[list[Measured], list[d
     for new_rows in spread(live_rows, places):
         progress.step(f"{len(rows)} live pictures")
         rows += new_rows
-    figures: list[Measured] = []
+    figures: list[Measurement] = []
     for texture in PAINTS:
         mine = [row for row in rows if row.texture == texture]
         with_share = [row for row in mine if row.guidance is not None and row.guidance.expected.share]
@@ -82,30 +82,34 @@ def measure(seed: int, size_px: tuple[int, int]) -> tuple[list[Measured], list[d
             abs((row.guidance.expected.share or 0.0) - row.true_share) for row in with_share if row.guidance is not None
         ]
         prefix = f"{texture}: "
-        figures.append(Measured(f"{prefix}live pictures", len(mine), ""))
-        figures.append(Measured(f"{prefix}told a percentage", len(with_share), ""))
-        figures.append(Measured(f"{prefix}told to be lost", len(lost), ""))
+        figures.append(Measurement(f"{prefix}live pictures", len(mine), ""))
+        figures.append(Measurement(f"{prefix}told a percentage", len(with_share), ""))
+        figures.append(Measurement(f"{prefix}told to be lost", len(lost), ""))
         if off:
-            figures.append(Measured(f"{prefix}error of the percentage, median", 100.0 * float(np.median(off)), "%"))
-            figures.append(Measured(f"{prefix}error of the percentage, largest", 100.0 * max(off), "%", at_most=10.0))
+            figures.append(Measurement(f"{prefix}error of the percentage, median", 100.0 * float(np.median(off)), "%"))
+            figures.append(
+                Measurement(f"{prefix}error of the percentage, largest", 100.0 * max(off), "%", at_most=10.0)
+            )
         false = sum(error > FALSE_SHARE for error in off) + sum(row.true_share > 0.25 for row in lost)
-        figures.append(Measured(f"{prefix}false statements", false, "", at_most=0))
+        figures.append(Measurement(f"{prefix}false statements", false, "", at_most=0))
         ways = [
             row
             for row in with_share
             if row.guidance is not None and row.guidance.toward is not None and row.guidance.move is not Move.SCAN_NOW
         ]
         figures.append(
-            Measured(
+            Measurement(
                 f"{prefix}arrows that lead to less or too much",
                 sum(_leads_wrong(row) for row in ways),
                 f"of {len(ways)}",
             )
         )
         figures.append(
-            Measured(f"{prefix}CPU of a picture, median", float(np.median([row.cpu_s for row in mine])), "s")
+            Measurement(f"{prefix}CPU of a picture, median", float(np.median([row.cpu_s for row in mine])), "s")
         )
-        figures.append(Measured(f"{prefix}CPU of a picture, largest", max(row.cpu_s for row in mine), "s", at_most=0.5))
+        figures.append(
+            Measurement(f"{prefix}CPU of a picture, largest", max(row.cpu_s for row in mine), "s", at_most=0.5)
+        )
     return figures, [_table_row(row) for row in rows]
 
 

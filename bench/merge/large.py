@@ -30,7 +30,7 @@ from appliance.measure.overlap.pair import ready
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud
 from bench.merge.row import poses_along
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from tests.support import synthetic
 from tests.support.views import view
@@ -44,14 +44,14 @@ LITTLE = 2
 ABOUT = Metadata("pipe", OBJECT_FRAME)
 
 
-def measure(seed: int, keep: Path | None) -> list[Measured]:
+def measure(seed: int, keep: Path | None) -> list[Measurement]:
     """Return CPU time and largest memory of each step."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = keep or Path(temporary)
         poses = poses_along(seed, FORTH, BACK)
         list(spread(partial(_seen, folder=folder, seed=seed), list(enumerate(poses))))
         count = len(poses)
-        measured: list[Measured] = []
+        measured: list[Measurement] = []
         steps: list[tuple[str, Callable[[Path, int], dict[str, float]], float | None]] = [
             ("placing", _place, SOLVE_CPU_S),
             ("one surface", _fuse, None),
@@ -66,10 +66,10 @@ def measure(seed: int, keep: Path | None) -> list[Measured]:
             with multiprocessing.get_context("spawn").Pool(1) as pool:
                 result = pool.apply_async(partial(_measured, step), (folder, count)).get(timeout=3600.0)
             measured.append(
-                Measured(f"{count} scans of full size, {name}: CPU", result.pop("cpu_s"), "s", at_most=limit)
+                Measurement(f"{count} scans of full size, {name}: CPU", result.pop("cpu_s"), "s", at_most=limit)
             )
-            measured.append(Measured(f"{name}: largest memory", result.pop("memory_mb"), "MB", at_most=MEMORY_MB))
-            measured += [Measured(f"{name}: {what}", value, "") for what, value in result.items()]
+            measured.append(Measurement(f"{name}: largest memory", result.pop("memory_mb"), "MB", at_most=MEMORY_MB))
+            measured += [Measurement(f"{name}: {what}", value, "") for what, value in result.items()]
         return measured
 
 

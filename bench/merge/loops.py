@@ -26,7 +26,7 @@ from bench.merge.pairs import ready_of
 from bench.merge.row import FORTH, drawn
 from bench.merge.views import Array, view_of
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 
 RIG_SET = "realistic"
@@ -44,7 +44,7 @@ DRAWS = 12
 
 def measure(
     seed: int, size_px: tuple[int, int], keep: Path | None
-) -> tuple[list[Measured], dict[str, list[dict[str, Any]]]]:
+) -> tuple[list[Measurement], dict[str, list[dict[str, Any]]]]:
     """Return figures, and the rows of both tables."""
     requests = drawn(seed, RIG_SET, size_px)[:FORTH]
     progress = Progress(len(requests))
@@ -55,7 +55,7 @@ def measure(
     return noticed(seed, scans)
 
 
-def noticed(seed: int, scans: list[ReadyScan]) -> tuple[list[Measured], dict[str, list[dict[str, Any]]]]:
+def noticed(seed: int, scans: list[ReadyScan]) -> tuple[list[Measurement], dict[str, list[dict[str, Any]]]]:
     """Return figures and tables of scans in a row, as ``measure`` takes them."""
     solved = solve(scans, lambda *_: None)
     middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
@@ -63,22 +63,24 @@ def noticed(seed: int, scans: list[ReadyScan]) -> tuple[list[Measured], dict[str
     bridges = {(edge.first, edge.second) for edge in solved.placed.unchecked}
     looped = [edge for edge in edges if (edge.first, edge.second) not in bridges]
     figures = [
-        Measured("loops: scans placed", len(solved.placed.poses), f"of {len(scans)}"),
-        Measured("loops: pairs accepted, of them in no loop", len(edges), f"{len(bridges)}"),
-        Measured("loops: right pairs taken out of the row as it is", len(edges_of(solved.compared)) - len(edges), ""),
+        Measurement("loops: scans placed", len(solved.placed.poses), f"of {len(scans)}"),
+        Measurement("loops: pairs accepted, of them in no loop", len(edges), f"{len(bridges)}"),
+        Measurement(
+            "loops: right pairs taken out of the row as it is", len(edges_of(solved.compared)) - len(edges), ""
+        ),
     ]
     wrong_rows = _wrong(seed, edges, looped, middles)
     for row in wrong_rows:
-        figures.append(Measured(f"loops: {row['made wrong by']}, found", row["found"], f"of {row['tried']}"))
+        figures.append(Measurement(f"loops: {row['made wrong by']}, found", row["found"], f"of {row['tried']}"))
     power = _power(seed, len(scans), edges, middles)
     for row in power:
         figures.append(
-            Measured(
+            Measurement(
                 f"health: error of {row['times']:g} stated sigma, alarms", row["alarms"], f"of {row['draws']}",
                 at_most=0.0 if row["times"] <= 1.0 else None,
             )
         )  # fmt: skip
-        figures.append(Measured("health: the same, score in the median", row["score"], ""))
+        figures.append(Measurement("health: the same, score in the median", row["score"], ""))
     return figures, {"wrong": wrong_rows, "power": power}
 
 

@@ -14,7 +14,7 @@ from appliance.measure.guidance import Overlap
 from appliance.measure.overlap.overlap import compare
 from bench.merge.guide import KEPT_AT_MM, PAINTS, SURFACE_MM, Place, held_pose, kept_scan
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 
 WITH_MM = tuple(float(mm) for mm in np.linspace(45.0, 165.0, 19))
@@ -40,7 +40,7 @@ class Row:
 
 def measure(
     seed: int, size_px: tuple[int, int], pairs: int | None = None
-) -> tuple[list[Measured], list[dict[str, Any]]]:
+) -> tuple[list[Measurement], list[dict[str, Any]]]:
     """Return figures and rows of both textures; ``pairs`` of each, evenly spread, or all 35 for ``None``."""
     alongs = [*WITH_MM, *WITHOUT_MM]
     alongs = alongs if pairs is None else [alongs[k] for k in np.linspace(0, len(alongs) - 1, pairs).astype(int)]
@@ -50,7 +50,7 @@ def measure(
     for row in spread(partial(_row, seed=seed, size_px=size_px), jobs):
         progress.step(f"pair {len(rows) + 1} of {len(jobs)}")
         rows.append(row)
-    figures: list[Measured] = []
+    figures: list[Measurement] = []
     for texture in PAINTS:
         mine = [row for row in rows if row.texture == texture]
         with_share = [row for row in mine if row.overlap.share]
@@ -58,18 +58,27 @@ def measure(
         off = [abs((row.overlap.share or 0.0) - row.true_share) for row in with_share]
         name = f"overlap, {texture}: "
         figures += [
-            Measured(f"{name}pairs with a quarter and more in common", sum(row.true_share > LEAST for row in mine), ""),
-            Measured(f"{name}of these told a percentage", sum(row.true_share > LEAST for row in with_share), ""),
-            Measured(f"{name}pairs with a tenth and less", sum(row.true_share < NOTHING for row in mine), ""),
-            Measured(f"{name}of these NO OVERLAP", sum(row.true_share < NOTHING for row in apart), ""),
-            Measured(f"{name}NO OVERLAP of a quarter and more", sum(row.true_share > LEAST for row in apart), "", at_most=0.0),
-            Measured(f"{name}percentages off by more than 5", sum(error > OFF for error in off), "", at_most=0.0),
-            Measured(f"{name}CPU of both pictures of a new scan, median", float(np.median([row.prepared_s for row in mine])), "s"),
-            Measured(f"{name}CPU of the comparison, median", float(np.median([row.compared_s for row in mine])), "s"),
-            Measured(f"{name}CPU of both, largest", max(row.prepared_s + row.compared_s for row in mine), "s"),
+            Measurement(
+                f"{name}pairs with a quarter and more in common", sum(row.true_share > LEAST for row in mine), ""
+            ),
+            Measurement(f"{name}of these told a percentage", sum(row.true_share > LEAST for row in with_share), ""),
+            Measurement(f"{name}pairs with a tenth and less", sum(row.true_share < NOTHING for row in mine), ""),
+            Measurement(f"{name}of these NO OVERLAP", sum(row.true_share < NOTHING for row in apart), ""),
+            Measurement(
+                f"{name}NO OVERLAP of a quarter and more", sum(row.true_share > LEAST for row in apart), "", at_most=0.0
+            ),
+            Measurement(f"{name}percentages off by more than 5", sum(error > OFF for error in off), "", at_most=0.0),
+            Measurement(
+                f"{name}CPU of both pictures of a new scan, median",
+                float(np.median([row.prepared_s for row in mine])), "s",
+            ),
+            Measurement(
+                f"{name}CPU of the comparison, median", float(np.median([row.compared_s for row in mine])), "s"
+            ),
+            Measurement(f"{name}CPU of both, largest", max(row.prepared_s + row.compared_s for row in mine), "s"),
         ]  # fmt: skip
         if off:
-            figures.append(Measured(f"{name}error of the percentage, largest", 100.0 * max(off), "%"))
+            figures.append(Measurement(f"{name}error of the percentage, largest", 100.0 * max(off), "%"))
     return figures, [
         {
             "texture": row.texture,

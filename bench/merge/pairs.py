@@ -16,7 +16,7 @@ from appliance.measure.overlap.pair import ReadyScan, ready, register
 from appliance.measure.overlap.rigid import Rigid
 from bench.merge.views import Array, PlacedView, ViewRequest, view_of
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.binomial import out_of
 from hw_sim.objects.motion import pose_matrix
@@ -41,7 +41,7 @@ SIZE_PX = (800, 600)
 SEEDS_A_RIG = 7
 
 
-def measure(count: int, seed: int, keep: Path | None) -> tuple[list[Measured], list[dict[str, Any]]]:
+def measure(count: int, seed: int, keep: Path | None) -> tuple[list[Measurement], list[dict[str, Any]]]:
     """Return figures of ``count`` drawn pairs, and the pairs."""
     progress = Progress(count)
     rows: list[dict[str, Any]] = []
@@ -51,7 +51,7 @@ def measure(count: int, seed: int, keep: Path | None) -> tuple[list[Measured], l
     return figures(rows), rows
 
 
-def figures(rows: list[dict[str, Any]]) -> list[Measured]:
+def figures(rows: list[dict[str, Any]]) -> list[Measurement]:
     """Return the figures of the pairs. An accepted pair without any overlap is wrong, whatever its sigma."""
     accepted = [row for row in rows if row["accepted"]]
     wrong = [row for row in accepted if row["error_mm"] > SIGMAS * row["sigma_mm"] + MORE_MM]
@@ -60,15 +60,24 @@ def figures(rows: list[dict[str, Any]]) -> list[Measured]:
     sliding = [row for row in rows if not row["tells"] and row["overlap"] >= LEAST_OVERLAP]
     share = 100.0 * len(solved) / max(len(solvable), 1)
     return [
-        Measured("accepted pairs that are wrong", len(wrong), out_of(len(accepted), len(wrong)), at_most=0.0, key="merge_wrong_pairs"),
-        Measured("solvable pairs that are accepted", share, f"% {out_of(len(solvable), len(solved))}", at_least=95.0),
-        Measured("stated sigma of those, median", 1000.0 * _median([r["sigma_mm"] for r in solved]), "um", at_most=100.0),
-        Measured("error of those, median", 1000.0 * _median([r["error_mm"] for r in solved]), "um"),
-        Measured("error of those, largest", 1000.0 * max((r["error_mm"] for r in solved), default=float("nan")), "um"),
-        Measured("error over sigma of those, median", _median([r["error_mm"] / r["sigma_mm"] for r in solved]), ""),
-        Measured("pairs that nothing holds, refused", sum(not r["accepted"] for r in sliding), f"of {len(sliding)}"),
-        Measured("CPU to prepare a view, median", _median([r["ready_s"] for r in rows]), "s"),
-        Measured("CPU a pair, median", _median([r["pair_s"] for r in rows]), "s"),
+        Measurement(
+            "accepted pairs that are wrong", len(wrong), out_of(len(accepted), len(wrong)), at_most=0.0,
+            key="merge_wrong_pairs",
+        ),
+        Measurement(
+            "solvable pairs that are accepted", share, f"% {out_of(len(solvable), len(solved))}", at_least=95.0
+        ),
+        Measurement(
+            "stated sigma of those, median", 1000.0 * _median([r["sigma_mm"] for r in solved]), "um", at_most=100.0
+        ),
+        Measurement("error of those, median", 1000.0 * _median([r["error_mm"] for r in solved]), "um"),
+        Measurement(
+            "error of those, largest", 1000.0 * max((r["error_mm"] for r in solved), default=float("nan")), "um"
+        ),
+        Measurement("error over sigma of those, median", _median([r["error_mm"] / r["sigma_mm"] for r in solved]), ""),
+        Measurement("pairs that nothing holds, refused", sum(not r["accepted"] for r in sliding), f"of {len(sliding)}"),
+        Measurement("CPU to prepare a view, median", _median([r["ready_s"] for r in rows]), "s"),
+        Measurement("CPU a pair, median", _median([r["pair_s"] for r in rows]), "s"),
     ]  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from bench.merge.calibrated import Distortion, distortion
 from bench.merge.pairs import angles_deg, ready_of
 from bench.merge.views import Array, PlacedView, ViewRequest, view_of
 from bench.progress import Progress
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 
 FORTH, BACK = 14, 12
@@ -41,7 +41,7 @@ MOST_SIGMAS = 2.0
 
 def measure(
     seed: int, rig_set: str, size_px: tuple[int, int], keep: Path | None, calibrated: int = 0
-) -> tuple[list[Measured], list[dict[str, Any]]]:
+) -> tuple[list[Measurement], list[dict[str, Any]]]:
     """Return figures of one row of scans, and the rows of a table.
 
     ``calibrated`` rigs of the world ``outside`` are calibrated from four recordings, and the row is taken with each.
@@ -52,7 +52,7 @@ def measure(
     for view in spread(partial(view_of, keep=keep), requests):
         progress.step(f"view {len(views) + 1} of {len(requests)}")
         views.append(view)
-    measured: list[Measured] = []
+    measured: list[Measurement] = []
     rows: list[dict[str, Any]] = []
     kinds: list[tuple[str, Array, Distortion | None]] = [
         ("as they are", np.zeros(DEPTH_ERROR_TERMS), None),
@@ -74,9 +74,11 @@ def measure(
         prepared = time.process_time()
         solved = solve(scans, lambda *_: None, with_bow=True, stated_mm2=stated)
         done = time.process_time()
-        measured.append(Measured(f"{name}: CPU to prepare {len(scans)} scans", prepared - begun, "s"))
-        measured.append(Measured(f"{name}: CPU for {len(solved.compared)} pairs and the graph", done - prepared, "s"))
-        measured.append(Measured(f"{name}: scans placed", len(solved.placed.poses), f"of {len(scans)}"))
+        measured.append(Measurement(f"{name}: CPU to prepare {len(scans)} scans", prepared - begun, "s"))
+        measured.append(
+            Measurement(f"{name}: CPU for {len(solved.compared)} pairs and the graph", done - prepared, "s")
+        )
+        measured.append(Measurement(f"{name}: scans placed", len(solved.placed.poses), f"of {len(scans)}"))
         middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
         prior = prior_covariance(stated)
         plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False, prior_mm2=prior)
@@ -89,15 +91,15 @@ def measure(
     return measured, rows
 
 
-def figures(label: str, row: dict[str, Any], *, default: bool) -> list[Measured]:
+def figures(label: str, row: dict[str, Any], *, default: bool) -> list[Measurement]:
     """Return the figures of one solution. All have the limit of lengths; the ``default`` one also has that of its
     budget."""
     length = f"{label}: length error over {LENGTH_MM:.0f} mm"
     return [
-        Measured(length, row["length_percent"], "%", at_most=MOST_PERCENT),
-        Measured(f"{label}: farthest place off", 1000.0 * row["worst_mm"], "um"),
-        Measured(f"{label}: what may bend it, stated", 1000.0 * row["budget_mm"], "um"),
-        Measured(
+        Measurement(length, row["length_percent"], "%", at_most=MOST_PERCENT),
+        Measurement(f"{label}: farthest place off", 1000.0 * row["worst_mm"], "um"),
+        Measurement(f"{label}: what may bend it, stated", 1000.0 * row["budget_mm"], "um"),
+        Measurement(
             f"{label}: farthest place off, over what is stated of it",
             row["worst_over_sigma"],
             "standard deviations",

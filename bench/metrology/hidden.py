@@ -19,9 +19,9 @@ from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.quality import QualityLimits
 from bench.instrument import Instrument, open_instrument
 from bench.metrology.air import air_of, start_of
-from bench.metrology.judge import Errors, Seen, look_at, summed_up
+from bench.metrology.judge import ArtefactErrors, Errors, look_at, summed_up
 from bench.metrology.poses import Pose, unseen
-from bench.metrology.rungs import IN_SALT, LATER, PLACES, WAYS, Known, Made, climb, needed
+from bench.metrology.rungs import IN_SALT, LATER, PLACES, WAYS, Made, RungInput, climb, needed
 from hw_sim.objects.shapes import BALL_DISTANCE_MM, BALL_RADIUS_MM
 from hw_sim.options import WorldOptions
 from tests.support.truth import WATER
@@ -84,7 +84,7 @@ def examine(
         truth = instrument.world.truth
         start = start_of(air_of(truth, effort.boards))
         recordings = _recorded(instrument, needed(effort.rungs), start, lambda what: step(f"{name}: {what}"))
-        results = climb(Known(start, recordings, truth), effort.rungs)
+        results = climb(RungInput(start, recordings, truth), effort.rungs)
         poses = unseen(truth, effort.bars, effort.planes, effort.frustums)
         rows = _judged(instrument, poses, results, seed, lambda what: step(f"{name}: {what}"))
     if not effort.salt:
@@ -128,7 +128,7 @@ def _judged(
     seed: int,
     step: Callable[[str], None],
 ) -> list[Row]:
-    measurements: list[list[Seen]] = [[] for _ in results]
+    measurements: list[list[ArtefactErrors]] = [[] for _ in results]
     first = results[0]
     with Pipeline(
         first.calibration, first.water, instrument.sequence, QualityLimits(max_gap_mm=JUDGING_GAP_MM)

@@ -21,7 +21,7 @@ was tried with all of its points, E_F changed by 0.1 % of itself and E_F,sys by 
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ArtefactErrors:
     """Errors of one scan of one artefact, as fractions."""
 
     artefact: Artefact
@@ -56,12 +56,12 @@ class _Points:
     pixel: NDArray[np.uint32]
 
 
-def look_at(cloud: Cloud, name: str, truth: TrueRig) -> Seen:
+def look_at(cloud: Cloud, name: str, truth: TrueRig) -> ArtefactErrors:
     """Measure object ``name`` in its cloud against its true dimensions."""
     artefact = ARTEFACTS[name]
     points = cloud if artefact is Artefact.BALL_BAR else _thinned(cloud, truth.left.width_px)
     result = evaluate(points, artefact, true_lengths_mm(name, truth))
-    return Seen(
+    return ArtefactErrors(
         artefact,
         tuple(length.e_l for length in result.lengths),
         result.e_f,
@@ -89,7 +89,7 @@ def true_lengths_mm(name: str, truth: TrueRig) -> Mapping[str, float]:
             return {}
 
 
-def summed_up(measured: Sequence[Seen]) -> Errors:
+def summed_up(measured: Sequence[ArtefactErrors]) -> Errors:
     """Return the largest errors over scans."""
 
     def worst(artefact: Artefact) -> float | None:

@@ -42,7 +42,7 @@ ALL = tuple(PLACES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class RungInput:
     """Input of a rung: start, recordings and, for simulated recordings, the truth."""
 
     start: Calibration
@@ -130,7 +130,7 @@ def needed(rungs: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in ALL if name in names)
 
 
-def climb(rig_inputs: Known, rungs: Sequence[str]) -> list[Made]:
+def climb(rig_inputs: RungInput, rungs: Sequence[str]) -> list[Made]:
     """Return the calibrations of ``rungs``. Raises the errors of the solvers."""
     results = []
     for name in rungs:

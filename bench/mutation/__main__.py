@@ -11,7 +11,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from bench.mutation.mutants import Listed, draw, find, read
+from bench.mutation.mutants import MutantRecord, draw, find, read
 from bench.mutation.names import Names
 from bench.mutation.tree import Tree
 
@@ -49,7 +49,7 @@ def main() -> int:
     return 0
 
 
-def write(file: Path, head: str, mutants: list[Listed]) -> None:
+def write(file: Path, head: str, mutants: list[MutantRecord]) -> None:
     """Write a list of mutants and their verdicts below a line that says how they were drawn."""
     file.write_text(f"{head}\n\n" + "\n".join(map(str, mutants)), encoding="utf-8")
 

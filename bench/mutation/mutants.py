@@ -34,7 +34,7 @@ Span = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class MutantRecord:
     """A mutant by its text, which stays valid when its line moves, with its verdict or the reason why no test can
     notice it."""
 
@@ -58,7 +58,7 @@ class Listed:
 class Mutant:
     """A listed mutant and its place in the text of its file."""
 
-    listed: Listed
+    listed: MutantRecord
     span: Span
     replacement: str
     statement: ast.stmt
@@ -67,7 +67,7 @@ class Mutant:
         return text[: self.span[0]] + self.replacement + text[self.span[1] :]
 
 
-def read(file: Path) -> list[Listed]:
+def read(file: Path) -> list[MutantRecord]:
     """Return the mutants of a file of paragraphs.
 
     A paragraph is path · name, - before, + after, and a verdict or a reason, indented.
@@ -75,7 +75,9 @@ def read(file: Path) -> list[Listed]:
     mutants = []
     for place, within, lines in re.findall(r"^(\S+) ·(.*)\n((?:[-+ ] .*\n)*)", file.read_text(encoding="utf-8"), re.M):
         before, after, *verdict = lines.splitlines()
-        mutants.append(Listed(place, within.strip(), before[2:], after[2:], " ".join(line.strip() for line in verdict)))
+        mutants.append(
+            MutantRecord(place, within.strip(), before[2:], after[2:], " ".join(line.strip() for line in verdict))
+        )
     return mutants
 
 
@@ -90,7 +92,7 @@ def files(root: Path, globs: list[str]) -> list[str]:
     )
 
 
-def draw(root: Path, globs: list[str], count: int, seed: int, without: list[Listed]) -> list[Listed]:
+def draw(root: Path, globs: list[str], count: int, seed: int, without: list[MutantRecord]) -> list[MutantRecord]:
     """Return ``count`` random mutants, one of each statement; a file comes again only after every other file."""
     chance = random.Random(seed)
     texts = {path: (root / path).read_text(encoding="utf-8") for path in files(root, globs)}
@@ -107,7 +109,7 @@ def draw(root: Path, globs: list[str], count: int, seed: int, without: list[List
     return [pair.listed for _, pair in drawn if pair.listed.key not in left_out][:count]
 
 
-def find(root: Path, listed: Listed) -> Mutant | None:
+def find(root: Path, listed: MutantRecord) -> Mutant | None:
     """Return the mutant where its lines are now.
 
     It is in its file, else in the only other file that has the lines in that function.
@@ -117,7 +119,7 @@ def find(root: Path, listed: Listed) -> Mutant | None:
         for path in paths:
             text = (root / path).read_text(encoding="utf-8")
             if listed.before in " ".join(text.split()):
-                moved = Listed(path, listed.within, listed.before, listed.after)
+                moved = MutantRecord(path, listed.within, listed.before, listed.after)
                 matches += [mutant for mutant in mutants_of(path, text) if mutant.listed == moved]
         if len(matches) == 1:
             return matches[0]
@@ -164,7 +166,7 @@ class Source:
         head, tail = self.text.rfind("\n", 0, span[0]) + 1, self.text.find("\n", span[1] - 1)
         before = " ".join(self.text[head:tail].split())
         after = " ".join((self.text[head : span[0]] + new + self.text[span[1] : tail]).split())
-        self.found.append(Mutant(Listed(self.path, within, before, after), span, new, statement))
+        self.found.append(Mutant(MutantRecord(self.path, within, before, after), span, new, statement))
 
     def _edits(self, node: ast.stmt, in_function: bool) -> Iterator[tuple[Span, str]]:
         match node:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.outside.kept import Row, kept_row
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.binomial import tally
 from bench.verdict.compensation import Judge, median, of, worse
@@ -29,7 +29,7 @@ NAMED = 9
 PIPE = "pipe"
 
 
-def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measurement], dict[str, Any]]:
     """Return how far ``count`` drawn scans and the nine named ones err that are shown compensated, and how many are refused instead."""
     named = [replace(case, width_px=SMALL_PX) for case in named_cases(seed)] if count >= NAMED else []
     cases = [*named, *(drawn_case(seed, number) for number in range(count))]
@@ -41,7 +41,7 @@ def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
     return figures(rows[:first], rows[first:]), {"named": rows[:first], "drawn": rows[first:]}
 
 
-def figures(named: Sequence[Row], drawn: Sequence[Row]) -> list[Measured]:
+def figures(named: Sequence[Row], drawn: Sequence[Row]) -> list[Measurement]:
     """Return the figures of the rows of named and random scans; every rate has its interval."""
     measured = []
     for name, rows in (("named", named), ("drawn", drawn)):
@@ -70,9 +70,9 @@ def figures(named: Sequence[Row], drawn: Sequence[Row]) -> list[Measured]:
         over = max((float(row["after"]) for row in shown), default=math.nan)
         measured += [
             tally("the checkered pipe: shown compensated, the others refused", len(shown), len(pipes)),
-            Measured("the checkered pipe, shown: error over that at rest, largest", over, "", at_most=MOST_OVER_REST)
+            Measurement("the checkered pipe, shown: error over that at rest, largest", over, "", at_most=MOST_OVER_REST)
             if shown
-            else Measured(
+            else Measurement(
                 "the checkered pipe, shown: error over that at rest, largest", over, "", why="all are refused"
             ),
         ]
@@ -88,8 +88,8 @@ def _with_sigma(shown: Sequence[Row]) -> list[Row]:
 
 
 def _row(case: Case, keep: Path | None) -> Row:
-    def found() -> Row:
+    def compute() -> Row:
         (row,) = Judge(keep, OUTSIDE).rows(case)
         return row
 
-    return kept_row(keep, ("compensation", case), found)
+    return kept_row(keep, ("compensation", case), compute)

@@ -11,7 +11,7 @@ import numpy as np
 
 from appliance.measure.fault import FaultCode
 from bench.outside.kept import Row
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.binomial import tally
 
 HONEST = 1.5
@@ -34,38 +34,38 @@ def is_soft(row: Row) -> bool:
     return "soft" in row["families"]
 
 
-def of_scenes(rows: Sequence[Row]) -> list[Measured]:
+def of_scenes(rows: Sequence[Row]) -> list[Measurement]:
     """Return the figures of random scenes with their limits; soft ones are counted separately and have none."""
     rigid, soft = [row for row in rows if not is_soft(row)], [row for row in rows if is_soft(row)]
     accepted = [row for row in rigid if row["accepted"]]
     measured = [
-        Measured("scenes that are rigid", len(rigid), ""),
+        Measurement("scenes that are rigid", len(rigid), ""),
         tally("accepted", len(accepted), len(rigid)),
-        Measured("completeness, median of accepted", median(rows_of(accepted, "complete_percent")), "%"),
-        Measured("completeness, median of all", median(rows_of(rigid, "complete_percent")), "%"),
-        Measured("outliers over 1 mm in accepted scans", ppm(accepted), "ppm", at_most=MOST_PPM),
-        Measured("outliers over 1 mm in all scans", ppm(rigid), "ppm"),
-        Measured(
+        Measurement("completeness, median of accepted", median(rows_of(accepted, "complete_percent")), "%"),
+        Measurement("completeness, median of all", median(rows_of(rigid, "complete_percent")), "%"),
+        Measurement("outliers over 1 mm in accepted scans", ppm(accepted), "ppm", at_most=MOST_PPM),
+        Measurement("outliers over 1 mm in all scans", ppm(rigid), "ppm"),
+        Measurement(
             "error over sigma, median of accepted", median(rows_of(accepted, "error_over_sigma")), "",
             at_most=MEDIAN_MOST, at_least=MEDIAN_LEAST,
         ),
         tally("of these above 1.5 and nothing said", len(unsaid(accepted)), len(accepted), at_most=0.0),
-        Measured("noise, median of accepted", median(rows_of(accepted, "rms_um")), "µm"),
+        Measurement("noise, median of accepted", median(rows_of(accepted, "rms_um")), "µm"),
     ]  # fmt: skip
     measured += false_alarms(rigid)
     if soft:
         accepted_soft = [row for row in soft if row["accepted"]]
         measured += [
-            Measured(SOFT, len(soft), ""),
+            Measurement(SOFT, len(soft), ""),
             tally("soft scenes that are accepted", len(accepted_soft), len(soft)),
-            Measured("outliers over 1 mm in these", ppm(accepted_soft), "ppm"),
-            Measured("error over sigma in these, median", median(rows_of(accepted_soft, "error_over_sigma")), ""),
+            Measurement("outliers over 1 mm in these", ppm(accepted_soft), "ppm"),
+            Measurement("error over sigma in these, median", median(rows_of(accepted_soft, "error_over_sigma")), ""),
             *false_alarms(soft, f"{SOFT}: "),
         ]
     return measured
 
 
-def false_alarms(rows: Sequence[Row], prefix: str = "") -> list[Measured]:
+def false_alarms(rows: Sequence[Row], prefix: str = "") -> list[Measurement]:
     """Return how many of these scans raise a fault that no drawn scene has; names begin with ``prefix``."""
     return [
         tally(

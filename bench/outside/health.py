@@ -32,7 +32,7 @@ from bench.outside.noise import WAYS
 from bench.outside.scan import SEQUENCE, row_of, worked_through
 from bench.outside.stated import stated_truth
 from bench.outside.world import World, world_with
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.binomial import tally
 from bench.verdict.parts import Say
@@ -53,7 +53,7 @@ SEEDS_PER_SEED = 100_000
 
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Return false alarms of about ``count`` normal scans, and the number of scans until a knock is detected."""
     each = max(1, -(-count // RIGS))
     jobs = [(rig, number) for rig in range(RIGS) for number in range(each + KNOCKED_SCANS)]
@@ -65,7 +65,7 @@ def measure(
     return figures(rows, each, seed), {"rows": {str(rig): scans for rig, scans in rows.items()}}
 
 
-def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
+def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measurement]:
     """Return the figures of the rows of each rig of ``seed``; the first ``each`` scans are normal."""
     rigs = {rig: _stated(rig, seed) for rig in rows}
     normal = [row for rig_rows in rows.values() for row in rig_rows[:each]]
@@ -86,7 +86,7 @@ def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
     measured = [
         tally(f"rigs whose calibration is doubted, with {each} normal scans each", alarmed, len(rows), at_most=0.0),
         tally("normal scans that are judged", judged, len(normal)),
-        Measured("largest sum of a normal scan", largest, f"of {LIMIT:g}", at_most=LIMIT),
+        Measurement("largest sum of a normal scan", largest, f"of {LIMIT:g}", at_most=LIMIT),
         tally(f"knocks of {KNOCK_DEG:g}° found within three judged scans", sum(late), len(late), at_least=float(len(late))),
         tally("knocks missed though each scan says that it would find them", unsaid, len(late), at_most=0.0),
     ]  # fmt: skip
@@ -94,8 +94,8 @@ def figures(rows: dict[int, list[Row]], each: int, seed: int) -> list[Measured]:
     measured += false_alarms(normal)
     measured.append(tally(f"false alarms of {CALIBRATION}", doubted, len(normal), at_most=0.0))
     measured.append(tally("MOVED at rest", sum("MOVED" in row["faults"] for row in normal), len(normal), at_most=0.0))
-    measured.append(Measured("completeness, median", median(rows_of(normal, "complete_percent")), "%"))
-    measured.append(Measured("error over sigma, median", median(rows_of(normal, "error_over_sigma")), ""))
+    measured.append(Measurement("completeness, median", median(rows_of(normal, "complete_percent")), "%"))
+    measured.append(Measurement("error over sigma, median", median(rows_of(normal, "error_over_sigma")), ""))
     return measured
 
 
@@ -129,7 +129,7 @@ def _seen(rows: Iterable[Row]) -> Iterator[PatchGaps]:
         yield PatchGaps(**values)
 
 
-def _turned_figures(instruments: Sequence[tuple[StereoRig, Sequence[PatchGaps]]]) -> list[Measured]:
+def _turned_figures(instruments: Sequence[tuple[StereoRig, Sequence[PatchGaps]]]) -> list[Measurement]:
     """Return how many turns about each axis are detected, and how many are not although each scan states that it would.
 
     The last three judged normal scans are evaluated with a calibration that is turned, either way.

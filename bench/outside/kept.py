@@ -27,7 +27,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class RecordedFrames:
     """Recorded frames, and the exposure that they were recorded with."""
 
     frames: Frames
@@ -42,7 +42,7 @@ def kept_scan(
     *,
     number: int = 0,
     response: Response | None = None,
-) -> Taken:
+) -> RecordedFrames:
     """Return the frames that the instrument records of ``world``; they are read from and stored in the folder ``keep``.
 
     ``exposure``: ``None`` for the one that the instrument proposes. ``number`` and ``response`` as in ``world.expose``.
@@ -53,7 +53,7 @@ def kept_scan(
     if path is not None and path.exists():
         with np.load(path) as stored:
             taken_exposure = Exposure(int(stored["time_us"]), float(stored["gain_db"]))
-            return Taken({side: stored[side] for side in SIDES}, taken_exposure)
+            return RecordedFrames({side: stored[side] for side in SIDES}, taken_exposure)
     renderer = world.renderer()
     chosen = exposure or chosen_exposure(renderer, sequence)
     frames = expose(renderer, sequence, chosen, number=number, response=response)
@@ -63,7 +63,7 @@ def kept_scan(
         with draft.open("wb") as file:
             np.savez(file, time_us=chosen.time_us, gain_db=chosen.gain_db, left=frames["left"], right=frames["right"])
         draft.replace(path)
-    return Taken(frames, chosen)
+    return RecordedFrames(frames, chosen)
 
 
 def kept_row(keep: Path | None, what: object, find: Callable[[], Row]) -> Row:

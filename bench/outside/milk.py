@@ -13,7 +13,7 @@ from bench.outside.noise import WAYS
 from bench.outside.scan import SEQUENCE, row_of, worked_through
 from bench.outside.stated import stated_truth
 from bench.outside.world import world_with
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.parts import Say
 from hw_sim.outside import ALL
@@ -34,7 +34,7 @@ SEEDS_PER_SEED = 1000
 
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the completeness of ``count`` scans in milk with no family, backscatter alone, and all at rest."""
     jobs = [(name, number) for name in SETS for number in range(count)]
     rows: dict[str, list[Row]] = {name: [] for name in SETS}
@@ -47,8 +47,10 @@ def measure(
     for name, scans in rows.items():
         target = TARGET_PERCENT if name == TARGET else None
         complete = median(rows_of(scans, "complete_percent"))
-        measured.append(Measured(f"completeness in milk, {name}", complete, "%", at_least=target))
-        measured.append(Measured(f"error over sigma in milk, {name}", median(rows_of(scans, "error_over_sigma")), ""))
+        measured.append(Measurement(f"completeness in milk, {name}", complete, "%", at_least=target))
+        measured.append(
+            Measurement(f"error over sigma in milk, {name}", median(rows_of(scans, "error_over_sigma")), "")
+        )
     return measured, {"rows": rows}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, cast
 
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.parts import Say
 
 
@@ -17,7 +17,7 @@ class Part(Protocol):
 
     def measure(
         self, count: int, seed: int, say: Say, keep: Path | None = None
-    ) -> tuple[list[Measured], dict[str, Any]]:
+    ) -> tuple[list[Measurement], dict[str, Any]]:
         """Return figures with their limits, and the data of their tables, JSON-ready.
 
         Results in the folder ``keep`` are not computed again; missing ones are added.
@@ -29,7 +29,7 @@ class PartWithNoise(Protocol):
 
     def measure(
         self, count: int, seed: int, say: Say, keep: Path | None, noise: str
-    ) -> tuple[list[Measured], dict[str, Any]]:
+    ) -> tuple[list[Measurement], dict[str, Any]]:
         """As ``Part.measure``; ``noise`` is one of ``noise.WAYS``."""
 
 
@@ -38,7 +38,7 @@ class PartOfWorlds(Protocol):
 
     def measure(
         self, scans: int, seed: int, say: Say, keep: Path | None, world: str
-    ) -> tuple[list[Measured], dict[str, Any]]:
+    ) -> tuple[list[Measurement], dict[str, Any]]:
         """As ``Part.measure``, in the ``world`` of that name."""
 
 
@@ -96,7 +96,7 @@ PARTS = MappingProxyType(
 
 def measure_part(
     name: str, count: int | None, seed: int, say: Say, keep: Path | None, noise: str
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the results of part ``name``, for ``count`` scenes or as many as a report has.
 
     ``noise`` is the source of the camera noise (``noise.WAYS``). Raises KeyError.

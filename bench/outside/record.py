@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.result import Measured
+from bench.result import Measurement
 
 Content = Mapping[str, Any]
 
@@ -24,7 +24,7 @@ def read(path: Path) -> dict[str, Any]:
     return content
 
 
-def added(content: Content, name: str, seed: int, measured: Sequence[Measured], part: Content) -> dict[str, Any]:
+def added(content: Content, name: str, seed: int, measured: Sequence[Measurement], part: Content) -> dict[str, Any]:
     """Return the content with the figures of a part and a seed in place of former ones.
 
     ``part`` has the other values: ``count``, ``noise``, ``measured_on`` and ``data``, JSON-ready.

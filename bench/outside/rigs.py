@@ -19,7 +19,7 @@ from appliance.calibrate.recordings import Recording
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
 from bench.outside.kept import Row, kept_row
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.binomial import tally
 from bench.verdict.parts import Say
@@ -62,7 +62,7 @@ class Rig:
     later: TrueRig
 
 
-def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the errors of ``count`` rigs with all families and with none, and of some with each family alone.
 
     Their seeds begin with ``seed``. The figures say which errors were announced.
@@ -77,7 +77,7 @@ def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
     return figures(rows), {"rigs": [row for set_rows in rows.values() for row in set_rows]}
 
 
-def figures(rows: dict[str, list[Row]]) -> list[Measured]:
+def figures(rows: dict[str, list[Row]]) -> list[Measurement]:
     """Return the figures of the rows of each set of families."""
     measured = []
     for name, rigs in rows.items():
@@ -88,7 +88,7 @@ def figures(rows: dict[str, list[Row]]) -> list[Measured]:
                 measured.append(_worst(f"{label}: {key} of the worst of {len(rigs)}", of_all, key, limit))
                 if limit is not None:
                     median = float(np.median([result[key] for result in of_all]))
-                    measured.append(Measured(f"{label}: {key}, median", median, "%"))
+                    measured.append(Measurement(f"{label}: {key}, median", median, "%"))
             warmer = f"{label}: E_Lb of the worst in a case {LATER_K:g} K warmer"
             measured.append(_worst(warmer, of_all, "E_Lb_later", LENGTH_PERCENT[number]))
     for name in ("ordinary", "all"):
@@ -103,14 +103,14 @@ def figures(rows: dict[str, list[Row]]) -> list[Measured]:
     return measured
 
 
-def _worst(name: str, rigs: Sequence[Row], key: str, limit: float | None) -> Measured:
+def _worst(name: str, rigs: Sequence[Row], key: str, limit: float | None) -> Measurement:
     """Return the largest of an error with its ``limit``; it is called *announced*, without a limit, if each rig beyond
     warned."""
     worst = max(rig[key] for rig in rigs)
     missed = [] if limit is None else [rig for rig in rigs if rig[key] > limit]
     if missed and all(rig["warnings"] for rig in missed):
-        return Measured(f"{name}, announced", worst, "%")
-    return Measured(name, worst, "%", at_most=limit)
+        return Measurement(f"{name}, announced", worst, "%")
+    return Measurement(name, worst, "%", at_most=limit)
 
 
 def drawn(families: Sequence[str], seed: int) -> Rig:

@@ -12,7 +12,7 @@ from bench.outside.figures import of_scenes
 from bench.outside.kept import Row
 from bench.outside.parts import PARTS
 from bench.outside.scenes import TOGETHER, scene_row, watched
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.parts import Say
 from hw_sim.objects.soft import is_soft
@@ -20,7 +20,7 @@ from hw_sim.objects.soft import is_soft
 
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the figures of ``count`` rigid scenes, evenly spaced in a report's, and of all soft ones of it; of these not more than ``count``
     either."""
     numbers = numbers_of(count, seed)

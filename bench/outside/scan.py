@@ -44,7 +44,7 @@ SEQUENCE = build_sequence(16)
 
 
 @dataclass(frozen=True, slots=True)
-class Scanned:
+class ScanResult:
     """Result of a sequence in the instrument's procedure."""
 
     cloud: Cloud
@@ -77,7 +77,7 @@ def data_sheet(scene: Scene, gain_db: float) -> StereoNoise:
 def worked_through(
     frames: Frames, calibration: Calibration, water: Water, exposure: Exposure, noise: StereoNoise,
     sequence: PatternSequence = SEQUENCE,
-) -> Scanned:  # fmt: skip
+) -> ScanResult:  # fmt: skip
     """Run a sequence through the instrument's procedure."""
     settings = AcquisitionSettings(exposure=exposure, frame_s=FRAME_S, noise=noise, steps=STEPS)
     with Pipeline(calibration, water, sequence, noise=noise) as pipeline:
@@ -93,10 +93,10 @@ def worked_through(
         Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults})
     )
     codes = tuple(fault.code for fault in faults if fault.code is not FaultCode.COMPENSATED)
-    return Scanned(cloud, full, grade_of_scan, codes, cpu_s)
+    return ScanResult(cloud, full, grade_of_scan, codes, cpu_s)
 
 
-def moment_s(scanned: Scanned, exposure: Exposure, sequence: PatternSequence = SEQUENCE) -> float:
+def moment_s(scanned: ScanResult, exposure: Exposure, sequence: PatternSequence = SEQUENCE) -> float:
     """Return the time after the first pulse whose surface the points should lie on."""
     reference_s = scanned.numbers("compensation").get("reference_s")
     moved = any(j.verdict.name == "compensation" and j.verdict.passed for j in scanned.full.judgements)
@@ -106,7 +106,7 @@ def moment_s(scanned: Scanned, exposure: Exposure, sequence: PatternSequence = S
     return float(np.mean(sequence.axis(Direction.X).sine)) * FRAME_S + 0.5e-6 * exposure.time_us
 
 
-def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
+def row_of(world: World, scanned: ScanResult, exposure: Exposure) -> Row:
     """Return the verdicts of one scan and the errors of its points."""
     renderer, at_s = world.renderer(), moment_s(scanned, exposure)
     cloud, summary = scanned.cloud, scanned.full.found.summary

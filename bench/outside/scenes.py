@@ -15,7 +15,7 @@ from bench.outside.kept import Row, kept_row, kept_scan
 from bench.outside.noise import WAYS
 from bench.outside.scan import SEQUENCE, row_of, worked_through
 from bench.outside.stated import stated_truth
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.binomial import tally
 from bench.verdict.parts import Say
@@ -29,7 +29,7 @@ TOGETHER = "all"
 
 def measure(
     count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Return figures of ``count`` scenes with all families, and of a few of them with each family alone.
 
     ``noise`` is the source of the camera noise (``noise.WAYS``).
@@ -47,7 +47,7 @@ def measure(
     return measured, {"rows": rows, "families": of_families(rows, few)}
 
 
-def watched(rows: Sequence[Row], seed: int) -> list[Measured]:
+def watched(rows: Sequence[Row], seed: int) -> list[Measurement]:
     """Return the judgements of calibration health over the scans of each instrument of ``seed``.
 
     Every calibration here is exact, and the instrument moves.
@@ -67,7 +67,7 @@ def watched(rows: Sequence[Row], seed: int) -> list[Measured]:
         tally("instruments whose calibration is doubted", alarmed, len(instruments), at_most=0.0),
         tally(f"false alarms of {CALIBRATION}", doubted, len(rows), at_most=0.0),
         tally("scans that are judged by the watch over the calibration", judged, len(rows)),
-        Measured("largest sum of the watch over the calibration", largest, f"of {LIMIT:g}", at_most=LIMIT),
+        Measurement("largest sum of the watch over the calibration", largest, f"of {LIMIT:g}", at_most=LIMIT),
     ]
 
 

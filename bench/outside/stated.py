@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Stated:
+class StatedCalibration:
     """A calibration, the water that goes with it, and how far the format is from the truth."""
 
     calibration: Calibration
@@ -40,14 +40,14 @@ class Stated:
     """Distance of its rays from the true ones, root mean square over both images and 400 to 650 mm, µm."""
 
 
-def stated_truth(rig: TrueRig, scene: Scene) -> Stated:
+def stated_truth(rig: TrueRig, scene: Scene) -> StatedCalibration:
     """Return the best possible calibration of ``rig`` in the scene's water."""
     water = stated_water(scene)
     plain = replace(true_calibration(rig), water=water)
     sides = {side: _followed(rig, side, getattr(plain.rig, side), water.index) for side in ("left", "right")}
     calibration = replace(plain, rig=StereoRig(sides["left"], sides["right"]))
     off = np.concatenate([_off_mm(rig, side, sides[side], water.index) for side in sides])
-    return Stated(calibration, water, 1000.0 * float(np.sqrt(np.mean(off**2))))
+    return StatedCalibration(calibration, water, 1000.0 * float(np.sqrt(np.mean(off**2))))
 
 
 def stated_water(scene: Scene) -> Water:

@@ -33,7 +33,7 @@ UM = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class ReconstructedScan:
     """A scan, decoded and reconstructed."""
 
     scan: RenderedScan
@@ -42,7 +42,7 @@ class Taken:
     errors: DepthErrors
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def is_visible(self) -> NDArray[np.bool_]:
         """(n,): points whose true point all eyes see."""
         wild_mm = WILD_MM * self.scan.sequence.period_px / 16.0
         return self.errors.seen & (np.abs(self.errors.along_ray_mm) < wild_mm)
@@ -73,7 +73,7 @@ def take(
     response: Response | None = None,
     height_px: int = STRIP_PX,
     corrected: bool = False,
-) -> Taken:
+) -> ReconstructedScan:
     """Scan a scene; a strip from the middle of the images unless ``height_px`` says more.
 
     ``corrected``: with the first-order correction of paint.
@@ -90,17 +90,17 @@ def take(
                 correct(pipeline.decoded(side), frames[scan.sequence.bright], frames[scan.sequence.dark])
         pipeline.coarse()
         cloud = pipeline.full()
-    return Taken(scan, pipeline, cloud, depth_errors(scan.renderer, cloud))
+    return ReconstructedScan(scan, pipeline, cloud, depth_errors(scan.renderer, cloud))
 
 
-def read(scan: Taken) -> Read:
+def read(scan: ReconstructedScan) -> Read:
     """Return the errors of a scan of a plane."""
     period_px = scan.scan.sequence.period_px
     by_side = []
     for side in ("left", "right"):
         coordinates = coordinate_errors(scan.scan.renderer, scan.pipeline, side)
         by_side.append(ripple(coordinates.error_px[:, 0], coordinates.true_px[:, 0], period_px))
-    keep = scan.judged
+    keep = scan.is_visible
     along, true = scan.errors.along_ray_mm[keep], scan.errors.true_px[keep]
     return Read(
         by_side[0],
@@ -113,7 +113,7 @@ def read(scan: Taken) -> Read:
     )
 
 
-def response_seen(scan: Taken) -> MeasuredResponse:
+def response_seen(scan: ReconstructedScan) -> MeasuredResponse:
     """Return the projector's response as measured from that scan."""
     maps = {side: scan.pipeline.decoded(side) for side in scan.scan.frames}
     images = [CameraImages(scan.scan.frames[side], decoded.p_px, decoded.q_px) for side, decoded in maps.items()]

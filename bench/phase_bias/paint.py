@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.phase_bias.conditions import UM, Taken
+from bench.phase_bias.conditions import UM, ReconstructedScan
 from tests.support.bias import rms
 
 BLUR_VAR_PX2 = 0.55**2 + (0.3 * 0.4875) ** 2
@@ -28,10 +28,10 @@ class Maps(Protocol):
     q_px: NDArray[np.float32]
 
 
-def borders(scan: Taken) -> dict[str, float]:
+def borders(scan: ReconstructedScan) -> dict[str, float]:
     """Return errors in µm on and off borders, and without the border points."""
     is_border = contrast(scan)[scan.cloud.pixel] > BORDER_CONTRAST
-    keep, along = scan.judged, UM * scan.errors.along_ray_mm
+    keep, along = scan.is_visible, UM * scan.errors.along_ray_mm
     return {
         "border points, %": 100.0 * float(np.mean(is_border[keep])),
         "rms off borders, µm": rms(along[keep & ~is_border]),
@@ -42,7 +42,7 @@ def borders(scan: Taken) -> dict[str, float]:
     }
 
 
-def contrast(scan: Taken) -> NDArray[np.float64]:
+def contrast(scan: ReconstructedScan) -> NDArray[np.float64]:
     """Return the relative gradient of the left image's light per px, flat: the criterion of a flag."""
     frames, sequence = scan.scan.frames["left"], scan.scan.sequence
     light = frames[sequence.bright].astype(np.float64) - frames[sequence.dark]

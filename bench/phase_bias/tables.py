@@ -21,7 +21,7 @@ from bench.phase_bias.conditions import (
     UM,
     WHOLE_PX,
     Pose,
-    Taken,
+    ReconstructedScan,
     read,
     response_seen,
     take,
@@ -149,7 +149,7 @@ def artefacts(response: Response) -> Iterator[Row]:
 
         def cloud(
             artefact: str, imaging: Imaging = imaging, noise: bool = noise, drawn: Response | None = drawn
-        ) -> Taken:
+        ) -> ReconstructedScan:
             scene = Scene(object=artefact, texture="none", noise=noise, imaging=imaging)
             return take(scene, response=drawn, height_px=WHOLE_PX)
 

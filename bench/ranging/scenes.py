@@ -87,7 +87,7 @@ def aimed(case: Case, truth: TrueRig, rng: np.random.Generator, time_s: float) -
     return replace(case, scene=replace(scene, pose=moved))
 
 
-def seen(renderer: Renderer, truth: TrueRig, side: str, dot: Array, time_s: float) -> bool:
+def is_visible(renderer: Renderer, truth: TrueRig, side: str, dot: Array, time_s: float) -> bool:
     """Whether a camera sees that point of the surface."""
     u, v = project(truth, side, dot[None])[0]
     points = renderer.view(side, time_s).points_rig_mm

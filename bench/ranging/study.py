@@ -13,7 +13,7 @@ from appliance.instrument.ranging.ranger import Dot, Dots
 from appliance.instrument.ranging.reach import Range
 from appliance.instrument.service.settings import live_light_of
 from appliance.store.config import load_rig
-from bench.ranging.scenes import Case, aimed, drawn, seen
+from bench.ranging.scenes import Case, aimed, drawn, is_visible
 from hw_sim.rendering.render import Renderer
 from tests.support.pointed import RIG_FILE, Instrument, hide, instrument, live_pair, true_dots, truth_of
 from tests.support.truth import rig_to_left
@@ -65,7 +65,7 @@ def row(device: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> 
     dots = true_dots(renderer, device.truth, time_s)
     (left, right), hidden = _pair(device, renderer, case, dots, seed, light, time_s)
     views = {
-        (side, k): dot is not None and seen(renderer, device.truth, side, dot, time_s)
+        (side, k): dot is not None and is_visible(renderer, device.truth, side, dot, time_s)
         for side in ("left", "right")
         for k, dot in enumerate(dots)
     }

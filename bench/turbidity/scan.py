@@ -47,7 +47,7 @@ class Shutter:
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class JudgedScan:
     """A simulated scan, reconstructed and judged."""
 
     renderer: Renderer
@@ -132,7 +132,7 @@ def chosen_shutter(renderer: Renderer, sequence: PatternSequence, most_gain_db: 
     return shutter
 
 
-def take(renderer: Renderer, shutter: Shutter | None = None, most_gain_db: float = 0.0) -> Taken:
+def take(renderer: Renderer, shutter: Shutter | None = None, most_gain_db: float = 0.0) -> JudgedScan:
     """Scan the scene of ``renderer``; without ``shutter``, with a suitable exposure."""
     sequence = build_sequence(PERIOD_PX)
     chosen = shutter or chosen_shutter(renderer, sequence, most_gain_db)
@@ -141,7 +141,7 @@ def take(renderer: Renderer, shutter: Shutter | None = None, most_gain_db: float
 
 def finish(
     renderer: Renderer, sequence: PatternSequence, frames: dict[str, NDArray[np.uint8]], shutter: Shutter
-) -> Taken:
+) -> JudgedScan:
     """Reconstruct and judge ``frames``."""
     water = set_water(renderer.scene)
     calibration = replace(true_calibration(renderer.truth), water=water)
@@ -160,4 +160,4 @@ def finish(
         cloud = pipeline.full()
         valid = decoded["left"].mask == Mask.VALID
     errors = depth_errors(renderer, cloud)
-    return Taken(renderer, sequence, frames, shutter, cloud, judgement, errors, judging_cpu_s, valid)
+    return JudgedScan(renderer, sequence, frames, shutter, cloud, judgement, errors, judging_cpu_s, valid)

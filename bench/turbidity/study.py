@@ -12,7 +12,7 @@ import numpy as np
 from bench.metrology.judge import look_at
 from bench.metrology.poses import unseen
 from bench.spread import spread
-from bench.turbidity.scan import MOST_GAIN_DB, Shutter, Taken, rig_in, set_water, take
+from bench.turbidity.scan import MOST_GAIN_DB, JudgedScan, Shutter, rig_in, set_water, take
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Imaging, Scene
 from hw_sim.water.medium import Water
@@ -199,7 +199,7 @@ def as_json(row: Row | ArtefactRow) -> dict[str, Any]:
     return asdict(row)
 
 
-def _take(series: Series, scene: Scene, seed: int, width_px: int) -> Taken:
+def _take(series: Series, scene: Scene, seed: int, width_px: int) -> JudgedScan:
     renderer = Renderer(rig_in(set_water(scene), TRUTH, seed, width_px), scene)
     return take(renderer, None if series.longer else Shutter(), series.most_gain_db)
 

@@ -11,7 +11,7 @@ PERIODS_PX = (16.0, 32.0, 64.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class RayBackscatter:
     """Backscatter along one ray through one water, by photons and by the simulator."""
 
     per_m: float
@@ -32,7 +32,7 @@ class Checked:
     """Standard errors of the photons' contrasts of all light."""
 
 
-def table(rows: Sequence[Checked]) -> list[str]:
+def table(rows: Sequence[RayBackscatter]) -> list[str]:
     """Return the table as lines of Markdown."""
     head = ["water", "ray (of 400 × 300)", "all light, simulator over photons"]
     head += [f"contrast kept of {period:g} px: photons; simulator" for period in PERIODS_PX]
@@ -47,7 +47,7 @@ def table(rows: Sequence[Checked]) -> list[str]:
     return lines
 
 
-def errors(rows: Sequence[Checked]) -> str:
+def errors(rows: Sequence[RayBackscatter]) -> str:
     """Return the sentence on the standard errors of the photons, water by water."""
     sentences = []
     for per_m in sorted({row.per_m for row in rows}):
@@ -59,7 +59,7 @@ def errors(rows: Sequence[Checked]) -> str:
     return f"The photons' standard errors are at most {', '.join(sentences)}. Nothing was fitted to them."
 
 
-def write_page(rows: Sequence[Checked], page: Path) -> None:
+def write_page(rows: Sequence[RayBackscatter], page: Path) -> None:
     """Write the table between the page's marks. Raises ValueError, and changes nothing, for a page without marks."""
     head, above, remainder = page.read_text(encoding="utf-8").partition(BEGIN)
     _, below, tail = remainder.partition(END)

@@ -6,7 +6,7 @@ import math
 
 from scipy.stats import beta
 
-from bench.result import Measured
+from bench.result import Measurement
 
 
 def limits(count: int, trials: int, outside: float = 0.05) -> tuple[float, float]:
@@ -22,7 +22,7 @@ def limits(count: int, trials: int, outside: float = 0.05) -> tuple[float, float
     return low, high
 
 
-def counted(count: int, trials: int) -> str:
+def count_text(count: int, trials: int) -> str:
     """Return a share as text, in percent: ``3 of 500 = 0.6 % (0.1 to 1.7)``."""
     if trials == 0:
         return "none to count"
@@ -54,13 +54,13 @@ def tally(
     at_most: float | None = None,
     at_least: float | None = None,
     key: str | None = None,
-) -> Measured:
+) -> Measurement:
     """Return a count with the limits of its share in its unit.
 
     Its bounds are of the count, and hold only if there were trials.
     """
     bounds = (at_most, at_least) if trials else (None, None)
-    return Measured(name, float(count), out_of(trials, count), *bounds, key, share=(count, trials))
+    return Measurement(name, float(count), out_of(trials, count), *bounds, key, share=(count, trials))
 
 
 def rate(
@@ -71,15 +71,15 @@ def rate(
     at_most: float | None = None,
     at_least: float | None = None,
     key: str | None = None,
-) -> Measured:
+) -> Measurement:
     """Return a share in percent with its count and limits in its unit: 60 ``% (3 of 5; 14.7 to 94.7)``.
 
     Bounds are in percent. Without trials there is neither a value nor a bound.
     """
     if trials == 0:
-        return Measured(name, math.nan, "", key=key, why="none to count", share=(0, 0))
+        return Measurement(name, math.nan, "", key=key, why="none to count", share=(0, 0))
     unit = f"% ({count} of {trials}; {_between(count, trials)})"
-    return Measured(name, 100.0 * count / trials, unit, at_most, at_least, key, share=(count, trials))
+    return Measurement(name, 100.0 * count / trials, unit, at_most, at_least, key, share=(count, trials))
 
 
 def _between(count: int, trials: int) -> str:

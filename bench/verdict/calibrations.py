@@ -34,7 +34,7 @@ GRID_PX = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Own:
+class CloudErrors:
     """A cloud judged."""
 
     accuracy: Accuracy
@@ -84,7 +84,7 @@ class TrueScene:
         self.view = view or scan.renderer.view("left", time_s)
         self._back = self._turn_back()
 
-    def judge(self, cloud: Cloud) -> Own:
+    def judge(self, cloud: Cloud) -> CloudErrors:
         """Return the errors of a cloud that was made with the rig."""
         truth = self._scan.renderer.truth
         pixel = cloud.pixel.astype(np.int64)
@@ -96,7 +96,7 @@ class TrueScene:
         errors_mm = np.sum((cloud.points_mm[met] - expected) * direction, -1)
         good = np.isfinite(errors_mm)
         rms = float(np.sqrt(np.mean(errors_mm[good] ** 2))) if good.any() else math.nan
-        return Own(self._accuracy(cloud, pixel), rms, errors_mm[good] / cloud.sigma_mm[met][good])
+        return CloudErrors(self._accuracy(cloud, pixel), rms, errors_mm[good] / cloud.sigma_mm[met][good])
 
     def _accuracy(self, cloud: Cloud, pixel: NDArray[np.int64]) -> Accuracy:
         R, a, b = self._back

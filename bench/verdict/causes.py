@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from appliance.measure.verdict import Grade
-from bench.result import Measured
-from bench.verdict.binomial import counted, rate, tally
-from bench.verdict.causes_scenes import Base, Spoilt, draw_base, grid_of
+from bench.result import Measurement
+from bench.verdict.binomial import count_text, rate, tally
+from bench.verdict.causes_scenes import Base, FactorLevels, draw_base, grid_of
 from bench.verdict.causes_truth import FACTOR_OF, Outcome, Truth
 from bench.verdict.parts import Say
 from bench.verdict.worlds import ORDINARY
@@ -28,7 +28,7 @@ Row = dict[str, Any]
 
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """As many bases as make at least ``scans`` scenes, every scene judged and every bad one looked into.
 
     With ``keep``, frames and what this version of the product made of them are kept there and not worked out again; the rows
@@ -39,27 +39,27 @@ def measure(
     for number in range(bases):
         base, grid = draw_base(seed, number), grid_of(seed, number)
         truth = Truth(base, keep, world)
-        for k, spoilt in enumerate(grid):
+        for k, levels in enumerate(grid):
             say("causes", (number + k / len(grid)) / bases)
-            rows.append(_row(number, base, spoilt, truth))
+            rows.append(_row(number, base, levels, truth))
             if keep is not None:
                 (keep / f"causes-rows-{world}-{seed}.json").write_text(json.dumps(rows) + "\n", encoding="utf-8")
     return figures(rows), {"rows": rows, "by_reason": by_reason(rows)}
 
 
-def _row(number: int, base: Base, spoilt: Spoilt, truth: Truth) -> Row:
-    outcome = truth.outcome(spoilt)
+def _row(number: int, base: Base, levels: FactorLevels, truth: Truth) -> Row:
+    outcome = truth.outcome(levels)
     row: Row = {
-        "base": number, "object": base.scene.object, "texture": base.scene.texture, "scene": spoilt.name,
-        "hands": spoilt.hands, "water": spoilt.water, "light": spoilt.light, "distance": spoilt.distance,
+        "base": number, "object": base.scene.object, "texture": base.scene.texture, "scene": levels.name,
+        "hands": levels.hands, "water": levels.water, "light": levels.light, "distance": levels.distance,
         "grade": outcome.grade.value, "reasons": [code.value for code in outcome.reasons],
         "coverage_percent": outcome.coverage_percent, "good": outcome.good, "error_mm": outcome.error_mm,
         "texts": outcome.texts, "numbers": outcome.numbers,
     }  # fmt: skip
     if outcome.grade is Grade.BAD:
         blamed = _blamed(outcome)
-        row["true"] = sorted(truth.causes(spoilt, blamed))
-        row["mends"] = sorted(truth.mending(spoilt, blamed))
+        row["true"] = sorted(truth.causes(levels, blamed))
+        row["mends"] = sorted(truth.mending(levels, blamed))
         row["blamed"] = blamed
         row["right"] = blamed is not None and blamed in row["true"]
     return row
@@ -70,7 +70,7 @@ def _blamed(outcome: Outcome) -> str | None:
     return FACTOR_OF.get(outcome.reasons[0]) if outcome.reasons else None
 
 
-def figures(rows: Sequence[Row]) -> list[Measured]:
+def figures(rows: Sequence[Row]) -> list[Measurement]:
     """The rates, each with its interval."""
     bad = [row for row in rows if row["grade"] == Grade.BAD.value]
     right = sum(row["right"] for row in bad)
@@ -80,7 +80,7 @@ def figures(rows: Sequence[Row]) -> list[Measured]:
     good = [row for row in rows if row["grade"] == Grade.GOOD.value]
     warned = sum(bool(row["reasons"]) for row in good)
     return [
-        Measured("scenes", float(len(rows)), "scenes"),
+        Measurement("scenes", float(len(rows)), "scenes"),
         tally("of these bad", len(bad), len(rows)),
         rate("first reason is a true one", right, len(bad), at_least=RIGHT_PERCENT, key="causes_right_percent"),
         rate("first reason is one that mends the scan by itself, if any does", mending, len(bad)),
@@ -95,4 +95,4 @@ def by_reason(rows: Sequence[Row]) -> dict[str, str]:
     bad = [row for row in rows if row["grade"] == Grade.BAD.value]
     all_of = Counter((row["reasons"] or ["none"])[0] for row in bad)
     right = Counter((row["reasons"] or ["none"])[0] for row in bad if row["right"])
-    return {name: counted(right[name], number) for name, number in sorted(all_of.items())}
+    return {name: count_text(right[name], number) for name, number in sorted(all_of.items())}

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.patterns import build_sequence
-from bench.verdict.causes_scenes import FRAME_S, HEIGHT_PX, PERIOD_PX, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
+from bench.verdict.causes_scenes import (
+    FRAME_S,
+    HEIGHT_PX,
+    PERIOD_PX,
+    WIDTH_PX,
+    Base,
+    FactorLevels,
+    exposure_of,
+    scene_of,
+)
 from bench.verdict.outside import put_outside, record_sequence
 from bench.verdict.worlds import ORDINARY
 from hw_sim.rendering.render import Renderer
@@ -23,13 +32,13 @@ TRUTH_SET = "realistic"
 
 
 def frames_of(
-    base: Base, spoilt: Spoilt, keep: Path | None, exposure: Exposure | None = None, world: str = ORDINARY
+    base: Base, levels: FactorLevels, keep: Path | None, exposure: Exposure | None = None, world: str = ORDINARY
 ) -> RenderedScan:
     """Return the scan of a scene, with noise; it is read from and stored in the folder ``keep``.
 
     ``exposure``: another one than that of the scene.
     """
-    scene, chosen = scene_of(base, spoilt), exposure or exposure_of(spoilt)
+    scene, chosen = scene_of(base, levels), exposure or exposure_of(levels)
     if world != ORDINARY:
         return _outside(base, scene, chosen, keep)
     frame_s = 0.0 if scene.motion.still else FRAME_S

@@ -70,7 +70,7 @@ class Base:
 
 
 @dataclass(frozen=True, slots=True)
-class Spoilt:
+class FactorLevels:
     """A level of each factor; ``NONE`` is that of the base."""
 
     hands: str = NONE
@@ -83,13 +83,13 @@ class Spoilt:
         """The factors that are not as in a base."""
         return tuple(factor for factor in FACTORS if getattr(self, factor) != NONE)
 
-    def without(self, factor: str) -> Spoilt:
+    def without(self, factor: str) -> FactorLevels:
         """The same with that factor as in a base."""
         return replace(self, **{factor: NONE})
 
-    def alone(self, factor: str) -> Spoilt:
+    def alone(self, factor: str) -> FactorLevels:
         """Return the level of ``factor`` alone."""
-        return replace(Spoilt(), **{factor: getattr(self, factor)})
+        return replace(FactorLevels(), **{factor: getattr(self, factor)})
 
     @property
     def name(self) -> str:
@@ -112,18 +112,18 @@ def draw_base(seed: int, number: int) -> Base:
     return Base(int(rng.integers(1, 10**9)), scene, hz, depth, tremor_hz)
 
 
-def scene_of(base: Base, spoilt: Spoilt) -> Scene:
+def scene_of(base: Base, levels: FactorLevels) -> Scene:
     """Return the scene before the instrument."""
-    scene = replace(base.scene, motion=_motion(base, spoilt.hands), water=WATERS[spoilt.water])
+    scene = replace(base.scene, motion=_motion(base, levels.hands), water=WATERS[levels.water])
     x, y, z, *rotation_deg = base.scene.start_pose
-    match spoilt.distance:
+    match levels.distance:
         case "near":
             scene = replace(scene, pose=(x, y, z - NEARER_MM, rotation_deg[0], rotation_deg[1], rotation_deg[2]))
         case "far":
             scene = replace(scene, pose=(x, y, z + FARTHER_MM, rotation_deg[0], rotation_deg[1], rotation_deg[2]))
         case "nothing":
             scene = replace(scene, pose=(x + AWAY_MM, y, z, rotation_deg[0], rotation_deg[1], rotation_deg[2]))
-    match spoilt.light:
+    match levels.light:
         case "flicker":
             daylight = Daylight(flicker_depth=base.flicker_depth, flicker_hz=base.flicker_hz, seed=base.rig_seed)
             scene = replace(scene, ambient=0.2, daylight=daylight)
@@ -132,9 +132,9 @@ def scene_of(base: Base, spoilt: Spoilt) -> Scene:
     return scene
 
 
-def exposure_of(spoilt: Spoilt) -> Exposure:
+def exposure_of(levels: FactorLevels) -> Exposure:
     """Return the exposure: the usual one except where light is the factor."""
-    match spoilt.light:
+    match levels.light:
         case "dim":
             return Exposure(500)
         case "dimmer":
@@ -156,7 +156,7 @@ def _motion(base: Base, hands: str) -> Motion:
     return Motion(velocity_mm_s=(x, y, z))
 
 
-def grid_of(seed: int, number: int, pairs: int = PAIRS, triples: int = TRIPLES) -> tuple[Spoilt, ...]:
+def grid_of(seed: int, number: int, pairs: int = PAIRS, triples: int = TRIPLES) -> tuple[FactorLevels, ...]:
     """Return the levels for one base: none, each alone, random pairs, and triples with all their pairs.
 
     Of motion, only ``HANDS_ALONE`` random levels stand alone. So every scene without one of its factors is in the grid,
@@ -169,14 +169,14 @@ def grid_of(seed: int, number: int, pairs: int = PAIRS, triples: int = TRIPLES) 
         "light": LIGHTS[1:],
         "distance": DISTANCES[1:],
     }
-    grid = [Spoilt(), *(_spoilt({factor: level}) for factor in FACTORS for level in levels[factor])]
+    grid = [FactorLevels(), *(_with_factors({factor: level}) for factor in FACTORS for level in levels[factor])]
     for count, many in ((2, pairs), (3, triples)):
         for _ in range(many):
             chosen = [str(factor) for factor in rng.choice(FACTORS, count, replace=False)]
-            combination = _spoilt({factor: str(rng.choice(levels[factor])) for factor in chosen})
+            combination = _with_factors({factor: str(rng.choice(levels[factor])) for factor in chosen})
             grid += [*(combination.without(factor) for factor in chosen), combination]
     return tuple(dict.fromkeys(grid))
 
 
-def _spoilt(levels: dict[str, str]) -> Spoilt:
-    return replace(Spoilt(), **levels)
+def _with_factors(levels: dict[str, str]) -> FactorLevels:
+    return replace(FactorLevels(), **levels)

@@ -34,10 +34,10 @@ from appliance.measure.light.water import Water
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.procedure import SequenceProcessor
 from appliance.measure.verdict import SPOILS_SCAN, Grade, grade
-from bench.outside.stated import Stated, stated_truth
+from bench.outside.stated import StatedCalibration, stated_truth
 from bench.outside.world import TRIGGER_DELAY_US
 from bench.verdict.causes_frames import TRUTH_SET, frames_of
-from bench.verdict.causes_scenes import NONE, STEPS, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
+from bench.verdict.causes_scenes import NONE, STEPS, WIDTH_PX, Base, FactorLevels, exposure_of, scene_of
 from bench.verdict.light_scenes import noise_at
 from bench.verdict.motion_truth import FALSE_MM, errors_mm, rms_mm
 from bench.verdict.outside import noise_of, put_outside, suited_s
@@ -83,7 +83,7 @@ class Outcome:
     numbers: dict[str, dict[str, float | None]]
 
 
-def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None) -> Outcome:
+def judge_scan(scan: RenderedScan, exposure: Exposure, stated: StatedCalibration | None = None) -> Outcome:
     """Run a scan through the instrument's procedure with the true calibration, and compare its points with the truth.
 
     ``stated``: the calibration that states a true rig of the world ``outside``; ``None`` for the ordinary world.
@@ -109,7 +109,7 @@ def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None)
 
 
 def _taken(
-    scan: RenderedScan, exposure: Exposure, stated: Stated | None
+    scan: RenderedScan, exposure: Exposure, stated: StatedCalibration | None
 ) -> tuple[AcquisitionSettings, Calibration, Water]:
     """How a scan was taken, and the calibration and water that state the truth."""
     if stated is None:
@@ -157,89 +157,89 @@ class Truth:
 
     def __init__(self, base: Base, keep: Path | None, world: str = ORDINARY) -> None:
         self._base, self._keep, self._world = base, keep, world
-        self._stated: Stated | None = None
+        self._stated: StatedCalibration | None = None
         self._usual = self._usual_exposure()
-        self._known: dict[tuple[Spoilt, Exposure], Outcome] = {}
+        self._known: dict[tuple[FactorLevels, Exposure], Outcome] = {}
 
-    def outcome(self, spoilt: Spoilt, exposure: Exposure | None = None) -> Outcome:
+    def outcome(self, levels: FactorLevels, exposure: Exposure | None = None) -> Outcome:
         """Return the outcome of a scene, at its own or another exposure."""
-        chosen = exposure or self._exposure_of(spoilt)
-        if (spoilt, chosen) not in self._known:
-            self._known[spoilt, chosen] = self._kept(spoilt, chosen)
-        return self._known[spoilt, chosen]
+        chosen = exposure or self._exposure_of(levels)
+        if (levels, chosen) not in self._known:
+            self._known[levels, chosen] = self._kept(levels, chosen)
+        return self._known[levels, chosen]
 
-    def taken(self, spoilt: Spoilt) -> tuple[RenderedScan, AcquisitionSettings, Calibration, Water]:
+    def scan_inputs(self, levels: FactorLevels) -> tuple[RenderedScan, AcquisitionSettings, Calibration, Water]:
         """A scene's scan as it is exposed, how it was taken, and the calibration and water that state the truth."""
-        exposure = self._exposure_of(spoilt)
-        scan = frames_of(self._base, spoilt, self._keep, exposure, self._world)
+        exposure = self._exposure_of(levels)
+        scan = frames_of(self._base, levels, self._keep, exposure, self._world)
         return scan, *_taken(scan, exposure, self._stated)
 
     def _usual_exposure(self) -> Exposure | None:
         """In the world ``outside``, the one that suits the base: whites, sensors and spots of light differ there."""
         if self._world == ORDINARY:
             return None
-        scene = scene_of(self._base, Spoilt())
+        scene = scene_of(self._base, FactorLevels())
         world = put_outside(scene, self._base.rig_seed, TRUTH_SET, width_px=WIDTH_PX, hands=False)
         # Every scene of a base is before the same rig, in water of one temperature.
         self._stated = stated_truth(world.rig, world.scene)
         return Exposure(round(1e6 * suited_s(world.renderer(), 0.0, 1.0)))
 
-    def _exposure_of(self, spoilt: Spoilt) -> Exposure:
+    def _exposure_of(self, levels: FactorLevels) -> Exposure:
         """Return the exposure of a scene; too dark and too bright are factors on the suitable one of the base."""
-        ordinary = exposure_of(spoilt)
-        if self._usual is None or spoilt.light == "over":
+        ordinary = exposure_of(levels)
+        if self._usual is None or levels.light == "over":
             return ordinary
-        usual_us = exposure_of(Spoilt()).time_us
+        usual_us = exposure_of(FactorLevels()).time_us
         return Exposure(max(round(self._usual.time_us * ordinary.time_us / usual_us), 20), ordinary.gain_db)
 
-    def _kept(self, spoilt: Spoilt, exposure: Exposure) -> Outcome:
+    def _kept(self, levels: FactorLevels, exposure: Exposure) -> Outcome:
         """Return the stored outcome if this version of the product has judged the scene, else judge it."""
         if self._keep is None:
-            return judged(frames_of(self._base, spoilt, None, exposure, self._world), exposure, self._stated)
+            return judge_scan(frames_of(self._base, levels, None, exposure, self._world), exposure, self._stated)
         where = () if self._world == ORDINARY else (self._world, "stated")
-        what = repr((self._base, spoilt, exposure, sources_digest(), *where))
+        what = repr((self._base, levels, exposure, sources_digest(), *where))
         path = self._keep / f"causes-outcome-{hashlib.sha256(what.encode()).hexdigest()[:20]}.json"
         if path.exists():
             return read_outcome(json.loads(path.read_text(encoding="utf-8")))
-        outcome = judged(frames_of(self._base, spoilt, self._keep, exposure, self._world), exposure, self._stated)
+        outcome = judge_scan(frames_of(self._base, levels, self._keep, exposure, self._world), exposure, self._stated)
         draft = path.with_name(f".{path.name}")
         draft.write_text(json.dumps(written(outcome)) + "\n", encoding="utf-8")
         draft.replace(path)
         return outcome
 
-    def causes(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
+    def causes(self, levels: FactorLevels, blamed: str | None) -> set[str]:
         """Return the factors that truly spoil a scene.
 
         Light, where it is not a changed factor, is tested only if it is ``blamed``: then with the suitable exposure.
         """
-        return self.mending(spoilt, blamed) | self._fatal(spoilt)
+        return self.mending(levels, blamed) | self._fatal(levels)
 
-    def mending(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
+    def mending(self, levels: FactorLevels, blamed: str | None) -> set[str]:
         """Return the factors each of which improves the scan if removed alone; without any, those that alone spoil the
         base.
 
         ``blamed`` as in ``causes``.
         """
-        present_outcome = self.outcome(spoilt)
+        present_outcome = self.outcome(levels)
         true = {
-            factor for factor in spoilt.present if self._mends(present_outcome, self.outcome(spoilt.without(factor)))
+            factor for factor in levels.present if self._mends(present_outcome, self.outcome(levels.without(factor)))
         }
-        if blamed == "light" and spoilt.light == NONE:
-            suited = self._suited(spoilt)
-            if suited is not None and self._mends(present_outcome, self.outcome(spoilt, suited)):
+        if blamed == "light" and levels.light == NONE:
+            suited = self._suited(levels)
+            if suited is not None and self._mends(present_outcome, self.outcome(levels, suited)):
                 true.add("light")
         if true:
             return true
-        clean = self.outcome(Spoilt())
-        return {factor for factor in spoilt.present if self._mends(self.outcome(spoilt.alone(factor)), clean)}
+        clean = self.outcome(FactorLevels())
+        return {factor for factor in levels.present if self._mends(self.outcome(levels.alone(factor)), clean)}
 
-    def _fatal(self, spoilt: Spoilt) -> set[str]:
+    def _fatal(self, levels: FactorLevels) -> set[str]:
         """Return the factors each of which alone makes every scan unusable."""
-        least_good = USABLE_POINTS * self.outcome(Spoilt()).good
-        return {factor for factor in spoilt.present if self.outcome(spoilt.alone(factor)).good < least_good}
+        least_good = USABLE_POINTS * self.outcome(FactorLevels()).good
+        return {factor for factor in levels.present if self.outcome(levels.alone(factor)).good < least_good}
 
     def _mends(self, before: Outcome, after: Outcome) -> bool:
-        base = self.outcome(Spoilt()).good
+        base = self.outcome(FactorLevels()).good
         if after.good - before.good >= MORE_POINTS * base:
             return True
         enough = min(before.good, after.good) >= LEAST_POINTS * base
@@ -247,10 +247,10 @@ class Truth:
             return False
         return before.error_mm >= LESS_ERROR * after.error_mm
 
-    def _suited(self, spoilt: Spoilt) -> Exposure | None:
+    def _suited(self, levels: FactorLevels) -> Exposure | None:
         """The step of the exposure that uses the scale and keeps it; ``None``: the present one does."""
-        present = self._exposure_of(spoilt)
-        scan = frames_of(self._base, spoilt, self._keep, present, self._world)
+        present = self._exposure_of(levels)
+        scan = frames_of(self._base, levels, self._keep, present, self._world)
         white = pictures(scan.sequence)[scan.sequence.bright]
 
         def brightest(step: Exposure) -> float:

@@ -24,8 +24,8 @@ from appliance.measure.light.water import Water
 from appliance.measure.motion.attempt import Attempt, attempt
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.verdicts.motion.judge import judge_motion
-from bench.result import Measured
-from bench.verdict.calibrations import KINDS, Own, TrueScene, calibration_of
+from bench.result import Measurement
+from bench.verdict.calibrations import KINDS, CloudErrors, TrueScene, calibration_of
 from bench.verdict.compensation_cases import (
     NAMED,
     Case,
@@ -52,10 +52,10 @@ Rows = Sequence[Row]
 
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """The nine named cases, and ``scans`` drawn ones, in ``world``."""
     named, drawn = named_cases(seed), [drawn_case(seed, k) for k in range(scans)]
-    rows = judged([*named, *drawn], say, keep, world)
+    rows = judge_cases([*named, *drawn], say, keep, world)
     first = len(named) * len(kinds_in(world))
     return figures(rows[:first], rows[first:]), {"seed": seed, "named": rows[:first], "drawn": rows[first:]}
 
@@ -65,7 +65,7 @@ def kinds_in(world: str) -> tuple[str, ...]:
     return KINDS if world == ORDINARY else KINDS[:1]
 
 
-def judged(cases: Sequence[Case], say: Say, keep: Path | None, world: str = ORDINARY) -> list[Row]:
+def judge_cases(cases: Sequence[Case], say: Say, keep: Path | None, world: str = ORDINARY) -> list[Row]:
     """The rows of all cases, with each kind of calibration."""
     judge, rows = Judge(keep, world), []
     for number, case in enumerate(cases):
@@ -79,7 +79,7 @@ class Judge:
 
     def __init__(self, keep: Path | None, world: str = ORDINARY) -> None:
         self._keep, self._world = keep, world
-        self._rest: dict[tuple[Scene, int, int, str], Own] = {}
+        self._rest: dict[tuple[Scene, int, int, str], CloudErrors] = {}
         self._seen: tuple[RenderedScan, float, TrueView] | None = None
 
     def rows(self, case: Case) -> list[Row]:
@@ -113,7 +113,7 @@ class Judge:
     def _pipeline(self, scan: RenderedScan, calibration: Calibration) -> Pipeline:
         return Pipeline(calibration, self._water(scan), scan.sequence, noise=self._noise(scan))
 
-    def _at_rest(self, case: Case, kind: str) -> Own:
+    def _at_rest(self, case: Case, kind: str) -> CloudErrors:
         key = (case.rest, case.seed, case.width_px, kind)
         if key not in self._rest:
             scan = self._scan(case, case.rest)
@@ -162,7 +162,7 @@ class Judge:
         }  # fmt: skip
 
 
-def figures(named: Rows, drawn: Rows) -> list[Measured]:
+def figures(named: Rows, drawn: Rows) -> list[Measurement]:
     """Return the figures of compensation with their targets."""
     every = [*named, *drawn]
     measured = []
@@ -171,14 +171,14 @@ def figures(named: Rows, drawn: Rows) -> list[Measured]:
         if not mine:
             continue
         measured += [
-            Measured(
+            Measurement(
                 f"hand {hand}, {kind} rig: rms over at rest, worst of three", _worst(mine, f"{hand}-", "after"), "",
                 at_most=1.2, key=f"compensation_{hand}" if kind == "calibrated" else None,
             )
             for hand in NAMED
         ]  # fmt: skip
     measured += [
-        Measured(f"hand {hand}: the same, nothing done", _worst(named, f"{hand}-", "before"), "") for hand in NAMED
+        Measurement(f"hand {hand}: the same, nothing done", _worst(named, f"{hand}-", "before"), "") for hand in NAMED
     ]
     used = [row for row in drawn if row["used"]]
     return [
@@ -186,18 +186,22 @@ def figures(named: Rows, drawn: Rows) -> list[Measured]:
         of("drawn, compensated: rms over at rest, median", used, "after", median, at_most=1.2),
         of("drawn, compensated: the same, nothing done", used, "before", median),
         of("drawn, compensated: worst", used, "after", max),
-        Measured("drawn scans compensated", float(len(used)), f"of {len(drawn)}"),
-        Measured("drawn scans to be repeated", float(sum(row["moved"] and not row["used"] for row in drawn)), "scans"),
+        Measurement("drawn scans compensated", float(len(used)), f"of {len(drawn)}"),
+        Measurement(
+            "drawn scans to be repeated", float(sum(row["moved"] and not row["used"] for row in drawn)), "scans"
+        ),
         made_worse(every),
-        Measured("named, compensated: error in own sigmas (or its inverse), worst", _farthest(named), "", at_most=1.1),
+        Measurement(
+            "named, compensated: error in own sigmas (or its inverse), worst", _farthest(named), "", at_most=1.1
+        ),
         of("CPU time of an attempt at 800 x 600, median", named, "cpu_s", median, "s"),
     ]
 
 
-def made_worse(rows: Rows) -> Measured:
+def made_worse(rows: Rows) -> Measurement:
     """None may be."""
     count = sum(map(worse, rows))
-    return Measured("scans made worse", float(count), f"of {len(rows)}", at_most=0.0, key="compensation_worse")
+    return Measurement("scans made worse", float(count), f"of {len(rows)}", at_most=0.0, key="compensation_worse")
 
 
 def worse(row: Row) -> bool:
@@ -240,11 +244,11 @@ def of(
     how: Callable[[Iterable[float]], float],
     unit: str = "",
     at_most: float | None = None,
-) -> Measured:
+) -> Measurement:
     """A figure of all rows, where there are any."""
     if not rows:
-        return Measured(name, math.nan, unit, why="there was none")
-    return Measured(name, float(how([float(row[what]) for row in rows])), unit, at_most=at_most)
+        return Measurement(name, math.nan, unit, why="there was none")
+    return Measurement(name, float(how([float(row[what]) for row in rows])), unit, at_most=at_most)
 
 
 def median(values: Iterable[float]) -> float:

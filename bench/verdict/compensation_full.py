@@ -6,17 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.result import Measured
-from bench.verdict.compensation import judged, made_worse, median, of
+from bench.result import Measurement
+from bench.verdict.compensation import judge_cases, made_worse, median, of
 from bench.verdict.compensation_cases import NAMED, named_cases
 from bench.verdict.parts import Say
 
 FULL_PX = 1600
 
 
-def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the figures of all nine cases; ``scans`` is not used. Rendering takes most of the time."""
-    rows = judged([replace(case, width_px=FULL_PX) for case in named_cases(seed)], say, keep)
+    rows = judge_cases([replace(case, width_px=FULL_PX) for case in named_cases(seed)], say, keep)
     calibrated = [row for row in rows if row["calibration"] == "calibrated"]
     hands = {hand: [row for row in calibrated if row["name"].startswith(f"{hand}-")] for hand in NAMED}
     measured = [

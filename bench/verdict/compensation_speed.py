@@ -5,18 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bench.result import Measured
-from bench.verdict.compensation import judged, made_worse
+from bench.result import Measurement
+from bench.verdict.compensation import judge_cases, made_worse
 from bench.verdict.compensation_cases import WAYS, speed_cases
 from bench.verdict.parts import Say
 
 AS_AT_REST = 1.2
 
 
-def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the figures of steady motions of growing speed before one object; ``scans`` is not used."""
     cases = speed_cases(seed)
-    rows = judged(cases, say, keep)
+    rows = judge_cases(cases, say, keep)
     speeds = {case.name: max(map(abs, case.scene.motion.velocity_mm_s)) for case in cases}
     for row in rows:
         row["speed_mm_s"] = speeds[row["name"]]
@@ -26,9 +26,9 @@ def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
         good = [row["speed_mm_s"] for row in mine if row["used"] and row["after"] <= AS_AT_REST]
         plain = [row["speed_mm_s"] for row in mine if row["before"] <= AS_AT_REST]
         measured += [
-            Measured(
+            Measurement(
                 f"{direction}: fastest hand that is undone to {AS_AT_REST} of at rest", max(good, default=0.0), "mm/s"
             ),
-            Measured(f"{direction}: fastest that needs nothing", max(plain, default=0.0), "mm/s"),
+            Measurement(f"{direction}: fastest that needs nothing", max(plain, default=0.0), "mm/s"),
         ]
     return [*measured, made_worse(rows)], {"seed": seed, "rows": rows}

@@ -25,7 +25,7 @@ from appliance.measure.verdict import Judgement
 from appliance.measure.verdicts.identity.evidence import Witness
 from appliance.measure.verdicts.identity.judge import judge_identity
 from appliance.measure.verdicts.identity.lines import take_lines
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.binomial import rate, tally
 from bench.verdict.outside import noise_of, recorded_scan
 from bench.verdict.worlds import ORDINARY
@@ -67,7 +67,7 @@ class Wrong:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class RandomScan:
     """A random scan with its classes."""
 
     scene: Scene
@@ -78,7 +78,7 @@ class Drawn:
 
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """False alarms on ``scans`` good scans, and which wrong orders of their frames are found and rightly named."""
     rows: list[dict[str, Any]] = []
     for number in range(scans):
@@ -88,7 +88,7 @@ def measure(
     return _figures(rows), {"visible_share": VISIBLE, "shares": list(SHARES), "scans": rows}
 
 
-def draw(seed: int, number: int) -> Drawn:
+def draw(seed: int, number: int) -> RandomScan:
     """Object, pose, colour, water, light and hands of scan ``number``; half of the scans move."""
     rng = np.random.default_rng([seed, number, 22])
     name = str(rng.choice(["plane", "ballbar", "frustum", "pipe", "shell", "stones"]))
@@ -136,7 +136,7 @@ def draw(seed: int, number: int) -> Drawn:
         *(["small"] if name == "ballbar" else []),
     ]
     scene = Scene(name, _six(pose), texture, water, ambient, motion=motion, daylight=daylight, drift=drift)
-    return Drawn(scene, int(rng.choice([16, 32, 64])), exposure_s, tuple(classes))
+    return RandomScan(scene, int(rng.choice([16, 32, 64])), exposure_s, tuple(classes))
 
 
 def wrong_orders(n: int) -> Iterator[Wrong]:
@@ -153,7 +153,7 @@ def wrong_orders(n: int) -> Iterator[Wrong]:
     yield Wrong("one early", 0, (*range(1, n), 1))
 
 
-def _of_scan(drawn: Drawn, seed: int, world: str) -> dict[str, Any]:
+def _of_scan(drawn: RandomScan, seed: int, world: str) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 21])
     scene = drawn.scene
     if world == ORDINARY:
@@ -299,7 +299,7 @@ def _relabels(sequence: PatternSequence, wrong: Wrong) -> bool:
     return wrong.kind.startswith("swap") and gray and len({pattern.direction for pattern in changed}) == 1
 
 
-def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
+def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measurement]:
     good = [row for row in rows if row["good_passed"] is not None]
     alarms = [row for row in good if row["good_passed"] is False]
     orders = [order for row in rows for order in row["found"]]
@@ -318,7 +318,7 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
             "identity: false alarms on good scans", len(alarms), len(good), at_most=0.0, key="identity_false_alarms"
         ),
         rate("identity: good scans with enough to judge", len(good), len(rows)),
-        Measured("identity: CPU of a good scan, 2 x 400x300", cpu_ms, "ms", at_most=20.0),
+        Measurement("identity: CPU of a good scan, 2 x 400x300", cpu_ms, "ms", at_most=20.0),
         *(
             _found(f"where visible, {name}", mine, 100.0, f"identity_found_{name}_percent")
             for name in ("still", "moving")
@@ -342,12 +342,12 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
     return out
 
 
-def _found(what: str, orders: Sequence[Any], at_least: float | None = None, key: str | None = None) -> Measured:
+def _found(what: str, orders: Sequence[Any], at_least: float | None = None, key: str | None = None) -> Measurement:
     """Return the rate of these wrong orders that the frames alone show."""
     return rate(f"identity: found, {what}", sum(order[3] for order in orders), len(orders), at_least=at_least, key=key)
 
 
-def _named(what: str, orders: Sequence[Any], at_least: float | None = None) -> Measured:
+def _named(what: str, orders: Sequence[Any], at_least: float | None = None) -> Measurement:
     """Return the rate of these wrong orders that are rightly named."""
     return rate(f"identity: {what}", sum(order[3] for order in orders), len(orders), at_least=at_least)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from appliance.measure.light.patterns import build_sequence
 from appliance.measure.verdicts.identity.judge import judge_identity
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.binomial import rate, tally
 from bench.verdict.kept_scans import Scans, Take
 from bench.verdict.motion import case_of
@@ -51,7 +51,7 @@ class Row:
 
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Measure ``scans`` scenes of ``world``, each at rest and moving, and some of them otherwise.
 
     Their frames come from ``keep``.
@@ -92,8 +92,8 @@ def _judged(kind: str, case: Case, take: Take, scan_source: Scans) -> Row:
     )  # fmt: skip
 
 
-def _figures(rows: Sequence[Row]) -> list[Measured]:
-    measured: list[Measured] = []
+def _figures(rows: Sequence[Row]) -> list[Measurement]:
+    measured: list[Measurement] = []
     for kind in ("rest", "moving", "milk", "fast"):
         mine = [row for row in rows if row.kind == kind]
         if not mine:
@@ -103,13 +103,13 @@ def _figures(rows: Sequence[Row]) -> list[Measured]:
         measured += [
             tally(f"{name}: called wrong", alarms, len(mine), at_most=0.0, key=f"identity_good_{kind}_alarms"),
             rate(f"{name}: judged", sum(row.passed is not None for row in mine), len(mine)),
-            Measured(f"{name}: largest doubt of those that pass", _largest(mine), ""),
+            Measurement(f"{name}: largest doubt of those that pass", _largest(mine), ""),
         ]
     for name in sorted({name for row in rows for name in row.classes}):
         mine = [row for row in rows if name in row.classes and row.speed_mm_s <= SLOW_MM_S and row.kind != "milk"]
-        measured.append(Measured(f"identity: up to {SLOW_MM_S:.0f} mm/s, {name}, largest doubt", _largest(mine), ""))
+        measured.append(Measurement(f"identity: up to {SLOW_MM_S:.0f} mm/s, {name}, largest doubt", _largest(mine), ""))
     cpu = [row.cpu_ms for row in rows if row.kind == "rest"]
-    measured.append(Measured("identity: CPU of a good scan, median", float(np.median(cpu)), "ms", at_most=20.0))
+    measured.append(Measurement("identity: CPU of a good scan, median", float(np.median(cpu)), "ms", at_most=20.0))
     return measured
 
 

@@ -40,7 +40,7 @@ class Take(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class CaseRecording:
     """One recording of a case."""
 
     clean: Frames
@@ -52,7 +52,7 @@ class Recorded:
 class Scans(Protocol):
     """Recordings of cases in one world."""
 
-    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> Recorded:
+    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> CaseRecording:
         """The frames of a take; ``noise_seed``: other noise than its own, where noise is put on afterwards."""
 
     def renderer(self, case: Case, take: Take) -> Renderer:
@@ -75,11 +75,11 @@ class KeptScans:
         self._folder = folder
         self.width_px = width_px
 
-    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> Recorded:
+    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> CaseRecording:
         """The frames of a take; noise is put on those without."""
         clean = self.frames(case, take)
         noise_seed = noise_seed or 1 + list(Take).index(take)
-        return Recorded(clean, record(clean, case.gain_db, case.seed, noise_seed), case.exposure_s)
+        return CaseRecording(clean, record(clean, case.gain_db, case.seed, noise_seed), case.exposure_s)
 
     def renderer(self, case: Case, take: Take) -> Renderer:
         """Return the renderer of a recording."""

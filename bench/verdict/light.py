@@ -22,7 +22,7 @@ from appliance.measure.points.merge import merge
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.verdicts.light.changes import HARMFUL_RIPPLE
 from appliance.measure.verdicts.light.judge import MAX_HARMED, judge_light
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.light_scenes import (
     HEIGHT_PX,
     SEQUENCE,
@@ -49,7 +49,7 @@ CLEARLY_HARMED, CLEARLY_NOT = (1.3, 0.20), (0.8, 0.05)
 with more. Between them either result is right, and is counted."""
 
 
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
     """Measure ``scans`` random scenes for exposure and steady light, and as many with changing light."""
     exposures = []
     for k in range(scans):
@@ -74,23 +74,26 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
     missed = 100.0 * float(np.mean([not row["told"] for row in harm])) if harm else float("nan")
     false = 100.0 * float(np.mean([row["told"] for row in free])) if free else float("nan")
     return [
-        Measured("exposures right after at most one proposal", right, "%", at_least=95.0, key="exposure_right_percent"),
-        Measured(
+        Measurement(
+            "exposures right after at most one proposal", right, "%", at_least=95.0, key="exposure_right_percent"
+        ),
+        Measurement(
             "scenes where a proposal led to another", float(sum(row["proposals"] > 1 for row in exposures)), "scenes",
             at_most=0.0, key="exposure_oscillations",
         ),
-        Measured(
+        Measurement(
             "flicker reported of steady light", float(sum(row["flickers"] for row in exposures)), "scans", at_most=0.0,
             key="flicker_false_steady",
         ),
-        Measured("flicker reported where it does no harm", false, "%", at_most=2.0, key="flicker_false_percent")
-        if free else Measured("flicker reported where it does no harm", float("nan"), "%", why="none was drawn"),
-        Measured("harmful flicker missed", missed, "%", at_most=2.0, key="flicker_missed_percent")
-        if harm else Measured("harmful flicker missed", float("nan"), "%", why="none was drawn"),
-        Measured("ripple as stated over the true one (median)", float(np.median(ripples)), "", 1.25, 0.8)
-        if ripples else Measured("ripple as stated over the true one (median)", float("nan"), "", why="none was drawn"),
-        Measured("points gained by a second exposure (least)", min(gained), "%", at_least=-0.5),
-        Measured("their error over the worse single one (most)", max(worse), "", at_most=1.05),
+        Measurement("flicker reported where it does no harm", false, "%", at_most=2.0, key="flicker_false_percent")
+        if free else Measurement("flicker reported where it does no harm", float("nan"), "%", why="none was drawn"),
+        Measurement("harmful flicker missed", missed, "%", at_most=2.0, key="flicker_missed_percent")
+        if harm else Measurement("harmful flicker missed", float("nan"), "%", why="none was drawn"),
+        Measurement("ripple as stated over the true one (median)", float(np.median(ripples)), "", 1.25, 0.8)
+        if ripples
+        else Measurement("ripple as stated over the true one (median)", float("nan"), "", why="none was drawn"),
+        Measurement("points gained by a second exposure (least)", min(gained), "%", at_least=-0.5),
+        Measurement("their error over the worse single one (most)", max(worse), "", at_most=1.05),
     ], {"exposures": exposures, "changes": changes, "wrong": wrong, "pairs": pairs}  # fmt: skip
 
 

@@ -20,9 +20,9 @@ from appliance.measure.light.water import Water
 from appliance.measure.motion.attempt import attempt
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.verdicts.motion.judge import MotionJudgement, judge_motion
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
-from bench.verdict.kept_scans import KeptScans, Recorded, Scans, Take
+from bench.verdict.kept_scans import CaseRecording, KeptScans, Scans, Take
 from bench.verdict.motion_cases import FRAME_S, TEXTURES, TRUTH_SET, TURNS, Case, Frames, draw_case
 from bench.verdict.motion_figures import HARMFUL, Row, figures, roc_table
 from bench.verdict.motion_pictures import draw_maps, draw_roc, draw_scatter
@@ -42,7 +42,7 @@ LEAST_POINTS = 500
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class SceneResult:
     """One scene recorded at rest and moving."""
 
     case: Case
@@ -104,14 +104,14 @@ def case_of(seed: int, number: int) -> Case:
 
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Measure ``scans`` scenes of ``world``, each at rest and moving.
 
     Their frames are read from and stored in ``keep``.
     """
     scan_source = scans_of(world, keep)
     rows: list[Row] = []
-    shown: dict[str, Judged] = {}
+    shown: dict[str, SceneResult] = {}
     cases = [case_of(seed, number) for number in range(scans)]
     say(f"motion: {scans} scenes", 0.0)
     for number, judged in enumerate(spread(partial(examine, scan_source=scan_source), cases), 1):
@@ -132,7 +132,7 @@ def measure(
     return figures(rows, cpu_ms), {"scans": rows, "roc": roc_table(rows), "cpu_ms": cpu_ms}
 
 
-def examine(case: Case, scan_source: Scans) -> Judged:
+def examine(case: Case, scan_source: Scans) -> SceneResult:
     """Judge both recordings of one scene with noise; the truth comes from those without."""
     recorded = {take: scan_source.recorded(case, take) for take in Take}
     standing, moved = (scan_source.renderer(case, take) for take in Take)
@@ -147,14 +147,14 @@ def examine(case: Case, scan_source: Scans) -> Judged:
     if moving.judgement.verdict.passed is False:
         undone = compensated(case, standing, moved, recorded, water, noise, moving.added)
     bright = recorded[Take.MOVING].noisy["left"][build_sequence(case.period_px).bright]
-    return Judged(case, noise_of_points_mm, added, lost, still, moving, undone, bright)
+    return SceneResult(case, noise_of_points_mm, added, lost, still, moving, undone, bright)
 
 
 def harm(
     case: Case,
     standing: Renderer,
     moved: Renderer,
-    recorded: Mapping[Take, Recorded],
+    recorded: Mapping[Take, CaseRecording],
     water: Water,
     stated: StereoNoise,
 ) -> tuple[float, float, float]:
@@ -179,7 +179,7 @@ def compensated(
     case: Case,
     standing: Renderer,
     moved: Renderer,
-    recorded: Mapping[Take, Recorded],
+    recorded: Mapping[Take, CaseRecording],
     water: Water,
     stated: StereoNoise,
     judged_to_add: float | None,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.binomial import rate, tally
 from bench.verdict.motion_cases import KINDS
 
@@ -47,7 +47,7 @@ def compensated(row: Row) -> bool:
     return bool(row.get("compensated"))
 
 
-def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
+def figures(rows: Rows, cpu_ms: float) -> list[Measurement]:
     """Return the figures with their targets; compensated scans are counted separately."""
     judged = [row for row in rows if row["at_rest"]["passed"] is not None]
     alarms = sum(refused(row, "at_rest") for row in judged)
@@ -88,7 +88,7 @@ def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
     measured.append(tally("motion: adding over 10 %, too few points left to be judged", unjudged, len(left)))
     ratio = ratios(hands)
     measured.append(
-        Measured(
+        Measurement(
             f"motion: predicted over true addition near the limit ({len(ratio)})",
             float(np.median(ratio)) if ratio else math.nan,
             "",
@@ -97,7 +97,7 @@ def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
         )
     )
     measured.append(
-        Measured("motion: CPU of a verdict on 2 x 24 frames of 1600 x 1200", cpu_ms, "ms", at_most=60.0)
+        Measurement("motion: CPU of a verdict on 2 x 24 frames of 1600 x 1200", cpu_ms, "ms", at_most=60.0)
     )  # fmt: skip
     return measured
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.verdict.binomial import counted
+from bench.verdict.binomial import count_text
 from bench.verdict.motion_figures import Rows, compensated, harmful, harmless, keeps_points, ratios, refused, roc_table
 from bench.verdict.motion_pictures import draw_roc, draw_scatter
 
@@ -38,17 +38,17 @@ def table(rows: Rows, cpu_ms: float, version: str | None) -> list[str]:
     largest = max(row["at_rest"]["added_percent"] for row in judged_at_rest)
 
     def share(mine: Rows) -> str:
-        return counted(sum(map(refused, mine)), len(mine))
+        return count_text(sum(map(refused, mine)), len(mine))
 
     bad, good = [row for row in judged if harmful(row)], [row for row in judged if harmless(row)]
     ratio = ratios(judged)
-    alarms = counted(sum(refused(row, "at_rest") for row in judged_at_rest), len(judged_at_rest))
+    alarms = count_text(sum(refused(row, "at_rest") for row in judged_at_rest), len(judged_at_rest))
     near = "none" if not ratio else "{:.2f}, {:.2f} to {:.2f}".format(*np.percentile(ratio, (50, 10, 90)))
     gone = [100.0 - row["lost_percent"] for row in hands if harmful(row) and row["moving"]["passed"] is None]
 
     def undone(mine: Rows) -> str:
         stopped = [row for row in mine if refused(row)]
-        return counted(sum(map(compensated, stopped)), len(stopped))
+        return count_text(sum(map(compensated, stopped)), len(stopped))
 
     with_points = [row for row in good if keeps_points(row)]
     lines = [

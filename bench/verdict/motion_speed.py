@@ -15,7 +15,7 @@ from appliance.base import draw_curves
 from appliance.measure.light.patterns import RISING_STEPS, STEPS, Direction, PatternSequence, build_sequence
 from appliance.measure.light.water import Water
 from appliance.measure.points.pipeline import Pipeline
-from bench.result import Measured
+from bench.result import Measurement
 from bench.spread import spread
 from bench.verdict.motion import cloud_of
 from bench.verdict.motion_cases import FRAME_S, TRUTH_SET
@@ -46,7 +46,7 @@ Case = tuple[str, str, str, float, str, int]
 """World, thing, way, speed, order, seed."""
 
 
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the figures of each speed before two rigs of ``seed``; ``scans`` is not used."""
     ways = [(direction, mm_s) for direction in WAYS for mm_s in SPEEDS_MM_S if mm_s > 0.0 or direction == "along"]
     cases: list[Case] = [
@@ -60,7 +60,7 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
     PICTURE.parent.mkdir(parents=True, exist_ok=True)
     draw(PICTURE, rows)
     measured = [
-        Measured(
+        Measurement(
             f"{world}, {thing}, {direction} at {DIVER_MM_S:g} mm/s, steps {order}: noise over that at rest",
             over_rest(rows, world, thing, direction, DIVER_MM_S, order),
             "×",

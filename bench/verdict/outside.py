@@ -23,7 +23,7 @@ from appliance.measure.light.patterns import STEPS, PatternSequence, build_seque
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
 from bench.outside.world import FRAME_S, TRIGGER_DELAY_US, World, world_with
-from bench.verdict.kept_scans import Recorded, Take, scene_of
+from bench.verdict.kept_scans import CaseRecording, Take, scene_of
 from bench.verdict.motion_cases import TRUTH_SET, Case
 from hw_sim.outside import ALL, draw_outside
 from hw_sim.rendering.render import LightSlice, Renderer
@@ -49,7 +49,7 @@ class OutsideScans:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
-    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> Recorded:
+    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> CaseRecording:
         """Return the frames of a recording, with the noise of their readout."""
         world = _world_of(case, take)
         what = repr((world.scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, WIDTH_PX, FRAME_S, STEPS))
@@ -57,7 +57,7 @@ class OutsideScans:
         if self._folder is not None and (self._folder / name).exists():
             with np.load(self._folder / name) as stored:
                 clean, noisy, exposure_s = stored["clean"], stored["noisy"], float(stored["exposure_s"])
-            return Recorded(dict(zip(SIDES, clean, strict=True)), dict(zip(SIDES, noisy, strict=True)), exposure_s)
+            return CaseRecording(dict(zip(SIDES, clean, strict=True)), dict(zip(SIDES, noisy, strict=True)), exposure_s)
         renderer = world.renderer()
         share = case.exposure_s * 10.0 ** (case.gain_db / 20.0) / SHARE_OF_S
         exposure_s = suited_s(renderer, case.gain_db, share)
@@ -105,7 +105,7 @@ def put_outside(scene: Scene, seed: int, truth_set: str, *, width_px: int = WIDT
 
 def record_sequence(
     renderer: Renderer, sequence: PatternSequence, exposure_s: float, gain_db: float, number: int = 0
-) -> Recorded:
+) -> CaseRecording:
     """Record one sequence. Hands and swell move from its first pulse on; ``number`` sets the noise."""
     patterns = pictures(sequence)
     quiet, real = replace(renderer.scene, noise=False), replace(renderer.scene, noise=True)
@@ -127,7 +127,7 @@ def record_sequence(
             ])
             for n, side in enumerate(SIDES)
         }  # fmt: skip
-    return Recorded(read[False], read[True], exposure_s)
+    return CaseRecording(read[False], read[True], exposure_s)
 
 
 def suited_s(renderer: Renderer, gain_db: float, share: float) -> float:

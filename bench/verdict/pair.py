@@ -17,7 +17,7 @@ from appliance.measure.news import FullCloud
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import Cloud
 from appliance.measure.procedure import SequenceProcessor
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.light_scenes import STEPS, noise_at
 from bench.verdict.parts import Say
 from hw_sim.scene import Scene
@@ -34,7 +34,7 @@ Figures = tuple[float, float, float]
 """Completeness in percent, rms error in mm, outliers in ppm."""
 
 
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
     """Measure white labels on black rubber.
 
     Every fourth scan of ``scans`` is a case with its own object, pose and rig.
@@ -55,12 +55,14 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
     nothing = float("nan")
     share = 100.0 * len(merged) / (2 * len(offered)) if offered else nothing
     return [
-        Measured("scenes offered a second exposure", 100.0 * len(offered) / count, "%", at_least=100.0),
-        Measured("pairs merged", share, "%", at_least=100.0, key="pair_merged_percent"),
-        Measured(
+        Measurement("scenes offered a second exposure", 100.0 * len(offered) / count, "%", at_least=100.0),
+        Measurement("pairs merged", share, "%", at_least=100.0, key="pair_merged_percent"),
+        Measurement(
             "surface gained over the best single exposure (least)", min(gained, default=nothing), "%", at_least=3.0
         ),
-        Measured("error over that of the worst single exposure (most)", max(error, default=nothing), "", at_most=1.05),
+        Measurement(
+            "error over that of the worst single exposure (most)", max(error, default=nothing), "", at_most=1.05
+        ),
     ], {"pairs": cases}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, cast
 
-from bench.result import Measured
+from bench.result import Measurement
 
 Say = Callable[[str, float], None]
 """Function that shows the present step, and the share 0..1 of the part that is done."""
@@ -17,7 +17,7 @@ Say = Callable[[str, float], None]
 class Part(Protocol):
     """A module of this package that judges scans drawn at random by ``seed``; ``scans`` scales the work."""
 
-    def measure(self, scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+    def measure(self, scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
         """Return figures with their limits, and the data of their curves, JSON-ready."""
 
 
@@ -26,7 +26,7 @@ class KeepingPart(Protocol):
 
     def measure(
         self, scans: int, seed: int, say: Say, keep: Path | None = None
-    ) -> tuple[list[Measured], dict[str, Any]]:
+    ) -> tuple[list[Measurement], dict[str, Any]]:
         """Measure as ``Part.measure``, with rendered scans in the folder ``keep``; missing ones are added."""
 
 
@@ -35,7 +35,7 @@ class WorldPart(Protocol):
 
     def measure(
         self, scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ...
-    ) -> tuple[list[Measured], dict[str, Any]]:
+    ) -> tuple[list[Measurement], dict[str, Any]]:
         """As ``KeepingPart.measure``, with the scans of ``world`` (``worlds.WORLDS``)."""
 
 
@@ -81,7 +81,7 @@ def part(name: str) -> Part:
 
 def measure_part(
     name: str, scans: int, seed: int, say: Say, keep: Path | None, world: str | None = None
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Return the results of part ``name``. Raises KeyError.
 
     Only parts of ``KEEPING`` use ``keep``, only those of ``IN_WORLDS`` use ``world`` (``None``: the ordinary one).

@@ -20,7 +20,7 @@ from appliance.measure.light.exposure import Exposure
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.procedure import SequenceProcessor
 from appliance.measure.verdict import Judgement
-from bench.result import Measured
+from bench.result import Measurement
 from bench.turbidity.scan import WRONG_MM, WRONG_SIGMAS, rig_in, set_water
 from bench.turbidity.scenes import drawn_scene
 from bench.verdict.light_scenes import STEPS, noise_at
@@ -48,7 +48,7 @@ KINDS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class ScanResult:
     """One scan, as the diver gets it."""
 
     frames: NDArray[np.uint8]
@@ -62,7 +62,7 @@ class Taken:
 
 
 @dataclass(frozen=True, slots=True)
-class Counted:
+class DriftCounts:
     """One scene with one kind of drift."""
 
     kind: str
@@ -86,9 +86,9 @@ class Counted:
     dirty: bool
 
 
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
     """``scans`` scenes, each once without drift and once with every kind of it."""
-    rows: list[Counted] = []
+    rows: list[DriftCounts] = []
     for number in range(scans):
         rng = np.random.default_rng([seed, number, 63])
         scene = replace(drawn_scene(rng, Water()), ambient=0.02)
@@ -101,7 +101,7 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
     return [figure for kind in KINDS for figure in _figures(kind, rows)], {"scans": [asdict(row) for row in rows]}
 
 
-def _take(scene: Scene, rig_seed: int) -> Taken:
+def _take(scene: Scene, rig_seed: int) -> ScanResult:
     """Record, judge and reconstruct a scan as the worker does."""
     scan = render_scan(scene, "modelled", rig_seed, WIDTH_PX, PERIOD_PX, EXPOSURE.time_us / 1e6)
     water = set_water(scene)
@@ -115,17 +115,17 @@ def _take(scene: Scene, rig_seed: int) -> Taken:
         decoded = pipeline.decoded("left").mask == Mask.VALID
     off = np.abs(np.nan_to_num(depth_errors(renderer, cloud).along_ray_mm, nan=1e3))
     wrong = (off > WRONG_MM) & (off > WRONG_SIGMAS * cloud.sigma_mm)
-    return Taken(scan.frames["left"], cloud, np.asarray(wrong, np.bool_), decoded, dirty)
+    return ScanResult(scan.frames["left"], cloud, np.asarray(wrong, np.bool_), decoded, dirty)
 
 
-def _count(kind: str, scene: Scene, seed: int, clear: Taken, drifting: Taken) -> Counted:
+def _count(kind: str, scene: Scene, seed: int, clear: ScanResult, drifting: ScanResult) -> DriftCounts:
     difference = np.zeros(clear.decoded.shape, np.int16)
     for before, after in zip(clear.frames, drifting.frames, strict=True):
         np.maximum(difference, np.abs(before.astype(np.int16) - after), out=difference)
     touched = clear.decoded & (difference > TOUCHED_DN)
     untouched = clear.decoded & ~touched
     water = drifting.water
-    return Counted(
+    return DriftCounts(
         kind=kind,
         what=scene.object,
         seed=seed,
@@ -147,7 +147,7 @@ def _some(flags: NDArray[np.bool_]) -> int:
     return int(np.count_nonzero(flags))
 
 
-def _figures(kind: str, rows: list[Counted]) -> list[Measured]:
+def _figures(kind: str, rows: list[DriftCounts]) -> list[Measurement]:
     mine = [row for row in rows if row.kind == kind]
 
     def share(part: str, denominator: str) -> float:
@@ -156,17 +156,21 @@ def _figures(kind: str, rows: list[Counted]) -> list[Measured]:
 
     key = kind.replace(" ", "_").replace(",", "")
     return [
-        Measured(f"{kind}: wrong points", 1e6 * share("wrong", "points"), "ppm", at_most=100.0, key=f"{key}_wrong_ppm"),
-        Measured(f"{kind}: the same in the worst scene", max(1e6 * row.wrong / max(row.points, 1) for row in mine), "ppm"),
-        Measured(f"{kind}: wrong without it", 1e6 * share("clear_wrong", "clear_points"), "ppm"),
-        Measured(f"{kind}: points lost", 100.0 * share("lost", "clear_points"), "%"),
-        Measured(f"{kind}: pixels that it shows in", 100.0 * _all_touched(mine), "%"),
-        Measured(f"{kind}: of these, masked", 100.0 * share("masked", "touched"), "%"),
-        Measured(
+        Measurement(
+            f"{kind}: wrong points", 1e6 * share("wrong", "points"), "ppm", at_most=100.0, key=f"{key}_wrong_ppm"
+        ),
+        Measurement(
+            f"{kind}: the same in the worst scene", max(1e6 * row.wrong / max(row.points, 1) for row in mine), "ppm"
+        ),
+        Measurement(f"{kind}: wrong without it", 1e6 * share("clear_wrong", "clear_points"), "ppm"),
+        Measurement(f"{kind}: points lost", 100.0 * share("lost", "clear_points"), "%"),
+        Measurement(f"{kind}: pixels that it shows in", 100.0 * _all_touched(mine), "%"),
+        Measurement(f"{kind}: of these, masked", 100.0 * share("masked", "touched"), "%"),
+        Measurement(
             f"{kind}: of the others, masked", 100.0 * share("masked_untouched", "untouched"), "%", at_most=1.0
         ),
     ]  # fmt: skip
 
 
-def _all_touched(rows: list[Counted]) -> float:
+def _all_touched(rows: list[DriftCounts]) -> float:
     return sum(row.touched for row in rows) / max(sum(row.touched + row.untouched for row in rows), 1)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.result import Measured
-from bench.turbidity.scan import Taken, expose, rig_in, set_water, take
+from bench.result import Measurement
+from bench.turbidity.scan import JudgedScan, expose, rig_in, set_water, take
 from bench.turbidity.scenes import drawn_scene, drawn_water
 from hw_sim.rendering.render import Renderer
 
@@ -19,7 +19,7 @@ KNOWN_PER_M = 0.25
 """A standard error from which on an attenuation counts as known."""
 
 
-def measure(scans: int, seed: int, say: Callable[[str, float], None]) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Callable[[str, float], None]) -> tuple[list[Measurement], dict[str, Any]]:
     """Judge ``scans`` random scenes."""
     rows = []
     for k in range(scans):
@@ -32,16 +32,18 @@ def measure(scans: int, seed: int, say: Callable[[str, float], None]) -> tuple[l
     good = [row for row in rows if row["completeness_percent"] > 90.0]
     nan = float("nan")
     measured = [
-        Measured("veil, worst error, of the light", float(np.abs(veil).max()), "%", at_most=1.0),
-        Measured("veil, rms error, of the light", float(np.sqrt(np.mean(veil**2))), "%", at_most=0.3),
-        Measured("attenuation stated, of all scans", 100.0 * len(z) / scans, "%"),
-        Measured(
+        Measurement("veil, worst error, of the light", float(np.abs(veil).max()), "%", at_most=1.0),
+        Measurement("veil, rms error, of the light", float(np.sqrt(np.mean(veil**2))), "%", at_most=0.3),
+        Measurement("attenuation stated, of all scans", 100.0 * len(z) / scans, "%"),
+        Measurement(
             "error of attenuation in its standard errors, rms", float(np.sqrt(np.mean(z**2))) if len(z) else nan, "",
             at_most=1.5,
         ),
-        Measured("attenuation where known to 0.25 /m: median error", float(np.median(wrong)) if wrong else nan, "1/m"),
-        Measured("dirty water said of good scans", float(sum(row["dirty"] for row in good)), "", at_most=0.0),
-        Measured("judging, median", float(np.median([row["cpu_ms"] for row in rows])), "ms CPU", at_most=15.0),
+        Measurement(
+            "attenuation where known to 0.25 /m: median error", float(np.median(wrong)) if wrong else nan, "1/m"
+        ),
+        Measurement("dirty water said of good scans", float(sum(row["dirty"] for row in good)), "", at_most=0.0),
+        Measurement("judging, median", float(np.median([row["cpu_ms"] for row in rows])), "ms CPU", at_most=15.0),
     ]  # fmt: skip
     return measured, {"rows": rows}
 
@@ -72,7 +74,7 @@ def _row(rng: np.random.Generator, rig_seed: int) -> dict[str, Any]:
     }
 
 
-def true_veil_percent(scan: Taken) -> float:
+def true_veil_percent(scan: JudgedScan) -> float:
     """Return the backscatter as a share of the light on the left camera's pixels with coordinates.
 
     It is the bright frame minus the same frame of water without backscatter.

@@ -21,7 +21,7 @@ from appliance.measure.light.noise import StereoNoise, camera_noise
 from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.response import Response
 from appliance.measure.points.pipeline import Cloud, Pipeline
-from bench.result import Measured
+from bench.result import Measurement
 from bench.verdict.parts import Say
 from hw_sim.objects.shapes import DEFAULT_POSE
 from hw_sim.optics.projector import response as light_of_codes
@@ -66,7 +66,7 @@ class Draw:
         return ("all", self.scene.object, f"paint {self.scene.texture}", f"{self.period_px} px", small, self.patterns)
 
 
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
     """Of ``scans`` static scans."""
     draws = [drawn(k, seed) for k in range(scans)]
     residuals, sigmas = [], []
@@ -75,14 +75,14 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
         error_mm, sigma_mm = errors(draw)
         residuals.append(error_mm / sigma_mm)
         sigmas.append(sigma_mm)
-    return judged(draws, residuals, sigmas)
+    return uncertainty_figures(draws, residuals, sigmas)
 
 
-def judged(
+def uncertainty_figures(
     draws: Sequence[Draw], residuals: Sequence[Array], sigmas: Sequence[Array]
-) -> tuple[list[Measured], dict[str, Any]]:
+) -> tuple[list[Measurement], dict[str, Any]]:
     """Return figures and raw data of scans whose points have ``residuals`` in units of ``sigmas``."""
-    figures: list[Measured] = []
+    figures: list[Measurement] = []
     classes: dict[str, Any] = {}
     names = list(dict.fromkeys(name for draw in draws for name in draw.classes))
     for name in names:
@@ -90,16 +90,18 @@ def judged(
         if len(points) < FEWEST:
             continue
         classes[name] = spread(points)
-        figures.append(Measured(f"error in sigmas, {name}: rms, trimmed", classes[name]["rms_trimmed"], "", 1.1, 0.9))
+        figures.append(
+            Measurement(f"error in sigmas, {name}: rms, trimmed", classes[name]["rms_trimmed"], "", 1.1, 0.9)
+        )
         if name == "all":
             figures += [
-                Measured("error in sigmas: rms of all points", classes[name]["rms"], "", 1.1, 0.9),
-                Measured("within one sigma (normal: 0.683)", classes[name]["within_1"], "", 0.75, 0.62),
-                Measured("within two sigmas (normal: 0.954)", classes[name]["within_2"], "", 0.98, 0.93),
+                Measurement("error in sigmas: rms of all points", classes[name]["rms"], "", 1.1, 0.9),
+                Measurement("within one sigma (normal: 0.683)", classes[name]["within_1"], "", 0.75, 0.62),
+                Measurement("within two sigmas (normal: 0.954)", classes[name]["within_2"], "", 0.98, 0.93),
             ]
     each = [spread(r) for r in residuals]
     good = [0.9 <= scan_figures["rms_trimmed"] <= 1.1 for scan_figures in each if scan_figures["points"] >= FEWEST]
-    figures.append(Measured("scans within 10 % of 1", 100.0 * float(np.mean(good)) if good else math.nan, "%"))
+    figures.append(Measurement("scans within 10 % of 1", 100.0 * float(np.mean(good)) if good else math.nan, "%"))
     data = {
         "classes": classes,
         "reliability": reliability(np.concatenate(residuals), np.concatenate(sigmas)),

@@ -17,7 +17,7 @@ from appliance.instrument.service.watches import WindowWatch
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.sides import SIDES
 from appliance.measure.verdicts.window import Windows
-from bench.result import Measured
+from bench.result import Measurement
 from bench.turbidity.scenes import drawn_scene
 from bench.verdict.parts import Say
 from hw_sim.optics.fog import Fog
@@ -36,7 +36,7 @@ TOLD_FROM, MOST_MISSED = 0.35, 0.25
 MOST_ATTENUATION_PER_M = 2.0
 
 
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
     """``scans`` with clean windows and as many, at least one dive, with each strength of fog."""
     clean = max(1, scans // DIVE)
     fogged = max(1, scans // DIVE)
@@ -80,12 +80,12 @@ def _looked(scene: Scene, fog: Fog, seed: int) -> Windows:
     return windows_of(render_scan(replace(scene, fog=fog), "realistic", seed, WIDTH_PX, PERIOD_PX))
 
 
-def _figures(rows: Sequence[dict[str, Any]]) -> list[Measured]:
+def _figures(rows: Sequence[dict[str, Any]]) -> list[Measurement]:
     clean = [row for row in rows if not row["strength"]]
     wrong = sum(bool(row["told"]) for row in clean)
     figures = [
-        Measured(f"clean windows, {DIVE * len(clean)} scans: dives with an alarm", wrong, "dives", at_most=0),
-        Measured("clean windows: largest fall of a cell", _most(clean), "", None),
+        Measurement(f"clean windows, {DIVE * len(clean)} scans: dives with an alarm", wrong, "dives", at_most=0),
+        Measurement("clean windows: largest fall of a cell", _most(clean), "", None),
     ]
     for strength in STRENGTHS:
         fogged = [row for row in rows if row["strength"] == strength]
@@ -96,10 +96,10 @@ def _figures(rows: Sequence[dict[str, Any]]) -> list[Measured]:
         wrong = sum(any(device != f"camera.{row['side']}" for device in row["told"]) for row in fogged)
         must = 1.0 - MOST_MISSED if strength >= TOLD_FROM else None
         figures += [
-            Measured(f"fog {strength:g}, {len(fogged)} dives: named in {LEAST} scans", soon, "share"),
-            Measured(f"fog {strength:g}: named in {DIVE} scans", right, "share", at_least=must),
-            Measured(f"fog {strength:g}: the other window named", wrong, "dives", at_most=0),
-            Measured(f"fog {strength:g}: read as, median", _median(fogged), "", None),
+            Measurement(f"fog {strength:g}, {len(fogged)} dives: named in {LEAST} scans", soon, "share"),
+            Measurement(f"fog {strength:g}: named in {DIVE} scans", right, "share", at_least=must),
+            Measurement(f"fog {strength:g}: the other window named", wrong, "dives", at_most=0),
+            Measurement(f"fog {strength:g}: read as, median", _median(fogged), "", None),
         ]
     return figures
 

@@ -21,7 +21,7 @@ from types import TracebackType
 from typing import Any
 
 from bench.foreign import end_process, last_words
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import version
 from bench.timing import median_of
 from bench.whole_scan import parts
@@ -85,7 +85,7 @@ class Tree:
 
 def compared(
     theirs: Tree, rounds: int, scenes: Sequence[str] = NAMES, width_px: int = 1600, folder: Path = FOLDER
-) -> Iterator[Measured]:
+) -> Iterator[Measurement]:
     """Yield this tree's CPU time over that of ``theirs``, for each scene and part. Raises NoComparison, ValueError."""
     if rounds < 1:
         raise ValueError(f"rounds is {rounds}; at least 1 is needed")
@@ -102,7 +102,7 @@ def compared(
         differ = sorted(name for name in common if our_side.found[name] != their_side.found[name])
         for what, equal in (("points", "points" not in differ), ("judgements", not set(differ) - {"points"})):
             label = f"{scene}: {what} the same to the last byte (1: yes)"
-            yield Measured(
+            yield Measurement(
                 f"{label}; not {', '.join(differ)}" if differ else label,
                 float(equal),
                 "",
@@ -112,7 +112,7 @@ def compared(
 
 def ratios(
     scene: str, revision: str, turns: Sequence[tuple[Mapping[str, float], Mapping[str, float]]]
-) -> Iterator[Measured]:
+) -> Iterator[Measurement]:
     """Yield the medians of ``turns``: CPU ms of each part in both trees, in each round."""
     parts_by_name: dict[str, Sequence[str]] = {part: (part,) for part in turns[0][0] if part in turns[0][1]} | SUMS
     for name, part_names in parts_by_name.items():
@@ -126,7 +126,7 @@ def ratios(
             yield median_of(label, [own_ms / other_ms for own_ms, other_ms in pairs_ms], "times", key_of(scene, name))
 
 
-def table(revision: str, rounds: int, measured: Sequence[Measured]) -> str:
+def table(revision: str, rounds: int, measured: Sequence[Measurement]) -> str:
     """Return the ratios as a table with a column for each scene; missing ones are a dash."""
     values_by_key = {number.key: number.value for number in measured}
     lines = [

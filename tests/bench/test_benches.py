@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench import bench_compile, bench_endurance, bench_felt, bench_reconstruction, bench_whole_scan
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import find
 from bench.whole_scan.scenes import DISC, timed_scene
 
@@ -47,11 +47,11 @@ def test_a_bench_is_described_and_says_what_it_can(name: str, capsys: pytest.Cap
         assert f"./dev bench {name}" in capsys.readouterr().out
 
 
-SMALL: Mapping[str, Callable[[Path], Iterable[Measured]]] = {
+SMALL: Mapping[str, Callable[[Path], Iterable[Measurement]]] = {
     "compile": lambda folder: bench_compile.figures(
         bench_compile.compiled([("pattern identity", "appliance.measure.warm:judge_patterns")], 1), 1.0
     ),
-    "endurance": lambda folder: bench_endurance.judged(bench_endurance.dive(folder, 2, "400x300")),
+    "endurance": lambda folder: bench_endurance.log_figures(bench_endurance.dive(folder, 2, "400x300")),
     "felt": lambda folder: bench_felt.key_to_answers(
         timed_scene(DISC, 400, folder), bench_felt.Effort(400, 1, 1, compensated=False), folder
     ),

@@ -7,27 +7,27 @@ import pytest
 from appliance.measure.fault import FaultCode
 from appliance.measure.verdict import Grade
 from bench.verdict.causes_frames import frames_of
-from bench.verdict.causes_scenes import Spoilt, draw_base, exposure_of, grid_of
-from bench.verdict.causes_truth import judged
+from bench.verdict.causes_scenes import FactorLevels, draw_base, exposure_of, grid_of
+from bench.verdict.causes_truth import judge_scan
 
 BASE = draw_base(10_000, 1)
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "grade", "first"),
+    ("levels", "grade", "first"),
     [
-        (Spoilt(), Grade.GOOD, []),
-        (Spoilt(water="black"), Grade.BAD, [FaultCode.WATER_DIRTY]),
-        (Spoilt(light="dimmer"), Grade.BAD, [FaultCode.TOO_DARK]),
-        (Spoilt(distance="near"), Grade.BAD, [FaultCode.SCAN_NEAR]),
-        (Spoilt(distance="nothing"), Grade.BAD, [FaultCode.NOTHING_SEEN]),
+        (FactorLevels(), Grade.GOOD, []),
+        (FactorLevels(water="black"), Grade.BAD, [FaultCode.WATER_DIRTY]),
+        (FactorLevels(light="dimmer"), Grade.BAD, [FaultCode.TOO_DARK]),
+        (FactorLevels(distance="near"), Grade.BAD, [FaultCode.SCAN_NEAR]),
+        (FactorLevels(distance="nothing"), Grade.BAD, [FaultCode.NOTHING_SEEN]),
     ],
-    ids=lambda value: value.name if isinstance(value, Spoilt) else "",
+    ids=lambda value: value.name if isinstance(value, FactorLevels) else "",
 )
 def test_a_bad_scan_has_a_reason_and_the_first_is_the_true_one(
-    spoilt: Spoilt, grade: Grade, first: list[FaultCode]
+    levels: FactorLevels, grade: Grade, first: list[FaultCode]
 ) -> None:
-    found = judged(frames_of(BASE, spoilt, None), exposure_of(spoilt))
+    found = judge_scan(frames_of(BASE, levels, None), exposure_of(levels))
     assert (found.grade, list(found.reasons[:1])) == (grade, first)
 
 
@@ -35,5 +35,5 @@ def test_every_scene_of_the_grid_is_there_without_each_of_its_factors() -> None:
     """That is how true causes are found."""
     grid = grid_of(10_000, 0)
     assert len(grid) >= 40
-    for spoilt in grid:
-        assert all(spoilt.without(factor) in grid for factor in spoilt.present)
+    for levels in grid:
+        assert all(levels.without(factor) in grid for factor in levels.present)

@@ -11,7 +11,7 @@ from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.port import Port
 from bench.metrology.poses import CALIBRATION_BARS, CALIBRATION_PLANES
 from bench.metrology.printed import PrintedCamera
-from bench.metrology.rungs import Known, climb
+from bench.metrology.rungs import RungInput, climb
 from tests.support.calibrating import Pose, air_of, calibration_recordings, evaluate, hidden_rig, start_of
 from tests.support.truth import WATER
 
@@ -22,7 +22,7 @@ def test_each_rung_is_worth_its_model() -> None:
     bars, planes = ([Pose(p[:3], p[3:]) for p in poses] for poses in (CALIBRATION_BARS, CALIBRATION_PLANES))
     recordings = {one.name: one for one in calibration_recordings(truth, bars, planes)}
     # Without the lenses' fields from air the image correction is a coarse one, and solved in a tenth of the time.
-    known = Known(replace(start_of(air_of(truth)), air_field=None), recordings, truth)
+    known = RungInput(replace(start_of(air_of(truth)), air_field=None), recordings, truth)
     made = climb(known, ("pm_mapped", "paper_rm_printed", "rm", "ray_field"))
     assert [one.recordings for one in made] == [0, 4, 4, 10]
     errors = {one.rung: evaluate(truth, one.calibration.rig, frustums=1) for one in made}

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from bench.document import BEGIN, END, FELT_BEGIN, FELT_END, write_figures
-from bench.result import Measured
+from bench.result import Measurement
 from bench.runner import find, main, note_latest
 from tests.test_docs import FIGURES
 
 BODIES = {
-    "crash": "yield Measured('first', 1.0, 'ms'); raise RuntimeError('boom')",
-    "good": "yield Measured('time', 1.0, 'ms', at_most=2.0)",
-    "missed": "yield Measured('ratio', 39.0, '1', at_least=40.0)",
+    "crash": "yield Measurement('first', 1.0, 'ms'); raise RuntimeError('boom')",
+    "good": "yield Measurement('time', 1.0, 'ms', at_most=2.0)",
+    "missed": "yield Measurement('ratio', 39.0, '1', at_least=40.0)",
 }
 
 
@@ -34,7 +34,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def benchmark(package: Path, name: str) -> None:
-    text = f'"""Measures."""\nfrom bench.result import Measured\ndef measure():\n    {BODIES[name]}\n'
+    text = f'"""Measures."""\nfrom bench.result import Measurement\ndef measure():\n    {BODIES[name]}\n'
     (package / f"bench_{name}.py").write_text(text)
 
 
@@ -56,14 +56,14 @@ def test_a_benchmark_without_measure_is_an_error_and_not_a_number_keeps_no_bound
     (package / "bench_empty.py").write_text('"""Measures nothing."""\n')
     with pytest.raises(TypeError, match="bench_empty has no function measure"):
         find("measured_here")
-    assert not Measured("error", math.nan, "mm", at_most=1.0).kept
+    assert not Measurement("error", math.nan, "mm", at_most=1.0).is_kept
 
 
 def test_the_first_table_of_the_page_has_a_figure_its_limit_and_the_day_of_both(tmp_path: Path) -> None:
     latest, page = tmp_path / "latest.json", tmp_path / "performance.md"
     page.write_text(f"Before.\n\n{FELT_BEGIN}\nold\n{FELT_END}\n\n{BEGIN}\nother\n{END}\n")
-    note_latest([Measured("key to verdict", 497.7, "ms", key="felt_verdict_ms")], latest)
-    note_latest([Measured("recording", 400.0, "ms", key="felt_recording_ms")], latest)
+    note_latest([Measurement("key to verdict", 497.7, "ms", key="felt_verdict_ms")], latest)
+    note_latest([Measurement("recording", 400.0, "ms", key="felt_recording_ms")], latest)
     write_figures(latest, page)
     lines = page.read_text().splitlines()
     assert "| key to verdict | 498 | ms | recording 400 |" in lines

@@ -22,11 +22,11 @@ from appliance.calibrate import (
     UNITS,
     USED,
     ArtefactKind,
+    LengthCheck,
     RecordingCheck,
     Refusal,
     Session,
     Step,
-    Verified,
     plane_distance,
 )
 from appliance.instrument.machine.states import FailureKind, Task
@@ -426,7 +426,7 @@ class _Box:
         level = 0.5 * (self.name_at + self.verdict_at - 26) + 0.36 * size
         canvas.write(text, (self.left + _BOX_PX / 2, level), size, BLACK, align=Align.CENTRE, max_width=340)
 
-    def judge(self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None) -> None:
+    def judge(self, canvas: Canvas, word: Text, colour: theme.Colour, verified: LengthCheck | None) -> None:
         """Draw the verdict in a word, and its standard uncertainty."""
         canvas.write(word, (self.left + 24, self.verdict_at), BODY, BLACK, colour)
         if verified is not None:

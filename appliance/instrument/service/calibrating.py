@@ -25,6 +25,7 @@ from appliance.calibrate import (
     CamerasDiffer,
     CertificateMissing,
     Examination,
+    LengthCheck,
     NotConverged,
     RecordingCheck,
     RecordingError,
@@ -32,7 +33,6 @@ from appliance.calibrate import (
     SessionError,
     Solution,
     Step,
-    Verified,
     examine_recording,
     solve_calibration,
 )
@@ -177,7 +177,7 @@ class CalibrationController:
         self._background = Background()
         self._number = 0
         """Number of the recording that is examined."""
-        self._verified: Verified | None = None
+        self._verified: LengthCheck | None = None
         """Length check of the latest recording of VERIFY."""
         self._right_lengths: deque[str] = deque(maxlen=1)
         """Descriptions of stored length checks with right lengths, from the disk's thread."""

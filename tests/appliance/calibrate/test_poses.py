@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.calibrate.guide import HELD, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibrate.guide import HELD, AdjustmentSummary, LengthCheck, RecordingCheck, Refusal, Session, Step
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
@@ -110,14 +110,14 @@ def test_a_recording_made_anew_undoes_what_was_solved_from_the_old_one() -> None
     session = Session(
         done(Step.M1, Step.M2, Step.M3, Step.M4, Step.VERIFY).trials,
         AdjustmentSummary("bundle", 0.03, (), "abc"),
-        Verified(0.003, 0.0001, 0.00005),
+        LengthCheck(0.003, 0.0001, 0.00005),
         in_use=True,
         kept="0001.json",
     )
     again = session.with_check(RecordingCheck(Step.M2, None, 0.02, scan_id="000009"))
     assert again.next_step is Step.SOLVE
     assert again.solved is None
-    assert again.verified == Verified(0.0001, None, 0.00005, "abc"), "what is in use was checked"
+    assert again.verified == LengthCheck(0.0001, None, 0.00005, "abc"), "what is in use was checked"
     assert again.kept == "0001.json", "the way back stays"
     assert [check.scan_id for check in again.trials if check.step is Step.M2] == ["000009"]
     verified_again = session.with_check(RecordingCheck(Step.VERIFY, None, 0.02))
@@ -129,11 +129,11 @@ def test_a_bar_checks_the_calibration_in_use_before_anything_is_solved() -> None
     assert fresh.open(Step.VERIFY)
     assert not fresh.open(Step.RESULT)
     checked = replace(
-        fresh.with_check(RecordingCheck(Step.VERIFY, None, 0.02)), verified=Verified(0.006, None, 0.0002, "abc")
+        fresh.with_check(RecordingCheck(Step.VERIFY, None, 0.02)), verified=LengthCheck(0.006, None, 0.0002, "abc")
     )
     assert checked.open(Step.RESULT)
     assert checked.wrong
-    assert not replace(checked, verified=Verified(0.0013, None, 0.0002, "abc")).wrong, "it may be chance"
+    assert not replace(checked, verified=LengthCheck(0.0013, None, 0.0002, "abc")).wrong, "it may be chance"
     begun = checked.with_check(RecordingCheck(Step.M1, None, 0.02))
     assert begun.wrong, "a recording changes nothing about what is in use"
     assert begun.check(Step.VERIFY) is None, "and the check was recorded for another purpose"

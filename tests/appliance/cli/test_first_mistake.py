@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli.output import Exit
-from appliance.cli.verbs import VERBS, Listed
+from appliance.cli.verbs import VERBS, VerbEntry
 from appliance.store.library import Library
 from tests.appliance.cli.test_loaded import EVERY
 from tests.appliance.store.scenes import ORIGIN, PREVIEW, cloud, frames, record
@@ -169,7 +169,7 @@ def test_the_first_mistake_is_told_in_one_line_before_anything_that_computes_is_
 
 @pytest.mark.parametrize(("words", "listed"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
 def test_the_kernels_folder_is_set_before_any_verb_that_may_import_some(
-    words: tuple[str, ...], listed: Listed, told: dict[str, dict[str, object]]
+    words: tuple[str, ...], listed: VerbEntry, told: dict[str, dict[str, object]]
 ) -> None:
     """Where it was set after the first import, all was compiled twice, and the second time into ``__pycache__``."""
     found = told.get(" ".join(words))

@@ -16,7 +16,7 @@ import pytest
 from appliance.base.process_start import interrupts
 from appliance.cli import main
 from appliance.cli.output import Exit, ProgressLine, complain, plain
-from appliance.cli.verbs import Listed
+from appliance.cli.verbs import VerbEntry
 from appliance.measure.verdict import Verdict
 from appliance.store import manifest as form
 from appliance.store.library import Library
@@ -149,7 +149,7 @@ def test_an_interruption_within_a_compiled_library_is_one() -> None:
 
 
 @pytest.mark.parametrize(("words", "listed"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
-def test_every_verb_that_may_take_long_says_how_far_it_is(words: tuple[str, ...], listed: Listed) -> None:
+def test_every_verb_that_may_take_long_says_how_far_it_is(words: tuple[str, ...], listed: VerbEntry) -> None:
     """Off a terminal, too: by the one class that does it."""
     source = inspect.getsource(sys.modules[listed.load().__module__])
     says = "ProgressLine(" in source or "open_scans(" in source

@@ -26,7 +26,7 @@ from appliance.cli.arguments import (
 )
 from appliance.cli.failures import FAILED, USAGE, exit_code_of
 from appliance.cli.output import Exit
-from appliance.cli.verbs import VERBS, Group, Listed
+from appliance.cli.verbs import VERBS, Group, VerbEntry
 from appliance.measure.calibration.file import CalibrationError
 from appliance.store.config import default_rig_path
 from appliance.store.library import Library, UnknownScan
@@ -78,7 +78,7 @@ def test_looking_at_scans_loads_nothing_that_computes_and_no_device(tmp_path: Pa
 
 @pytest.mark.parametrize(("words", "listed"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
 def test_every_verb_says_what_may_be_typed_after_it(
-    words: tuple[str, ...], listed: Listed, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], listed: VerbEntry, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:
         main([*words, "--help"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from appliance.calibrate.calibrations import Calibrations, SessionError
-from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
+from appliance.calibrate.guide import USED, AdjustmentSummary, LengthCheck, RecordingCheck, Session, Step
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.calibration.file import Calibration, CalibrationError, encode_calibration
 from appliance.store.instrument import load_calibration
@@ -21,7 +21,7 @@ OLD = design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER)
 NEW = replace(OLD, method="bundle, spline", made_at="2026-11-21T10:00:00+00:00")
 NEWER = replace(NEW, made_at="2026-12-01T10:00:00+00:00")
 DAY, LATER = "2026-11-21", "2026-12-01"
-VERIFIED = Verified(0.003, -0.0001, 0.00004, OLD.hash)
+VERIFIED = LengthCheck(0.003, -0.0001, 0.00004, OLD.hash)
 TRIALS = tuple(RecordingCheck(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1))
 
 
@@ -105,7 +105,7 @@ def test_a_session_names_no_file_outside_of_the_kept_ones(store: Calibrations) -
         "a\0b", "a\x1b[2J", ".hidden", "x" * 101, "٠٠٠١-2026-01-01.json",
     ):  # fmt: skip
         session = store.write(Session(TRIALS, kept=name))
-        assert (session.kept, store.kept(session)) == (None, None), ascii(name)
+        assert (session.kept, store.previous(session)) == (None, None), ascii(name)
         with pytest.raises(SessionError):
             store.restore()
 
@@ -127,7 +127,7 @@ def test_the_old_file_comes_back_byte_for_byte_and_goes_again(store: Calibration
     with_solution(store)
     used = store.use_solved(DAY)
     assert (used.in_use, used.kept, store.in_use) == (True, "0001-2026-11-21.json", NEW.hash)
-    found = store.kept(used)
+    found = store.previous(used)
     assert found is not None
     assert found.hash == OLD.hash
     store.write(used)
@@ -171,7 +171,7 @@ def test_what_is_not_kept_any_more_or_damaged_is_not_put_in_use(store: Calibrati
     path.write_bytes(path.read_bytes().replace(b"design", b"desihn"))
     with pytest.raises(CalibrationError, match="checksum"):
         store.restore()
-    assert (store.in_use, store.kept(session)) == (NEW.hash, None)
+    assert (store.in_use, store.previous(session)) == (NEW.hash, None)
     path.unlink()
     assert store.session().kept is None
     store.begin()
@@ -184,7 +184,7 @@ def test_what_is_not_kept_any_more_or_damaged_is_not_put_in_use(store: Calibrati
 
 
 def test_a_check_says_nothing_about_a_calibration_that_came_later(store: Calibrations) -> None:
-    store.write(Session(verified=Verified(0.006, None, 0.0001, store.in_use)))
+    store.write(Session(verified=LengthCheck(0.006, None, 0.0001, store.in_use)))
     store.install(NEW, DAY)
     assert store.session().verified is None
     store.bring_back(None, DAY)

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from appliance.base.sealed_file import ContentError
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
+from appliance.calibrate.guide import USED, AdjustmentSummary, LengthCheck, RecordingCheck, Session, Step
 from appliance.calibrate.health import HealthFile, HealthTrend, TrendPoint
 from appliance.calibrate.pictures import Pair, PicturesError, ViewFolder, read_pair
 from appliance.desk import object_store as objects
@@ -89,7 +89,7 @@ def rich_calibration() -> calibration_file.Calibration:
 def session() -> Session:
     trials = tuple(RecordingCheck(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1))
     summary = AdjustmentSummary("bundle", 0.031, ("0.026 px remain",), HASH)
-    return Session(trials, summary, Verified(0.003, -0.0001, 0.00004))
+    return Session(trials, summary, LengthCheck(0.003, -0.0001, 0.00004))
 
 
 TREND = HealthTrend(

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from appliance.calibrate.guide import RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibrate.guide import LengthCheck, RecordingCheck, Refusal, Session, Step
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import (
     Answer,
@@ -100,7 +100,7 @@ FEW = RecordingCheck(M2, Refusal.FEW_POINTS, 3.0, 3, "3 points")
 )
 def test_a_calibration_under_way_tells_its_step_and_result(at: Calibrating, said: tuple[object, ...]) -> None:
     kept = "0001-2026-11-21.json"
-    machine = replace(aim(), session=Session((FITS,), verified=Verified(0.003, -0.0001, 0.00004, "ab"), kept=kept))
+    machine = replace(aim(), session=Session((FITS,), verified=LengthCheck(0.003, -0.0001, 0.00004, "ab"), kept=kept))
     assert told(machine, "calibration") is None, "while nobody calibrates"
     found = told(replace(machine, calibrating=at), "calibration")
     assert (found["step"], found["busy"], found["result"], found["detail"]) == said

@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from appliance.calibrate.guide import RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibrate.guide import LengthCheck, RecordingCheck, Refusal, Session, Step
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.conditions import may_light
@@ -55,7 +55,7 @@ REFUSED = RecordingCheck(Step.M1, Refusal.TILT_MORE, 12.0, 900, "bar 150.0 mm, 1
 NO_BAR = Failure(FailureKind.RECORDING, "no bar", "M1")
 RECORD = (SCAN, on.Armed(1), on.CaptureFinished(1))
 NEW = (DOWN, KeyLongPress(Key.DOWN, 0))
-ONE_BAR = Session((BAR,), None, Verified(-0.006, None, 0.0001))
+ONE_BAR = Session((BAR,), None, LengthCheck(-0.006, None, 0.0001))
 
 
 def recorded() -> Machine:
@@ -147,9 +147,10 @@ def checked() -> Machine:
         course("a wrong length is told", checked, ONE_BAR, task=(Step.RESULT, None), on_scan=None, full="LENGTH ERR 0.6 %"),
         course("and can be left", checked, ONE_BAR, BACK, state=S.AIM),
         course("until it is right", checked, ONE_BAR,
-               Session((BAR,), None, Verified(0.0004, None, 0.0001)), codes=[]),
+               Session((BAR,), None, LengthCheck(0.0004, None, 0.0001)), codes=[]),
         course("or another one is in use", checked, ONE_BAR,
-               Session(VERIFIED.trials, SOLVED.solved, Verified(0.006, 0.0002, 0.0001), True, "0001.json"), codes=[]),
+               Session(VERIFIED.trials, SOLVED.solved, LengthCheck(0.006, 0.0002, 0.0001), True, "0001.json"),
+               codes=[]),
         course("what was solved is checked", lambda: calibrating_at(SOLVED), *RECORD, on.RawStored(1), on.TrialExamined(1, BAR),
                task=(Step.VERIFY, Task.ACCEPT)),
         course("and decided on", lambda: calibrating_at(SOLVED), *RECORD, on.RawStored(1), on.TrialExamined(1, BAR), VERIFIED,
@@ -216,7 +217,7 @@ def test_answers_about_another_recording_or_step_change_nothing(
 
 @pytest.mark.parametrize(("error", "told"), [(0.0009, False), (0.0013, True), (-0.0013, True), (-0.0009, False)])
 def test_a_length_is_told_as_wrong_from_a_thousandth_on_in_either_direction(error: float, told: bool) -> None:
-    machine = run(aim(), Session((BAR,), None, Verified(error, None, 0.0001)))
+    machine = run(aim(), Session((BAR,), None, LengthCheck(error, None, 0.0001)))
     found = [fault for fault in machine.conditions if fault.code is FaultCode.LENGTH_ERROR]
     assert [dict(fault.numbers) for fault in found] == [{"error_percent": pytest.approx(0.13)}] * told
     assert all(f"{100 * error:+.3f} %" in fault.detail for fault in found)

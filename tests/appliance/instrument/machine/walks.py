@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from hypothesis import strategies as st
 
-from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
+from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, LengthCheck, RecordingCheck, Session, Step
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine import keys
@@ -126,7 +126,7 @@ def good(step: Step) -> RecordingCheck:
 
 RECORDED = Session(tuple(good(step) for step in USED))
 SOLVED = Session(RECORDED.trials, AdjustmentSummary("bundle", 0.03, (), "abc"))
-VERIFIED = Session((*RECORDED.trials, good(Step.VERIFY)), SOLVED.solved, Verified(0.004, 0.0002, 0.00003))
+VERIFIED = Session((*RECORDED.trials, good(Step.VERIFY)), SOLVED.solved, LengthCheck(0.004, 0.0002, 0.00003))
 IN_USE = Session(VERIFIED.trials, VERIFIED.solved, VERIFIED.verified, True, "0001.json")
 SESSIONS = (Session(), Session((good(Step.M1),)), RECORDED, SOLVED, VERIFIED, IN_USE)
 

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import appliance
-from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, LengthCheck, RecordingCheck, Refusal, Session, Step
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.calibrate.water_steps import plane_distance
 from appliance.instrument.machine.alerts import Alert, Severity
@@ -262,12 +262,12 @@ def step_of(at: Calibrating, session: Session | None = None, volume: WorkingVolu
 
 def result(*verified: float | None, kept: str | None = None) -> views.CalibrateView:
     before, now = verified
-    session = Session(USUAL, SOLVED, Verified(before, now, 0.00004), kept is not None, kept)
+    session = Session(USUAL, SOLVED, LengthCheck(before, now, 0.00004), kept is not None, kept)
     return step_of(Calibrating(Step.RESULT), session)
 
 
 def test_no_two_steps_look_alike_and_the_live_picture_is_shown_where_something_is_held(painter: Painter) -> None:
-    session = Session(USUAL, SOLVED, Verified(0.0031, -0.0002, 0.00004))
+    session = Session(USUAL, SOLVED, LengthCheck(0.0031, -0.0002, 0.00004))
     pictures = [drawn(painter, step_of(Calibrating(step), session)) for step in Step]
     assert len({picture[:330].tobytes() for picture in pictures}) == len(Step)
     for step, picture in zip(Step, pictures, strict=True):
@@ -329,7 +329,7 @@ def test_the_result_marks_what_is_in_use_and_says_whether_it_is_better(painter: 
     found = [(share(one[NEW], GREEN) > 0.003, share(one[NEW], YELLOW) > 0.003) for one in (better, worse, chance)]
     assert found == [(True, False), (False, True), (False, False)]
     verified = [(0.0031, -0.0002), (0.0002, 0.0031), (0.0002, -0.00015), (None, 0.0031)]
-    assert [Verified(*one, 0.00004).better for one in verified] == [True, False, None, True], (
+    assert [LengthCheck(*one, 0.00004).better for one in verified] == [True, False, None, True], (
         "unknown before is no zero"
     )
     assert (drawn(painter, result(None, 0.0001))[IN_USE] != drawn(painter, result(0.0, 0.0001))[IN_USE]).any()

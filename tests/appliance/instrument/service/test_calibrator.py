@@ -13,7 +13,7 @@ import pytest
 
 from appliance.base import silent
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibrate.guide import USED, AdjustmentSummary, LengthCheck, RecordingCheck, Refusal, Session, Step
 from appliance.calibrate.recordings import RecordingError
 from appliance.calibrate.water_steps import Examination, Solution, basis_of, examine_recording, solve_calibration
 from appliance.instrument.machine import events as on
@@ -145,7 +145,7 @@ def test_a_recording_is_examined_and_entered_into_the_session(heard: Heard, step
     after()
     calibrating.examine(4, step)
     assert machine.started[-1].pipe.recv()[1:] == (examine_recording, (desk.rig, step, scans.folder(4)))
-    check, verified, right = RecordingCheck(step, None, 0.03), Verified(0.0001, None, 0.00004), step is Step.VERIFY
+    check, verified, right = RecordingCheck(step, None, 0.03), LengthCheck(0.0001, None, 0.00004), step is Step.VERIFY
     assert after(Examination(check, verified)) == [on.TrialExamined(4, check)]
     scans.watch.trend = replace(scans.watch.trend, alarm="the ray gaps have grown")
     calibrating.accept(4, check)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibrate.guide import USED, AdjustmentSummary, LengthCheck, RecordingCheck, Refusal, Session, Step
 from appliance.instrument.machine.alerts import RULES, Alert, alert_of
 from appliance.instrument.machine.leading import GuidanceText, OverlapText
 from appliance.instrument.machine.states import Calibrating, Failure, FailureKind, State, Task
@@ -191,11 +191,12 @@ _VIEWS: dict[str, views.AnyView] = {
         Session(_TRIALS), back=Text.BACK,
     ),
     "calibrate-result": _calibrate(
-        Calibrating(Step.RESULT), Session(_TRIALS, _SOLVED, Verified(0.0031, -0.0002, 0.00004)),
+        Calibrating(Step.RESULT), Session(_TRIALS, _SOLVED, LengthCheck(0.0031, -0.0002, 0.00004)),
         scan=Text.KEEP, back=Text.BACK, up=Text.VERIFY, down=Text.HOLD_NEW,
     ),
     "calibrate-checked": _calibrate(
-        Calibrating(Step.RESULT), Session((), None, Verified(0.0062, None, 0.0001)), back=Text.BACK, up=Text.VERIFY, down=Text.HOLD_NEW
+        Calibrating(Step.RESULT), Session((), None, LengthCheck(0.0062, None, 0.0001)),
+        back=Text.BACK, up=Text.VERIFY, down=Text.HOLD_NEW,
     ),
     "cooling": views.CoolingView(temperature_c=61.0, limit_c=55.0, remaining_s=118.0, keys=_BACK),
     "cooling-alert": views.CoolingView(temperature_c=61.0, limit_c=55.0, remaining_s=None, alerts=(alert(FaultCode.HOT), LOST), keys=_BACK),
