@@ -55,7 +55,7 @@ AIM_TIMEOUT_S, STOP_TIMEOUT_S, LOOK_S = 120.0, 30.0, 0.005
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How large and how often."""
+    """Image width, and number of repetitions."""
 
     width_px: int = 1600
     starts: int = 3
@@ -65,7 +65,7 @@ class Effort:
     folder: Path = FOLDER
     """Where the scenes' frames are kept."""
     compensated: bool = True
-    """The scene of the moving hand is taken, too; it is drawn in minutes."""
+    """Include the scene with the moving hand, which takes minutes to render."""
 
 
 def measure() -> Iterator[Measurement]:

@@ -30,9 +30,10 @@ MOST_PIXELS = 0.1
 """Largest median distance from the surface, in pixels of disparity, for a calibration as good as this one's."""
 NORMAL_MEDIAN = 0.6745
 MOST_OF_NOISE = 2.0
-"""Median distance over that of normal noise of the size that the points say; phases of three steps have ripple of the projector besides."""
+"""Limit of the median distance over that of normal noise of the stated sigma; above 1, because phases of three steps
+also have projector ripple."""
 MOST_OF_STRIPES = 1.3
-"""The same of stripes alone, whose points say the error of their borders."""
+"""The same limit for stripes alone, whose stated sigma is that of their borders."""
 MOST_OUTLIERS_PPM = 500.0
 WRONG: tuple[tuple[str, str, str], ...] = (
     ("eight-steps", 'sign = "-"', 'sign = "+"'),
@@ -49,7 +50,7 @@ WRONG: tuple[tuple[str, str, str], ...] = (
     ("two-directions", "[0, 180, 90, 270]", "[0, 90, 180, 270]"),
     ("two-directions", 'left = "left/', 'left = "right/'),
 )  # fmt: skip
-"""Convention, what its description says, and a wrong word in its place."""
+"""Convention, correct words of its description, and a wrong replacement."""
 
 
 def measure() -> Iterator[Measurement]:

@@ -106,7 +106,7 @@ SHORTER = {
     " of the projector": "",
     "°": " deg",
 }
-"""For the picture, whose font knows no degree sign and whose labels are short."""
+"""Replacements in the labels of the picture: short words, and no degree sign, which its font lacks."""
 
 
 def _bar(row: Row, name: str, smallest: float) -> Bar:

@@ -37,12 +37,12 @@ class Set:
     """Folders; of several, each names its pictures."""
     cameras: tuple[str, ...]
     against: str
-    """``peer``: the peer's cloud; ``codes``: the same object by another code, whose set is ``second_set``; ``board``: a
+    """Reference: ``peer`` is the peer's cloud, ``codes`` the same object by another code (``second_set``), ``board`` a
     plane."""
     second_set: str = ""
     picture: str | None = None
     description: str | None = None
-    """Description by hand where the one command asks for it."""
+    """Hand-written description; ``None`` if the one command needs none."""
 
 
 SLSTUDIO = "slstudio/calibration/calibration.xml"

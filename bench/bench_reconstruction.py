@@ -37,7 +37,7 @@ BAR_HEIGHT_MM = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How large and how often."""
+    """Image size, and number of repetitions."""
 
     width_px: int = 1600
     height_px: int = 1200

@@ -21,7 +21,7 @@ FRAMES = 24
 CORES = 2
 FULL, SMALL = (1600, 1200), (400, 300)
 HAND = Motion(velocity_mm_s=(8.0, 0.0, 6.0), tremor_mm=(0.05, 0.05, 0.0))
-"""A hand that drifts at 10 mm/s and trembles."""
+"""Hand with a drift of 10 mm/s and tremor."""
 FIRST = Scene(object="plane")
 AT_REST, MOVING = Scene(object="pipe"), Scene(object="pipe", motion=HAND)
 MOVING_STONES = Scene(object="stones", motion=HAND)
@@ -68,7 +68,7 @@ def measure() -> Iterator[Measurement]:
 
 
 def record(renderer: Renderer, frames: int) -> ActionTime:
-    """Both cameras' frames, each with a pattern of its own, in two threads as in the world."""
+    """Render frames of both cameras in two threads as in the world, each with its own pattern."""
     rng = np.random.default_rng(1)
     patterns = [np.kron(rng.integers(0, 255, (96, 128), np.uint8), np.ones((8, 8), np.uint8)) for _ in range(frames)]
 

@@ -41,7 +41,8 @@ def kernel(images, weights, columns, white, found, saturated):
             misfit[x] = sqrt(({left}) * per_freedom)
             full[x] = {top} >= white
 """
-"""``fit_steps`` for one number of steps, spelt out: every weight and every sum of a pixel in a register, nothing left to be unrolled."""
+"""Source of ``fit_steps`` for one number of steps, fully unrolled: each weight and each sum of a pixel is in a
+register."""
 
 
 def specialised(count: int) -> Kernel:

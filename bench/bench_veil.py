@@ -25,14 +25,15 @@ PIXELS = ((101, 150), (201, 70), (201, 150))
 """Column and row of the rays that are followed."""
 END_Z_MM = 522.5
 WATERS = ((1.0, 0.7, 1.10, 3.5835), (3.0, 0.8, 1.10, 3.5835), (3.0, 0.8, 1.06, 3.4))
-"""Beam attenuation, 1/m, how much of it is scattering, and the particles' index and slope."""
+"""Beam attenuation in 1/m, scattered share of it, and refractive index and size slope of the particles."""
 PHOTONS = 120_000
 PAGE = Path("docs/outside-world.md")
 Picture = NDArray[np.float32]
 
 
 def measure() -> Iterable[Measurement]:
-    """The simulator's veil against photons: how bright, how much brighter than by single scattering, and the fringes in rows."""
+    """Compare the simulator's veil with photons: its brightness, its excess over single scattering, and the fringes in
+    rows."""
     return figures(checked())
 
 

@@ -41,7 +41,7 @@ NORMALISED: dict[str, tuple[tuple[str, str, Callable[[PacedScan], float]], ...]]
     ),
     MOVING: (("compensation_reference_ms", "compensation", lambda s: s.compensating_ms),),
 }
-"""Times by the clock that are stated for the reference machine, too: key, words, the time."""
+"""Clock times that are also stated for the reference machine: key, label, value."""
 ROWS: tuple[tuple[str, str, Callable[[PacedScan], float], str], ...] = (
     ("coarse_path_cpu_ms", "last frame to coarse cloud", lambda s: s.coarse_cpu_ms, "ms CPU"),
     ("verdict_cpu_ms", "last frame to verdict", lambda s: s.verdict_cpu_ms, "ms CPU"),
@@ -56,7 +56,7 @@ ROWS: tuple[tuple[str, str, Callable[[PacedScan], float], str], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How large and how often."""
+    """Image width, and number of scans."""
 
     width_px: int = 1600
     scans: int = 9

@@ -20,7 +20,7 @@ FALSE_MM = 1.0
 
 
 def completeness_percent(scan: ScanFrames, cloud: Cloud) -> float:
-    """Of the pixels whose point both cameras and the projector see."""
+    """Return the percentage of reconstructed pixels, of those whose point both cameras and the projector see."""
     expected = np.isfinite(scan.right_uv_px).all(-1).reshape(-1)
     return 100.0 * float(np.count_nonzero(expected[cloud.pixel])) / float(np.count_nonzero(expected))
 

@@ -9,10 +9,10 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One number a benchmark found out. A bound that is ``None`` does not judge; the unit is in ``unit``.
+    """One figure of a benchmark, with optional bounds.
 
-    Wall time on a machine somebody else uses judges nothing: put bounds on CPU time, on ratios measured in one run,
-    on memory and on errors.
+    Bounds belong on CPU time, on ratios measured in one run, on memory and on errors; wall time depends on the load of
+    the machine.
     """
 
     name: str
@@ -27,7 +27,7 @@ class Measurement:
     spread: tuple[float, float] | None = None
     """First and ninth tenth of the values whose median this is."""
     share: tuple[int, int] | None = None
-    """Of a count or a rate: how many, of how many; so that figures of several parts can be added up."""
+    """Numerator and denominator of a count or rate, by which figures of several parts are added up."""
 
     @property
     def is_kept(self) -> bool:

@@ -46,7 +46,7 @@ class Scene:
     bar_half_width_mm: float = 18.0
 
     def hit(self, origin: Array, direction: Array) -> tuple[Array, Bools]:
-        """Where rays end, (…, 3), NaN for nowhere; and which of them end on the bar."""
+        """Return the end points (…, 3) of rays, NaN without one, and which of them are on the bar."""
         disc = self._meet(origin, direction, 0.0)
         disc[np.linalg.norm(disc - self.centre_mm, axis=-1) > RADIUS_MM] = np.nan
         if self.bar_height_mm == 0.0:

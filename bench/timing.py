@@ -20,7 +20,7 @@ PROGRAM_TIMEOUT_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """The cost of a program from its start to its end, how it ended, and its errors."""
+    """Times of a program from start to end, its exit code, and its errors."""
 
     wall_s: float
     cpu_s: float

@@ -41,7 +41,7 @@ class PackedScan:
 
 
 def packed_scans(drawn: Sequence[RandomScan], archive: Path, say: Callable[[str], None]) -> list[PackedScan]:
-    """Pack each scan into ``archive``, which is made anew."""
+    """Pack each scan into ``archive``, which is created empty."""
     results = []
     shutil.rmtree(archive, ignore_errors=True)  # of a call that was interrupted
     archive.mkdir(parents=True, exist_ok=True)

@@ -36,7 +36,7 @@ UNEVEN = ("shell", "stones")
 """Shapes that hold every direction by themselves, seen from anywhere. A frustum is the same turned a quarter or half about, unless it is painted."""
 LEAST_OVERLAP = 0.4
 SIGMAS, MORE_MM = 3.0, 0.05
-"""A pose is wrong where it is farther off than so many of its standard deviations, and this."""
+"""A pose is wrong if its error exceeds ``SIGMAS`` standard deviations by ``MORE_MM``."""
 SIZE_PX = (800, 600)
 SEEDS_A_RIG = 7
 

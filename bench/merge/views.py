@@ -48,7 +48,7 @@ class ViewRequest:
     rig_set: str
     rig_seed: int
     number: int
-    """Makes its noise its own."""
+    """Number of the view, which seeds its noise."""
     size_px: tuple[int, int]
 
 

@@ -32,7 +32,7 @@ SALT = Water(WATER.temperature_c, SALINITY_PSU, WATER.wavelength_nm)
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """Which rungs are compared, and how many unseen scans judge a rig. Salt water needs the rung ``LATER``."""
+    """Compared rungs, and number of unseen scans per rig. Salt water needs the rung ``LATER``."""
 
     rungs: tuple[str, ...] = tuple(WAYS)
     boards: int = 20
@@ -46,7 +46,7 @@ class Effort:
 
     @property
     def scans(self) -> int:
-        """Of one rig, those for calibrating included."""
+        """Number of scans per rig, with those for calibration."""
         fresh = len(needed(self.rungs)) + self.bars + self.planes + self.frustums
         return fresh + self.salt
 
@@ -68,7 +68,7 @@ class Row:
 
 
 class NotCalibratedError(Exception):
-    """A calibration scan did not become a recording; the text says why."""
+    """Error of a calibration scan that did not become a recording; the text says why."""
 
 
 def examine(

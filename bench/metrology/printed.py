@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 NEWTON_STEPS = 20
 SMALL = 1e-6
 REACH_MM, STEP_MM = 15.0, 3.0
-"""Misprints are mended, as far as they can be, by distances far from the true ones: a wider search before the others."""
+"""Range and step of the distances of a wider search: distances far from the true ones compensate the misprints in part.
+"""
 
 
 def calibrate_as_printed(recordings: Sequence[Recording], start: Calibration) -> Calibration:
@@ -40,7 +41,7 @@ def _printed(camera: HousedCamera) -> PrintedCamera:
 
 @dataclass(frozen=True, slots=True)
 class PrintedCamera(HousedCamera):
-    """A camera whose rays follow the printed equations; no file carries it, and the port's normal counts for the axis."""
+    """Camera with the rays of the printed equations; no file can store it, and the port's normal serves as axis."""
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
         """Return the water rays of pixels (..., 2) as ``HousedCamera.rays`` does."""

@@ -35,7 +35,7 @@ PLACES: Mapping[str, tuple[str, ObjectPose]] = {
     **{f"bar {k}": ("ballbar", pose) for k, pose in enumerate(CALIBRATION_BARS)},
     **{f"plane {k}": ("plane", pose) for k, pose in enumerate(CALIBRATION_PLANES)},
 }
-"""Recordings to calibrate with: what is put before the instrument, and where."""
+"""Recordings for calibration: object and pose."""
 FOUR = ("bar 0", "bar 1", "plane 0", "plane 1")
 """The published effort: two bars and two planes."""
 ALL = tuple(PLACES)
@@ -117,8 +117,8 @@ WAYS: Mapping[str, _Way] = {
     "ba_spline_10": _Way(_by(Method.SPLINE), ALL),
     "ray_field": _Way(calibrate_ray_field, ALL),
 }
-"""By name, in the order of the tables. ``ba_spline_4_points`` is calibrated with correspondences that were made point by
-point, as if images added nothing but noise."""
+"""Methods by name, in the order of the tables. ``ba_spline_4_points`` uses correspondences computed point by point, as
+if images added only noise."""
 LATER = "ba_spline_10"
 """The calibration that is taken from fresh water into salt water, where it is used with that water's index and without."""
 IN_SALT = ("salt_updated", "salt_not_updated")

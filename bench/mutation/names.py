@@ -13,7 +13,7 @@ from pathlib import Path
 from bench.mutation.mutants import PACKAGES, Mutant
 
 UNITS = ("tests/appliance/", "tests/drivers/", "tests/hw_sim/")
-"""Folders of tests that ask one room; whole dives take too long for one line."""
+"""Folders of the tests of single packages; tests of whole dives take too long for one mutant."""
 FROZEN = "tests/behaviour/test_behaviour.py"
 
 

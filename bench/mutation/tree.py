@@ -59,7 +59,7 @@ class Tree:
                     target.write_text(target.read_text().replace(sys.prefix, str(self.path / ".venv")))
 
     def _write(self, path: str, text: str, kernels: Path) -> None:
-        """Write a file and let the kernels of it that are there pass for those of the new text: numba goes by a file's hash."""
+        """Write a file, and make its compiled kernels valid for the new text, because numba compares a file's hash."""
         file = self.path / path
         self._count += 1
         later = file.stat().st_mtime_ns + self._count * _LATER_NS

@@ -42,10 +42,11 @@ from hw_sim.outside import ALL
 FAMILIES = tuple(name for name in ALL if name != "hands")
 RIGS = 8
 WORKS_AT_C, AROUND_K = 35.0, 4.0
-"""Temperature of the case that the calibration was made at, and how far it is from it while scanning."""
+"""Case temperature during calibration, and its largest difference from this while scanning."""
 KNOCK_DEG = 0.02
 KNOCKED_SCANS = 6
-"""Of which three at least should be judged: a ball bar shows too little of the image, and some water hides too much."""
+"""At least three of these should be judged: a ball bar covers too little of the image, and turbid water hides too much.
+"""
 KNOCKS = ("pitch_deg", "yaw_deg", "roll_deg")
 """Of one rig after the other: about x, y, z."""
 SEEDS_PER_SEED = 100_000

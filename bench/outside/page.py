@@ -53,8 +53,8 @@ FIGURES = MappingProxyType(
 def write_page(data: Path, page: Path, pictures: Path) -> None:
     """Write the figures of ``data`` into the page, and draw the picture.
 
-    Rows of parts that ``data`` lacks stay; of several seeds of a part the smallest is shown. Raises ValueError, and
-    changes nothing, for a page without marks.
+    Rows of parts that ``data`` lacks stay. Of several seeds of a part the smallest seed is shown. Raises ValueError,
+    and changes nothing, for a page without marks.
     """
     head, above, remainder = page.read_text(encoding="utf-8").partition(BEGIN)
     inside, below, tail = remainder.partition(END)

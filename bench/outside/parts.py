@@ -25,7 +25,7 @@ class Part(Protocol):
 
 
 class PartWithNoise(Protocol):
-    """A part whose scans depend on how the instrument knows its cameras' noise."""
+    """Part of the measurement that depends on how the instrument knows its camera noise."""
 
     def measure(
         self, count: int, seed: int, say: Say, keep: Path | None, noise: str
@@ -59,7 +59,7 @@ class Entry:
 
 
 OUTSIDE = "outside"
-"""The name of this world among those that verdicts are measured in (``bench.verdict.worlds``)."""
+"""Name of this world in ``bench.verdict.worlds``."""
 PARTS = MappingProxyType(
     {
         "scenes": Entry(

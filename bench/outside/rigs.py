@@ -44,9 +44,9 @@ OF_THE_RIG = ("lens", "plates", "mounts", "projector")
 """The families that a calibration meets; of the projector, the LED's colour alone."""
 SETS: dict[str, tuple[str, ...]] = {"ordinary": (), **{name: (name,) for name in OF_THE_RIG}, "all": OF_THE_RIG}
 ALONE = 4
-"""Of so many rigs one is measured with each family alone, too."""
+"""One of so many rigs is also measured with each family alone."""
 CASE_C, LATER_K = 35.0, 4.0
-"""Temperature of the case while calibrating in water, and how much warmer it is on another dive."""
+"""Case temperature during calibration in water, and the rise until another dive."""
 RECORDINGS = (4, 10)
 FRUSTUMS = 4
 LENGTH_PERCENT = {4: 0.05, 10: 0.025}

@@ -32,11 +32,11 @@ from tests.support.truth import left_to_rig
 
 FALSE_MM = 1.0
 TRIM = 0.003
-"""Share of the largest errors that figures of noise leave out, as those of artefacts do."""
+"""Share of the largest errors without which noise is computed, as for artefacts."""
 STEP_MM, LEAST_COSINE = 0.01, 0.1
-"""A step along the ray that tells how steeply it meets the surface, and the least cosine that is believed."""
+"""Step along the ray for the angle to the surface, and the least cosine of that angle that is used."""
 FEWEST = 300
-"""Points that tell an error over sigma."""
+"""Least number of points for an error over sigma."""
 SHEET_FULL_WELL_E, SHEET_READ_NOISE_E = 13_000.0, 20.0
 """Values of a rig file without the data sheet of the camera."""
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class ScanResult:
     full: FullCloud
     grade: Grade
     codes: tuple[FaultCode, ...]
-    """Faults, without those that are only shown."""
+    """Faults except those that are only displayed."""
     cpu_s: float
 
     @property

@@ -22,7 +22,7 @@ from bench.verdict.parts import Say
 from hw_sim.outside import ALL
 
 FAMILY_SHARE = 0.03
-"""Of the scenes, so many are measured with each family alone and with none."""
+"""Share of the scenes that are also measured with each family alone and with none."""
 ORDINARY = "ordinary"
 TOGETHER = "all"
 

@@ -24,7 +24,7 @@ INTERVALS = (24, 18)
 """Across and down the image: a stria of 70 px of 1600 is followed."""
 FITTED_AT = (73, 55)
 FAR_MM = 1e6
-"""So far away a ray's direction alone says where it is seen."""
+"""Distance of a point whose pixel depends on the ray's direction only."""
 NM_LEAST, NM_MOST = 380.0, 750.0
 STEPS = 60
 Array = NDArray[np.float64]

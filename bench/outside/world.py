@@ -38,7 +38,7 @@ TOP_PERCENT = 99.7
 """Percentile of the bright frame that an exposure is chosen by."""
 FULL_DN, SATURATED_DN, BLACK_DN = 255.0, 254.5, 2.0
 LATENCY = 4.0
-"""A camera begins as many times its jitter after the pulse."""
+"""Delay of a camera after the pulse, in its jitters."""
 Frames = dict[str, NDArray[np.uint8]]
 
 
@@ -89,8 +89,10 @@ def world_with(
     size_px: tuple[int, int] = SMALL_PX,
     case_c: float = REFERENCE_C,
 ) -> World:
-    """As ``world_of`` with strengths that the caller has drawn, for instance those of an instrument that stays the same over
-    many scenes."""
+    """Return a world as ``world_of`` does, with given strengths of the families.
+
+    For instance, those of an instrument that stays the same over many scenes.
+    """
     scene = replace(scene, outside=outside)
     rig = draw_truth(truth_set, seed if rig_seed is None else rig_seed, *size_px, scene.index)
     # Here the world option's seed is the rig's as well: fields are drawn by the rig's seed, strengths by the world's.

@@ -74,7 +74,7 @@ def take(
     height_px: int = STRIP_PX,
     corrected: bool = False,
 ) -> ReconstructedScan:
-    """Scan a scene; a strip from the middle of the images unless ``height_px`` says more.
+    """Scan a scene; a strip from the middle of the images unless ``height_px`` is larger.
 
     ``corrected``: with the first-order correction of paint.
     """

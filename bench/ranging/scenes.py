@@ -24,7 +24,7 @@ MOVING_SHARE = 0.3
 AWAY_MM = 400.0, 600.0
 """Of the object's middle; its surface can be nearer."""
 HELD = ((505.0, 0.0, 35.0, 12.0), (515.0, 0.0, -35.0, 90.0), (515.0, 0.0, 0.0, -45.0))
-"""How the sketches of the calibration in water say that the ball bar is held: distance in mm, turns in degrees."""
+"""Poses of the ball bar in the sketches of the calibration in water: distance in mm, rotations in degrees."""
 HELD_WITHIN_MM, HELD_WITHIN_DEG = 20.0, 10.0
 AIMED_SD_MM = 2.0
 """Standard deviation across the bar of a dot that a diver brings onto its middle line."""
@@ -88,7 +88,7 @@ def aimed(case: Case, truth: TrueRig, rng: np.random.Generator, time_s: float) -
 
 
 def is_visible(renderer: Renderer, truth: TrueRig, side: str, dot: Array, time_s: float) -> bool:
-    """Whether a camera sees that point of the surface."""
+    """Return True if a camera sees a point of the surface."""
     u, v = project(truth, side, dot[None])[0]
     points = renderer.view(side, time_s).points_rig_mm
     row, column = round(float(v)), round(float(u))

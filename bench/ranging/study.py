@@ -38,7 +38,7 @@ def _look_before(
 
 
 def _used(dot: Dot | None, measured: Range | None) -> bool:
-    """Whether a distance was told from a dot: from both on one surface, else from one of them."""
+    """Return True if the distance comes from ``dot``: from both dots if on one surface, else from one of them."""
     if dot is None or measured is None:
         return False
     return measured.tilt_deg is not None or dot.position_mm[2] == measured.distance_mm

@@ -45,8 +45,10 @@ def by_attenuation(rows: Rows, key: str) -> list[tuple[float, float | None]]:
 
 
 def reaches(rows: Rows, percent: float) -> float | None:
-    """The attenuation from which on completeness stays below ``percent``, between those measured by a straight line;
-    ``None`` where it is not reached."""
+    """Return the attenuation above which completeness stays below ``percent``; ``None`` without one.
+
+    Values between the measured ones are interpolated.
+    """
     line = [(x, y) for x, y in by_attenuation(rows, "completeness_percent") if y is not None]
     above = [k for k, (_, y) in enumerate(line) if y >= percent]
     if not above or above[-1] + 1 == len(line):
@@ -56,7 +58,7 @@ def reaches(rows: Rows, percent: float) -> float | None:
 
 
 def limits_table(rows: Rows) -> str:
-    """A line per series: how far it goes."""
+    """Return a table with the limits of each series."""
     lines = [
         "| Water, cameras | complete to 95 % up to | half of it up to | noise at 1 /m, µm | at 2 /m | at 3 /m | wrong, ppm |",
         "|---|---:|---:|---:|---:|---:|---:|",

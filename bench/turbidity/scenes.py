@@ -26,7 +26,7 @@ def drawn_scene(rng: np.random.Generator, water: Water) -> Scene:
 
 
 def drawn_water(rng: np.random.Generator) -> Water:
-    """From clear to such that little is left of the light; veil and softness independent of it."""
+    """Return random water, from clear to almost opaque; veil and blur are independent of that."""
     return Water(
         attenuation_per_m=math.exp(rng.uniform(math.log(0.1), math.log(3.0))),
         backscatter=math.exp(rng.uniform(math.log(0.004), math.log(0.2))),

@@ -22,7 +22,7 @@ BACKSCATTER_M, BLUR_PX = 0.025, 0.75
 """Backscatter as a fraction of an object's light, and blur in px of 1600 px per metre, for an attenuation of 1 /m, in
 the proportion of the default water."""
 MILKY = 4.0
-"""Times the veil of such water: fine sediment."""
+"""Factor to the veil of default water: fine sediment."""
 SALINITY_PSU = 35.0
 TRUTH = "modelled"
 """Set of rigs within the product's model: with their true calibration, only errors of the images remain."""
@@ -84,11 +84,11 @@ class Row:
     seed: int
     completeness_percent: float
     rms_um: float | None
-    """Of the errors along the rays, without what counts as wrong."""
+    """RMS error along the rays, without wrong points."""
     sigma_um: float | None
     """Median of the expected errors."""
     sigma_ratio: float | None
-    """RMS of errors in expected errors, without what counts as wrong."""
+    """RMS of error over expected error, without wrong points."""
     wrong_ppm: float | None
     modulation_dn: float | None
     exposure_ms: float

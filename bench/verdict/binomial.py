@@ -37,7 +37,8 @@ def out_of(trials: int, count: int) -> str:
 
 
 def percent(share: float) -> str:
-    """As a number of percent with one decimal, or with as many as tell it from none and from all: 0.9996 is 99.96, 1 is 100.0."""
+    """Return a percentage with one decimal, or with as many as distinguish it from 0 and 100: 0.9996 is 99.96, 1 is
+    100.0."""
     value = 100.0 * share
     for digits in range(1, 10):
         text = f"{value:.{digits}f}"

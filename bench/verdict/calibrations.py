@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 KINDS = ("exact", "calibrated")
 TRUTH_SET = "realistic"
 GRID_PX = 8
-"""Every so many pixels a true point tells how the calibration turns the world."""
+"""Grid spacing of the true points that determine the displacement by the calibration."""
 
 
 @dataclass(frozen=True, slots=True)

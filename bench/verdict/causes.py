@@ -1,7 +1,7 @@
 """Figures of the naming of causes: how often the first cause of a bad scan is a true one.
 
-``scans`` sets how many bases are drawn: each gives 40 to 50 scenes, spoilt by up to three of four factors. True causes come from
-the simulator alone (``causes_truth``).
+``scans`` sets the number of bases: each gives 40 to 50 scenes, degraded by up to three of four factors. True causes
+come from the simulator alone (``causes_truth``).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ Row = dict[str, Any]
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
 ) -> tuple[list[Measurement], dict[str, Any]]:
-    """As many bases as make at least ``scans`` scenes, every scene judged and every bad one looked into.
+    """Measure as many bases as give at least ``scans`` scenes; judge each scene, and examine each bad one.
 
-    With ``keep``, frames and what this version of the product made of them are kept there and not worked out again; the rows
-    so far, too, for who wants to look before the end.
+    With ``keep``, frames and the results of this version of the product are stored there and reused, and so are the
+    rows so far.
     """
     bases = max(1, -(-scans // SCANS_PER_BASE))
     rows: list[Row] = []
@@ -91,7 +91,7 @@ def figures(rows: Sequence[Row]) -> list[Measurement]:
 
 
 def by_reason(rows: Sequence[Row]) -> dict[str, str]:
-    """Of each first reason, how often it was a true one, with limits."""
+    """Return the frequency at which each first reason was a true one, with limits."""
     bad = [row for row in rows if row["grade"] == Grade.BAD.value]
     all_of = Counter((row["reasons"] or ["none"])[0] for row in bad)
     right = Counter((row["reasons"] or ["none"])[0] for row in bad if row["right"])

@@ -53,7 +53,7 @@ WATERS = MappingProxyType(
 LIGHTS = (NONE, "dim", "dimmer", "over", "flicker", "flood")
 DISTANCES = (NONE, "near", "far", "nothing")
 NEARER_MM, FARTHER_MM, AWAY_MM = 190.0, 230.0, 5000.0
-"""By how much the object is moved; the last one sideways, out of sight."""
+"""Shift of the object nearer, farther, and sideways out of sight."""
 FACTORS = ("hands", "water", "light", "distance")
 HANDS_ALONE, PAIRS, TRIPLES = 5, 20, 2
 
@@ -93,7 +93,7 @@ class FactorLevels:
 
     @property
     def name(self) -> str:
-        """``hands 20 x, water milk``."""
+        """Name of the scene by its factors, for instance ``hands 20 x, water milk``."""
         return ", ".join(f"{factor} {getattr(self, factor)}" for factor in self.present) or "nothing"
 
 

@@ -1,15 +1,15 @@
 """True quality of a scan, and the factors that truly spoil it, found by removing them one by one.
 
-A scan's worth is counted against the true surface, with none of the product's judges: how many points lie within a millimetre of
-it, and how far these are off (after the rigid displacement that moving hands leave). Taking a factor away *mends* a scan
-where it gives more points, by a tenth of those that the unspoilt base gives, or points that err less by 3 %. A factor is a
-true cause where taking it away mends the scan. Where no single one does, since two of them spoil it each by itself, each
-is one whose presence alone spoils the base.
+Quality is measured against the true surface, without any judge of the product: the number of points within 1 mm of it,
+and their error (after the rigid displacement that moving hands leave). Removal of a factor *mends* a scan if it gives
+more points, by a tenth of the base's points, or points with 3 % less error. A factor is a true cause if its removal
+mends the scan. If no single removal does, because two factors each spoil the scan, every factor is a true cause that
+spoils the base alone.
 
-A factor is a true cause as well where it alone leaves fewer points than a usable scan has (``USABLE_POINTS``): no scan becomes
-usable as long as it is there, whatever else is taken away, so whoever wants one must act on it. Hands of 60 mm/s before a picture
-of which nine tenths are saturated are an example: at rest the scan is bad, well exposed it is bad, and neither cause is wrong.
-What only mending counts is measured beside it.
+A factor is also a true cause if it alone leaves fewer points than a usable scan has (``USABLE_POINTS``): no scan is
+usable while it is present, so the diver must act on it. An example: hands of 60 mm/s in front of images of which nine
+tenths are saturated. At rest the scan is bad, well exposed it is bad, and both causes are right. The figure that counts
+mending alone is measured beside it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from tests.support.truth import WATER, true_calibration
 
 MORE_POINTS, LESS_ERROR = 0.10, 1.03
 LEAST_POINTS = 0.10
-"""Of the base's points: fewer do not say how far they err."""
+"""Least share of the base's points for a valid error."""
 USABLE_POINTS = 0.25
 """Least share of the base's points in a usable scan: a quarter of the illuminated pixels, as in its grade."""
 AIM_DN, BRIGHTEST = 225.0, 99.5
@@ -73,12 +73,12 @@ class Outcome:
 
     grade: Grade
     reasons: tuple[FaultCode, ...]
-    """Causes in the order of the screen, without those that are only shown."""
+    """Causes in the order of the screen, without those that are only displayed."""
     coverage_percent: float | None
     good: int
     """Points within a millimetre of the surface."""
     error_mm: float | None
-    """RMS error of these; ``None`` for too few."""
+    """RMS error of these points; ``None`` for too few."""
     texts: dict[str, str]
     numbers: dict[str, dict[str, float | None]]
 
@@ -169,7 +169,7 @@ class Truth:
         return self._known[levels, chosen]
 
     def scan_inputs(self, levels: FactorLevels) -> tuple[RenderedScan, AcquisitionSettings, Calibration, Water]:
-        """A scene's scan as it is exposed, how it was taken, and the calibration and water that state the truth."""
+        """Return the exposed scan of a scene, its settings, and the calibration and water that state the truth."""
         exposure = self._exposure_of(levels)
         scan = frames_of(self._base, levels, self._keep, exposure, self._world)
         return scan, *_taken(scan, exposure, self._stated)

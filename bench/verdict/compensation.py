@@ -1,8 +1,8 @@
 """Effect of motion compensation: scans of moving hands against the same scans at rest.
 
-A cloud is judged against the true surface at its own time, the middle of the x-sines. Every scan is solved twice: with the
-calibration that states the truth, and with one that was found as an instrument's is (``calibrations.py``). What a
-calibration is off at rest it is off moving too, and would make any ratio look good: errors are those of the scan alone.
+A cloud is judged against the true surface at its own time, the middle of the x-sines. Every scan is solved twice: with
+the calibration that states the truth, and with one that was estimated as an instrument's is (``calibrations.py``).
+Errors exclude those of the calibration, which are the same at rest and moving and would make any ratio look good.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def made_worse(rows: Rows) -> Measurement:
 
 
 def worse(row: Row) -> bool:
-    """Tell whether the shown points have larger errors than those without compensation."""
+    """Return True if the shown points have larger errors than those without compensation."""
     return bool(row["used"]) and float(row["after"]) > WORSE * float(row["before"])
 
 

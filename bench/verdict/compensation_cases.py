@@ -58,12 +58,12 @@ class Case:
 
     @property
     def rest(self) -> Scene:
-        """The scene with hands at rest."""
+        """The same scene with hands at rest."""
         return replace(self.scene, motion=Motion())
 
 
 def named_cases(seed: int) -> list[Case]:
-    """Every hand before every object."""
+    """Return the cases of every hand before every object."""
     return [
         Case(f"{hand}-{name}", Scene(name, texture=texture, motion=motion), seed)
         for hand, motion in NAMED.items()
@@ -72,7 +72,7 @@ def named_cases(seed: int) -> list[Case]:
 
 
 def hard_cases(seed: int) -> list[Case]:
-    """Every hand in every bad condition."""
+    """Return the cases of every hand in every bad condition."""
     return [
         Case(f"{hand}-{name}", replace(scene, motion=motion), seed)
         for name, scene in HARD.items()

@@ -1,8 +1,8 @@
 """Accuracy of the check of frame identity: random good scans, and every wrong order of their frames.
 
-A wrong order is *visible* to a camera where the true patterns of a frame's place and of what it shows differ on at least
-``VISIBLE`` of what the camera sees of the projector's light; by how much is known from the truth, not from the judge. The
-witnesses that the ledger compares are not asked.
+A wrong order is *visible* to a camera if the true patterns at a frame's position and in the frame differ on at least
+``VISIBLE`` of the projector's light that the camera sees. The difference comes from the truth, not from the judge. The
+witnesses that the ledger compares are not used.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ FILLING = 0.2
 NAMED_PERCENT = 97.0
 """Of the wrong orders that are found should be rightly named."""
 NAMED_OF_EACH = 4
-"""Wrong orders of each kind and scan whose name is asked for too; found is asked of all."""
+"""Number of wrong orders of each kind and scan whose name is checked too; detection is checked for all."""
 WIDTH_PX = 400
 FASTEST_MM_S = 30.0
 MILKY = 0.25
-"""Of the scans: in water whose veil is as bright as the object, or several times as bright."""
+"""Share of the scans in water whose veil is as bright as the object, or several times as bright."""
 MILK_EXPOSURE_S = 0.012
 
 
@@ -89,7 +89,7 @@ def measure(
 
 
 def draw(seed: int, number: int) -> RandomScan:
-    """Object, pose, colour, water, light and hands of scan ``number``; half of the scans move."""
+    """Draw object, pose, colour, water, light and hands of scan ``number``; half of the scans move."""
     rng = np.random.default_rng([seed, number, 22])
     name = str(rng.choice(["plane", "ballbar", "frustum", "pipe", "shell", "stones"]))
     pose = np.array(DEFAULT_POSE[name]) + np.concatenate(
@@ -264,7 +264,7 @@ def _rightly(judgement: Judgement, wrong: Wrong, is_on_both: bool) -> bool:
 
 
 def _again(frames: NDArray[np.uint8], order: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Frames in that order; an image that is shown again gets noise of its own, on top of that which it has."""
+    """Return the frames in ``order``; a repeated image gets additional noise."""
     out = frames[order]
     for k in range(len(order)):
         if order[k] in order[:k]:

@@ -1,8 +1,8 @@
 """False alarms of the check of frame identity on good scans, and its judgement of very fast motion.
 
-The scenes are those that the verdict on movement is measured with: at rest and moving, dark, textured, turbid, in flicker, with
-specks and fish. A third of them is taken again in milk, and a quarter with hands so fast that nothing can be made of it. All
-frames are what they should be: such a scan may be refused for its movement, never for its patterns.
+The scenes are those of the verdict on motion: at rest and moving, dark, textured, turbid, in flicker, with specks and
+fish. A third of them is also recorded in milky water, and a quarter with hands too fast for any scan. All frames are in
+the right order, so such a scan may be rejected for its motion, never for its patterns.
 """
 
 from __future__ import annotations

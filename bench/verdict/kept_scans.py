@@ -53,7 +53,7 @@ class Scans(Protocol):
     """Recordings of cases in one world."""
 
     def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> CaseRecording:
-        """The frames of a take; ``noise_seed``: other noise than its own, where noise is put on afterwards."""
+        """Return the frames of a recording; ``noise_seed`` replaces the usual seed where noise is added afterwards."""
 
     def renderer(self, case: Case, take: Take) -> Renderer:
         """Return the renderer of a recording."""
@@ -66,9 +66,9 @@ class Scans(Protocol):
 
 
 class KeptScans:
-    """Frames of cases in the ordinary world, from ``folder`` where they are there, and rendered where not.
+    """Frames of cases in the ordinary world, from ``folder`` if they are stored there, else rendered.
 
-    Without a folder nothing is kept. Each take is 5.8 MB at 400 × 300, and takes 1 s (at rest) to 4 s of CPU.
+    Without a folder nothing is stored. Each recording is 5.8 MB at 400 × 300, and takes 1 s (at rest) to 4 s of CPU.
     """
 
     def __init__(self, folder: Path | None, width_px: int = WIDTH_PX) -> None:
@@ -76,7 +76,7 @@ class KeptScans:
         self.width_px = width_px
 
     def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> CaseRecording:
-        """The frames of a take; noise is put on those without."""
+        """Return the frames of a recording with noise added."""
         clean = self.frames(case, take)
         noise_seed = noise_seed or 1 + list(Take).index(take)
         return CaseRecording(clean, record(clean, case.gain_db, case.seed, noise_seed), case.exposure_s)
@@ -91,7 +91,7 @@ class KeptScans:
         return WATER
 
     def noise(self, case: Case) -> StereoNoise:
-        """As the data sheet says."""
+        """Return the noise of the data sheet."""
         return data_sheet_noise(case.gain_db)
 
     def frames(self, case: Case, take: Take) -> Frames:

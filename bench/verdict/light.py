@@ -1,7 +1,7 @@
 """Figures of the judge of light: proposed exposures, and reported flicker by its added noise.
 
-The truth of a flicker is its harm: the same scene is photographed without noise, with and without what changes in its
-light; the phases' difference, against the noise they would have, is what the judge should have seen.
+The true harm of a flicker comes from the same scene rendered without noise, with and without the change of light: the
+difference of the phases, over their usual noise, is the value that the judge should find.
 """
 
 from __future__ import annotations

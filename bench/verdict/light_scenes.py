@@ -50,7 +50,7 @@ def draw_case(rng: np.random.Generator) -> Case:
 
 
 def draw_daylight(rng: np.random.Generator) -> tuple[Daylight, float, str]:
-    """A light that changes, how much ambient light there is of it, and its name."""
+    """Draw a changing light, its level of ambient light, and its name."""
     kind = str(rng.choice(["flicker", "caustics", "torch"]))
     seed = int(rng.integers(1, 1 << 30))
     ambient = 10 ** rng.uniform(-1.7, -0.3)

@@ -1,7 +1,7 @@
 """Scans for the verdicts on motion and identity: object, water, light, motion and settings.
 
-A case follows from its seed. It is rendered without noise, at rest and moving, so that what a movement adds to a cloud can
-be separated from noise, which is put onto the same frames afterwards.
+A case follows from its seed. It is rendered without noise, at rest and moving, so that the effect of motion on a cloud
+can be separated from noise, which is added to the same frames afterwards.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FRAME_S = 1.0 / 60.0
 TRUTH_SET = "realistic"
 KINDS = ("lateral", "axial", "rotation", "tremor", "acceleration", "fish")
 TURNS = (*KINDS[:5], *KINDS[:4], "fish")
-"""Kinds take turns; half as many are plainly faster and faster, or no hands at all but fish before hands at rest."""
+"""Order of the kinds. Acceleration and fish before hands at rest are half as frequent as the others."""
 TEXTURES = ("none", "slight", "strong", "checker")
 OBJECTS = ("plane", "frustum", "pipe", "shell", "stones", "ballbar")
 PERIODS_PX = (16, 32, 64)
@@ -34,7 +34,7 @@ Frames = Mapping[str, NDArray[np.uint8]]
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One scene and one movement of the hands."""
+    """One scene and one motion of the hands."""
 
     seed: int
     scene: Scene
@@ -170,5 +170,5 @@ def _triple(v: NDArray[np.floating]) -> tuple[float, float, float]:
 
 
 def without_fish(scene: Scene) -> Scene:
-    """The same scene, whose fish are elsewhere."""
+    """Return the scene without its fish."""
     return replace(scene, drift=replace(scene.drift, fish=0))

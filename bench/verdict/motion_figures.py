@@ -13,9 +13,9 @@ from bench.verdict.binomial import rate, tally
 from bench.verdict.motion_cases import KINDS
 
 HARMFUL, HARMLESS, LOST = 0.10, 0.05, 0.10
-"""Noise added, as a fraction; and a share of the points whose loss is harm, too."""
+"""Limits of the added noise, as a fraction, and share of lost points that is harmful as well."""
 REFUSED_PERCENT, COMPENSATED_MOST = 99.0, 1.2
-"""Of harmful scans must be refused; and so many times as at rest may those err that are shown compensated."""
+"""Share of harmful scans that must be rejected, and limit of the error of compensated scans over that at rest."""
 GROUPS = {"untextured": ("none",), "slight": ("slight",), "textured": ("strong", "checker")}
 DISTURBANCES = ("flicker", "waves", "specks", "turbid", "dark", "period 16", "period 32", "period 64", "small")
 Row = Mapping[str, Any]

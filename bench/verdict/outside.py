@@ -1,11 +1,10 @@
-"""Scans for the verdicts in the world ``outside``: the same draws as in the ordinary one, with the families of that
-world by the seed of each scene.
+"""Scans for the verdicts in the world ``outside``: ordinary draws, with families of that world by each scene's seed.
 
-What hands do comes from the family ``hands`` on top of the scene's own movement, so a scene at rest is without it. The
-exposure is one that suits the scene, by the brightest of its bright frame, times what the draw says (a quarter are
-underexposed): a diver chooses it, and other whites, sensors and spots would else turn most scenes black or white. The
-cameras' noise is stated as an instrument finds it that has measured its own (``calibration measure noise``); the water
-is of the index that the LED's light truly has.
+Hand motion of the family ``hands`` is added to the scene's own motion, so a scene at rest has none. The exposure suits
+the brightest pixels of the scene's bright frame, times a drawn factor (a quarter are underexposed). A diver would
+choose it so; a fixed exposure would make most scenes black or white because of other whites, sensors and spots. The
+stated camera noise is that of an instrument that has measured it (``calibration measure noise``). The water's index is
+that at the LED's true wavelength.
 """
 
 from __future__ import annotations
@@ -88,7 +87,7 @@ class OutsideScans:
 
 
 def _world_of(case: Case, take: Take) -> World:
-    """At rest without hands; fish pass before hands at rest."""
+    """Return the world of a recording: at rest without hands; fish pass before hands at rest."""
     hands = take is Take.MOVING and case.kind != "fish"
     return put_outside(scene_of(case, take), case.seed, TRUTH_SET, hands=hands)
 

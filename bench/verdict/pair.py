@@ -1,7 +1,7 @@
 """Figures of a bracket: points with the second exposure that the judge of light proposes, against each single exposure.
 
-Each scene goes the diver's way: a scan at the rig's exposure, then the second one that was proposed, at rest and after a hand's
-movement; and, in its place, the one other exposure that EXPOSE would have set.
+Each scene is scanned as by a diver: at the rig's exposure, then with the proposed second one, at rest and after a
+movement of the hand. For comparison it is scanned once with the single exposure that EXPOSE would have set.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class KeepingPart(Protocol):
 
 
 class WorldPart(Protocol):
-    """A part whose scans may be those of another world."""
+    """Part of the measurement that can also run in another world."""
 
     def measure(
         self, scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ...
@@ -40,7 +40,7 @@ class WorldPart(Protocol):
 
 
 IN_WORLDS = ("motion", "identity", "identity_good", "causes", "compensation", "compensation_hard")
-"""The names of those."""
+"""Names of the parts that run in both worlds."""
 KEEPING = (
     "motion",
     "causes",
@@ -50,7 +50,7 @@ KEEPING = (
     "compensation_hard",
     "compensation_speed",
 )
-"""The names of those."""
+"""Names of the parts that store their frames."""
 PARTS = MappingProxyType(
     {
         "identity": "each frame is the pattern it should be",

@@ -1,9 +1,9 @@
 """Accuracy of sigma: errors of the points of random scans, in units of their sigma.
 
-The error of a point is taken along the ray of its left pixel, which is what sigma is of; where that exact ray meets
-nothing, it is the distance to the true surface. The calibration knows the rig exactly, lens field and wedge included:
-sigma speaks of what a scan adds. *All*: every point of the cloud. *Trimmed*: without the largest 0.3 %, as evaluations of
-artefacts do it; of a normal distribution that leaves 0.975.
+The error of a point is measured along the ray of its left pixel, as sigma is; where that exact ray meets no surface, it
+is the distance to the true surface. The calibration is exact, lens field and wedge included, because sigma covers only
+the errors of the scan. *All* is every point of the cloud. *Trimmed* leaves out the largest 0.3 %, as evaluations of
+artefacts do; for a normal distribution the RMS is then 0.975.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones")
 TEXTURES = ("none", "slight", "strong", "checker")
 SMALL_PX, STRIP_PX = (400, 300), (1600, 240)
 STRIP_EVERY = 8
-"""Every so many scans, one at full resolution across."""
+"""One of so many scans has the full horizontal resolution."""
 TRIM = 0.003
 BINS_UM = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0, 50.0, 65.0, 85.0, 120.0, 170.0, 250.0, 350.0, 500.0)
 """Of sigma, for the reliability curve."""
@@ -160,7 +160,7 @@ def errors(draw: Draw) -> tuple[Array, Array]:
 
 
 def cloud_of(scan: RenderedScan, draw: Draw) -> Cloud:
-    """Reconstructed with the exact calibration, and the noise that data sheet and gain say."""
+    """Reconstruct a scan with the exact calibration, and the noise of data sheet and gain."""
     camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, draw.gain_db)
     calibration = complete_calibration(scan.renderer.truth)
     sequence = build_sequence(draw.period_px)

@@ -1,8 +1,8 @@
 """Accuracy of the watch over the ports: alarms on clean ones, and detected fog of known strength.
 
-A dive is six scans of things drawn at random, each in a water of its own, with one hidden rig. Its windows are clean, or one
-place of one of them is fogged: so much of the light of that place is thrown aside. The watch is told as on the instrument; it
-needs three scans of the place, and not every thing lies before it.
+A dive is six scans of random objects, each in its own water, with one hidden rig. Its ports are clean, or one region of
+one of them is fogged, which scatters a share of the light there. The watch is updated as on the instrument. It needs
+three scans of the region, and not every object lies before it.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ from tests.support.rendered import render_scan
 
 WIDTH_PX, PERIOD_PX = 240, 16
 DIVE, LEAST = 6, 3
-"""Scans of a dive, and those that the watch needs at least."""
+"""Number of scans of a dive, and least number for the watch."""
 STRENGTHS = (0.15, 0.25, 0.35, 0.5)
 """Share of the light that is thrown aside."""
 TOLD_FROM, MOST_MISSED = 0.35, 0.25
-"""The strength from which on it must be found in a dive, and the share that may lie where too little was seen."""
+"""Strength above which fog must be detected in a dive, and share of dives that may miss it because too little was
+visible."""
 MOST_ATTENUATION_PER_M = 2.0
 
 
 def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
-    """``scans`` with clean windows and as many, at least one dive, with each strength of fog."""
+    """Measure ``scans`` with clean ports, and as many with each strength of fog; at least one dive each."""
     clean = max(1, scans // DIVE)
     fogged = max(1, scans // DIVE)
     dives = [(0.0, k) for k in range(clean)] + [(strength, k) for strength in STRENGTHS for k in range(fogged)]

@@ -52,7 +52,8 @@ SUMS: dict[str, Sequence[str]] = {
     "complete": (*UNTIL_VERDICT, parts.COMPENSATION, parts.FULL),
     "complete_scan": (parts.RECORDING, *UNTIL_VERDICT, parts.COMPENSATION, parts.FULL),
 }
-"""By the name in a key: last frame to verdict, to full cloud, and the whole scan. A part that a side or a scene has not counts nothing."""
+"""Parts of each sum by the name in its key: last frame to verdict, to full cloud, and the whole scan. Absent parts
+count as zero."""
 
 
 SAME = ("points", "judgements")
@@ -203,7 +204,7 @@ class Side:
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
         self._process: subprocess.Popen[bytes] | None = None
         self.found: dict[str, str] = {}
-        """Digests of what it finds in the scene."""
+        """Digests of the results in the scene."""
 
     def __enter__(self) -> Side:
         command = [sys.executable, "-P", str(ONE_SIDE.absolute()), *self._arguments]

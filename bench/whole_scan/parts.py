@@ -34,7 +34,7 @@ class Procedure:
         return dict(self._taken_ms)
 
     def forget(self) -> None:
-        """Forget the rounds so far."""
+        """Clear the times of the rounds so far."""
         self._taken_ms.clear()
 
     def round(self) -> None:

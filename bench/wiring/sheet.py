@@ -20,9 +20,9 @@ COLOURS = {
     "3.3 V": SUPPLY_3V3,
     "ground": GROUND,
 }
-"""Colour of a wire by what it is for."""
+"""Colours of wires by function."""
 CHARACTER = 0.56
-"""Width of a character in heights of the font: that of DejaVu Sans and Arial, rather too wide than too narrow."""
+"""Width of a character over the font height: that of DejaVu Sans and Arial, rather too wide than too narrow."""
 Point = tuple[float, float]
 
 
