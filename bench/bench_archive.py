@@ -18,7 +18,7 @@ FEW = 6
 
 
 def measure() -> Iterable[Measurement]:
-    """The ratio over one full-size scan of each object; the figures of docs/archive.md are of more, see ``main``."""
+    """Measure the ratio over one full-size scan of each object; ``main`` measures more for docs/archive.md."""
     with tempfile.TemporaryDirectory() as folder:
         yield from _ratio("ordinary", FEW, Path(folder))
 

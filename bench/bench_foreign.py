@@ -149,7 +149,7 @@ def _judged(image_set: ForeignSet, scan: ForeignScan) -> _Judged:
 
 
 def _is_named(image_set: ForeignSet, before: str, after: str) -> bool:
-    """Tell whether a wrong word in place of a right one is reported."""
+    """Return True if a wrong word in place of a right one is reported."""
     changes = [(before, after)]
     if before.startswith("left = "):
         # Both names, or one camera's images would be there twice.

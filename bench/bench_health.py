@@ -104,7 +104,7 @@ class _Change:
         self._normal, self._other = (_only(gaps, np.isin(gaps.patch, shared)) for gaps in (normal, changed))
 
     def at(self, share: float) -> PatchGaps:
-        """The gaps after so much of the change."""
+        """Return the gaps after a share of the change."""
         moved_um = self._other.gap_um - self._normal.gap_um
         return replace(self._normal, gap_um=self._normal.gap_um + share * moved_um)
 
@@ -171,7 +171,7 @@ def _normal(rig: Calibrated) -> list[float]:
 
 
 def _false_alarms(bias: float) -> int:
-    """Alarms of the sum when scores are normal, with a constant offset in one direction; each ends its chain."""
+    """Return the number of alarms of the sum for normal scores with a constant offset; each ends its chain."""
     rng = np.random.default_rng(5)
     total = np.zeros((CHAINS, 8))
     alarms = 0

@@ -15,7 +15,7 @@ PAIRS, ROW, LARGE, GUIDE, DIVE, LOOPS, OVERLAPS = "pairs", "row", "large", "guid
 
 
 def measure() -> Iterable[Measurement]:
-    """A few pairs and one row: enough to see that merging works. The figures of docs/objects.md are of more, see ``main``."""
+    """Measure a few pairs and one row, as a quick check; ``main`` measures more for docs/objects.md."""
     yield from pairs.measure(28, 1, None)[0]
     yield from row.measure(3, "realistic", (800, 600), None)[0]
 

@@ -62,7 +62,7 @@ def measured(tables: Sequence[str]) -> Iterator[Measurement]:
 
 
 def earlier() -> list[Row]:
-    """Rows of the last run; none where there was none."""
+    """Return the rows of the last run; none without one."""
     try:
         return [Row(**row) for row in json.loads((OUT / ROWS).read_text(encoding="utf-8"))["rows"]]
     except (OSError, ValueError, KeyError, TypeError):
@@ -70,7 +70,7 @@ def earlier() -> list[Row]:
 
 
 def bounds(row: Row, name: str) -> tuple[float | None, float | None]:
-    """(at most, at least) of a figure; none for most."""
+    """Return the bounds (at most, at least) of a figure; ``None`` for most."""
     if row.name.startswith("16 px: light") and name == "ripple of a coordinate, px":
         return 0.067 / 3.0, None  # a third of what it is without
     if row.table in ("periods", "distances") and name == "rms in sigmas":

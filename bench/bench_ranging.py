@@ -28,7 +28,7 @@ WRONG_MM = 10.0
 
 
 def measure() -> Iterator[Measurement]:
-    """A few scenes: whether distances are still right."""
+    """Measure distances in a few scenes, as a quick check."""
     yield from ranging_figures(rows_of(FEW_SCENES, 1, WIDTH_PX, lambda what, share: None))
 
 

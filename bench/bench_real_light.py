@@ -192,7 +192,7 @@ def _between(image_set: Set, grid: Grid, second: Grid) -> Iterator[Measurement]:
 
 
 def relief(grid: Grid) -> NDArray[np.uint8]:
-    """A picture of the surface as if it were of plaster: brightness by its slope, from the points alone."""
+    """Return a picture of the surface as of plaster: brightness by slope, from the points alone."""
     # The thing itself, not specks of the room behind it.
     _, labels, parts, _ = cv2.connectedComponentsWithStats(
         cv2.dilate(grid.mask.astype(np.uint8), np.ones((5, 5), np.uint8))

@@ -55,7 +55,7 @@ def measure() -> Iterator[Measurement]:
 
 
 def measured_with(effort: Effort, out: Path) -> Iterator[Measurement]:
-    """All numbers, and ``reconstruction.png`` in ``out``."""
+    """Yield all figures, and write ``reconstruction.png`` in ``out``."""
     scan = make_scan(effort.width_px, effort.height_px)
     with Pipeline(scan.calibration, synthetic.WATER, scan.sequence) as pipeline:
         rounds = in_turns(pipeline, scan, effort.rounds, effort.slow_rounds, effort.ask_peers)

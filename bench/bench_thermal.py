@@ -28,7 +28,7 @@ def dives(scans: int = SCANS) -> Iterator[tuple[str, Dive]]:
 
 
 def measure() -> Iterable[Measurement]:
-    """Highest temperatures of each dive, against the limits where scans would be blocked."""
+    """Measure the highest temperatures of each dive, against the limits at which scans are blocked."""
     limits = Settings().temperatures
     for name, dive in dives():
         within = "never to rest" not in name
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def rows(done: Sequence[tuple[str, Dive]]) -> list[str]:
-    """The table, a line for each dive."""
+    """Return the table with a line for each dive."""
     lines = [
         "| dive | lasts | scans | refused | light | warmest case | warmest projector | warmest camera |",
         "|---|---|---|---|---|---|---|---|",
@@ -77,7 +77,7 @@ def rows(done: Sequence[tuple[str, Dive]]) -> list[str]:
 
 
 def panel(name: str, dive: Dive) -> Panel:
-    """Temperatures over time, with the limits as lines of their own."""
+    """Return the plot of the temperatures over time, with the limits as horizontal lines."""
     minutes = [sample.minute for sample in dive.samples]
     last = max(10.0, -(-minutes[-1] // 20) * 20)
     limits = Settings().temperatures
@@ -94,7 +94,7 @@ def panel(name: str, dive: Dive) -> Panel:
 
 
 def page(table: Sequence[str]) -> str:
-    """The whole of docs/thermal.md."""
+    """Return the text of docs/thermal.md."""
     return f"""# Heat
 
 Heat limits an instrument in a closed housing. `appliance/instrument/machine/thermal.py` decides by two temperatures, of case and projector. Their

@@ -19,7 +19,7 @@ DATA, PAGE, PICTURES = Path("docs/turbidity.json"), Path("docs/turbidity.md"), P
 
 
 def measure() -> Iterator[Measurement]:
-    """A few waters: whether noise is as expected and clear water is complete."""
+    """Measure a few waters, as a quick check of noise and of completeness in clear water."""
     clear, middle, thick = (plane(SERIES[3], attenuation, 1, SMALL_PX) for attenuation in (0.2, 1.0, 2.0))
     yield Measurement("completeness at 0.2 /m", clear.completeness_percent, "%", at_least=99.0)
     yield Measurement("completeness at 2 /m", thick.completeness_percent, "%", at_least=95.0)

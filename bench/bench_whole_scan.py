@@ -131,7 +131,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def measured_with(effort: Effort, out: Path) -> Iterator[Measurement]:
-    """All numbers, and ``timeline.png`` in ``out``."""
+    """Yield all figures, and write ``timeline.png`` in ``out``."""
     decoded = timed_scene(DISC, effort.width_px, effort.folder)
     for name in effort.scenes:
         scene = decoded if name == DISC else timed_scene(name, effort.width_px, effort.folder)

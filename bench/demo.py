@@ -67,7 +67,7 @@ class Pulse(logging.Handler):
         self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
 
     def begin(self, doing: str) -> None:
-        """From now on this is being done."""
+        """Start a step with the text ``doing``, and log it."""
         self._doing, self._begun_s = doing, time.monotonic()
         logging.getLogger("demo").info("%s …", doing)
 

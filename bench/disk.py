@@ -22,7 +22,7 @@ from tests.appliance.store.scenes import record as plain_record
 
 
 def durable(scan: ScanFrames, cloud: Cloud, parent: Path, rounds: int) -> Iterator[Measurement]:
-    """In turns with the same bytes written plainly, each time in the other order; on the disk of ``parent``."""
+    """Measure durable writes against plain writes of the same bytes, in alternating order, on one disk."""
     ours, plain, published = [], [], []
     with tempfile.TemporaryDirectory(dir=parent) as folder:
         library = Library(Path(folder) / "storage")
@@ -47,7 +47,7 @@ def durable(scan: ScanFrames, cloud: Cloud, parent: Path, rounds: int) -> Iterat
 
 
 def plain_ms(folder: Path, frames: dict[str, NDArray[np.uint8]]) -> float:
-    """The same bytes with as little ado as a durable write allows, by the clock."""
+    """Return the clock time of a minimal durable write of the same bytes."""
     begun_s = time.monotonic()
     folder.mkdir()
     for side, stack in frames.items():

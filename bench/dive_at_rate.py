@@ -105,7 +105,7 @@ class Diver(threading.Thread):
                     raise RuntimeError(f"more scans refused than wanted, the last for {reason}")
 
     def _scan(self) -> str | None:
-        """One scan, kept; or the code of the alert that refused it."""
+        """Record and keep one scan; return the code of the alert that rejected it, else ``None``."""
         self._until(lambda: self._state() == "AIM")
         since_ns = self._status().get("since_ns")
         # A capture may be over before anybody has seen it: what counts is that the state was entered anew.
@@ -121,7 +121,7 @@ class Diver(threading.Thread):
         return None
 
     def _let_images_be_made(self) -> None:
-        """Those of the sequence just shown, however slow the machine: the next one finds them ready."""
+        """Wait until the images of the displayed sequence are rendered, so that the next sequence finds them ready."""
         world = self._world()
         assert world is not None
         self._until(lambda: not world.developing)
@@ -204,13 +204,13 @@ class Diver(threading.Thread):
 
 
 def children() -> list[int]:
-    """Processes that this one started."""
+    """Return the process ids of this process's children."""
     listed = Path(f"/proc/{os.getpid()}/task").glob("*/children")
     return [int(pid) for path in listed for pid in path.read_text(encoding="ascii").split()]
 
 
 def rig_of(root: Path, size: str) -> Rig:
-    """The simulated instrument in real time, calibrated."""
+    """Return the calibrated simulated instrument in real time."""
     rig = apply_options(
         load_rig(default_sim_rig()),
         SimOptions(root=root, object_name="pipe", truth="modelled", seed=7, size=size, pace="realtime"),
@@ -225,7 +225,7 @@ def rig_of(root: Path, size: str) -> Rig:
 
 
 def main() -> int:
-    """Dive, and print the log."""
+    """Run the dive, and print the log."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--scans", type=int, default=100)
     parser.add_argument("--size", default="1600x1200")

@@ -300,7 +300,7 @@ SIGNS = {"at_most": "≤", "at_least": "≥"}
 
 
 def short(value: float) -> str:
-    """Three digits, four where they end at the point or close to hundred per cent."""
+    """Return three significant digits; four between 99 and 100."""
     if abs(value) >= 1000.0:
         return f"{value:.0f}"
     return f"{value:.4g}" if 99.0 <= value <= 100.0 else f"{value:.3g}"

@@ -81,7 +81,7 @@ class Peer:
         self._stop()
 
     def decode(self) -> float:
-        """Let it decode once; CPU ms of its process. Raises PeerFailed."""
+        """Decode once, and return the CPU time of the process in ms. Raises PeerFailed."""
         process = self._process
         if process is None or process.stdin is None:
             raise PeerFailed("it is not running; ask it inside the context")

@@ -39,7 +39,7 @@ def draw_health(path: Path, modes: GapModes, trend: HealthTrend) -> None:
 
 
 def _map(modes: GapModes, k: int) -> Image:
-    """The pattern at the middle depth, over the left image, where both cameras see it."""
+    """Return the map of a pattern at the middle depth, over the left image, where both cameras see it."""
     left, right = modes.field_px
     third = slice(len(left) // 3, 2 * len(left) // 3)
     values = modes.at(left[third], right[third])[:, k]

@@ -55,7 +55,7 @@ class Instrument:
 
 @contextmanager
 def open_instrument(options: WorldOptions, period_px: int = 16) -> Iterator[Instrument]:
-    """The instrument that ``options`` describe; its world gets a name of its own."""
+    """Return the instrument of ``options``, whose world gets a unique name."""
     options = replace(options, world=next(_NAMES), idle_speed=IDLE_SPEED)
     sequence = build_sequence(period_px)
     with ExitStack() as stack:

@@ -48,7 +48,7 @@ def judge_cloud(scan: ScanFrames, cloud: Cloud) -> Iterator[Measurement]:
 
 
 def judged_at_steps(scan: ScanFrames, cloud: Cloud) -> Iterator[Measurement]:
-    """Where a bar stands before the surface: pixels at its edges are left out on purpose, wrong ones are not."""
+    """Yield the figures with a bar in front; pixels at its edges are left out deliberately, wrong ones are not."""
     complete = completeness_percent(scan, cloud)
     yield Measurement("completeness with a bar in front", complete, "%", key="step_completeness_percent")
     false = false_ppm(scan, cloud)
@@ -56,7 +56,7 @@ def judged_at_steps(scan: ScanFrames, cloud: Cloud) -> Iterator[Measurement]:
 
 
 def precision(scan: ScanFrames, pipeline: Pipeline) -> Iterator[Measurement]:
-    """32-bit against 64-bit arithmetic, in pattern pixels, on the same frames."""
+    """Measure 32-bit against 64-bit arithmetic, in pattern pixels, on the same frames."""
     worst = phase_error_px(scan)
     yield Measurement("float32 against float64: wrapped phase", worst, "px", at_most=1e-5, key="float32_max_px")
     exact = oracle.decode(scan.sequence, scan.frames["left"])

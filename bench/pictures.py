@@ -52,7 +52,7 @@ Image = NDArray[np.uint8]
 
 
 def main() -> int:
-    """Dive, and make both pictures; return 0 if they were written."""
+    """Run the dive, and write both pictures; return 0 if they were written."""
     parser = argparse.ArgumentParser(prog="python -m bench.pictures", description=__doc__.partition("\n")[0])
     parser.add_argument("--object", default="pipe")
     parser.add_argument("--size", default="1600x1200")
@@ -70,7 +70,7 @@ def main() -> int:
 
 
 def dive(folder: Path, scanned: str, size: str) -> tuple[dict[str, Image], NDArray[np.float32]]:
-    """The screens of a scan, by name (h, w, 3) BGR, and the saved points (n, 3) in mm."""
+    """Return the screens of a scan by name (h, w, 3) BGR, and the saved points (n, 3) in mm."""
     script = folder / "dive.script"
     script.write_text(SCRIPT.format(folder=folder), encoding="utf-8")
     root = folder / "root"
@@ -122,14 +122,14 @@ def view(points_mm: NDArray[np.float32], turned_deg: float) -> Image:
 
 
 def captioned(screen: Image, text: str) -> Image:
-    """``screen`` with a line of text below it."""
+    """Return ``screen`` with a line of text below it."""
     below = np.full((CAPTION_PX, screen.shape[1], 3), GROUND, np.uint8)
     cv2.putText(below, text, (16, 29), cv2.FONT_HERSHEY_SIMPLEX, 0.62, INK, 1, cv2.LINE_AA)
     return np.ascontiguousarray(np.vstack([screen, below]))
 
 
 def write_gif(path: Path, frames: list[Image], shown_ms: list[int]) -> None:
-    """An endless animation; OpenCV's own writer."""
+    """Write an endless animation with OpenCV's writer."""
     animation = cv2.Animation(0)
     size = round(GIF_SCALE * frames[0].shape[1]), round(GIF_SCALE * frames[0].shape[0])
     animation.frames = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames]

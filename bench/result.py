@@ -39,7 +39,7 @@ class Measurement:
         return below and above
 
     def line(self) -> str:
-        """One row for people: value, unit, bounds, and MISSED when one is broken."""
+        """Return a row of text: value, unit, bounds, and MISSED if one is broken."""
         bounds = []
         if self.spread is not None:
             bounds.append("{:.4g} to {:.4g}".format(*self.spread))
@@ -55,7 +55,7 @@ class Measurement:
         return f"  {self.name:<48} {self.value:>12.5g} {self.unit:<8} {judged}".rstrip()
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the figure JSON-ready."""
         return {
             "name": self.name,
             "value": None if math.isnan(self.value) else float(self.value),

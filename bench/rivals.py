@@ -37,11 +37,11 @@ class Rounds:
     """Reason for each program that could not take part."""
 
     def scan_ms(self, part: Callable[[ScanCost], float]) -> list[float]:
-        """A part of our scan, of each round."""
+        """Return the time of a part of our scan, for each round."""
         return [part(scan) for scan in self.scans]
 
     def ratios(self, name: str, ours_ms: Sequence[float]) -> list[float]:
-        """How many times as long as the product ``name`` took, in each round in which it took part."""
+        """Return the ratios of the time of program ``name`` to ours, for each round in which it took part."""
         return [theirs / ours for theirs, ours in zip(self.taken_ms[name], ours_ms, strict=False)]
 
 

@@ -36,7 +36,7 @@ class Memory:
         _write(self._words[:8], 1)
 
     def bandwidth_gb_s(self) -> tuple[float, float]:
-        """Reading and writing, once each, by CPU time."""
+        """Return the bandwidths of reading and of writing, by CPU time."""
         begun_s = time.thread_time()
         total = _read(self._words)
         middle_s = time.thread_time()
@@ -48,14 +48,22 @@ class Memory:
 
 
 def scan_ms(pixels: int, frames: int, points: int, read_gb_s: float, write_gb_s: float) -> float:
-    """Both cameras' frames read once, both coordinate maps written and read once, each point of 26 bytes written once."""
+    """Return the least time of a scan by memory traffic.
+
+    Frames of both cameras are read once, both coordinate maps are written and read once, and each point of 26 bytes is
+    written once.
+    """
     maps_bytes = 2 * pixels * 8
     read_bytes = 2 * pixels * frames + maps_bytes
     return (read_bytes / read_gb_s + (maps_bytes + 26 * points) / write_gb_s) / 1e6
 
 
 def full_cloud_ms(left_px: int, right_px: int, points: int, read_gb_s: float, write_gb_s: float) -> float:
-    """The full cloud alone: of each lit left pixel both coordinates, modulation, Gray threshold and grey value are read once, of each lit
-    right pixel both coordinates and modulation; each point is written once, with gap, sigma, modulation, pixel and grey value."""
+    """Return the least time of the full cloud by memory traffic.
+
+    Read once are both coordinates, modulation, Gray threshold and grey value of each illuminated left pixel, and both
+    coordinates and modulation of each illuminated right pixel. Each point is written once, with gap, sigma, modulation,
+    pixel and grey value.
+    """
     read_bytes = (2 * 4 + 3) * left_px + (2 * 4 + 1) * right_px
     return (read_bytes / read_gb_s + 26 * points / write_gb_s) / 1e6

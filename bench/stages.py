@@ -43,7 +43,7 @@ class ScanCost:
 
 
 def one_scan(pipeline: Pipeline, scan: ScanFrames) -> ScanCost:
-    """Do one scan, in the order in which the worker does it."""
+    """Run one scan, in the order of the worker."""
     pipeline.reset()
     times_s = [time.process_time()]
     for k in range(len(scan.sequence)):
@@ -59,7 +59,7 @@ def one_scan(pipeline: Pipeline, scan: ScanFrames) -> ScanCost:
 
 
 def decode_left(pipeline: Pipeline, scan: ScanFrames) -> None:
-    """One camera's whole sequence, as others are asked to decode it."""
+    """Decode one camera's whole sequence, as the other programs do."""
     pipeline.reset()
     for k in range(len(scan.sequence)):
         pipeline.push("left", scan.frames["left"], k)

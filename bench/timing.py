@@ -63,7 +63,7 @@ def median_of(
     at_most: float | None = None,
     at_least: float | None = None,
 ) -> Measurement:
-    """The median, with the first and the ninth tenth beside it. Raises ValueError without values."""
+    """Return the median with the first and ninth tenth. Raises ValueError without values."""
     if not len(values):
         raise ValueError(f"{name} was never measured; measure it at least once")
     low, middle, high = (float(value) for value in np.quantile(values, [0.1, 0.5, 0.9]))

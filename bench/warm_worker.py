@@ -65,7 +65,7 @@ def worker(scan: ScanFrames, starts: int, paced_scans: int) -> Iterator[Measurem
 
 
 def record(process: ReconstructionWorker, clock: MonotonicClock, number: int, frames: int) -> float:
-    """Announce the frames at the pace of the cameras; return when the last one was."""
+    """Announce the frames at the pace of the cameras; return the time of the last one."""
     begun_s = time.monotonic()
     process.begin(number)
     for k in range(frames):
@@ -94,7 +94,7 @@ def clouds_after_s(process: ReconstructionWorker, since_s: float) -> tuple[float
 
 
 def process_cpu_ms(pid: int | None) -> float:
-    """CPU time of all threads another process has now, to the nanosecond (the usual counters tick in 10 ms)."""
+    """Return the CPU time of all present threads of a process, in steps of 1 ns (the usual counters have 10 ms)."""
     tasks = Path(f"/proc/{pid}/task").iterdir()
     return sum(int((task / "schedstat").read_text(encoding="ascii").split()[0]) for task in tasks) / 1e6
 

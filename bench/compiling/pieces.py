@@ -28,7 +28,7 @@ class Kernels(event.Listener):
     """Start of each function that is being compiled, and the time of those within it, s."""
 
     def on_start(self, event: Any) -> None:
-        """Note that a function is begun, perhaps within another."""
+        """Record the start of a function, which may be inside another one."""
         self._open.append((time.thread_time(), 0.0))
 
     def on_end(self, event: Any) -> None:
@@ -50,7 +50,7 @@ class Stages(event.Listener):
     _open: list[tuple[float, float]] = field(default_factory=list)
 
     def on_start(self, event: Any) -> None:
-        """Note that a stage is begun."""
+        """Record the start of a stage."""
         self._open.append((time.thread_time(), 0.0))
 
     def on_end(self, event: Any) -> None:
@@ -65,7 +65,7 @@ class Stages(event.Listener):
 
 
 def main() -> None:
-    """Answer each line of stdin until its end."""
+    """Call the function of each line of stdin, and print its compile times."""
     for line in sys.stdin:
         begun_s = time.process_time()
         module, _, function = line.strip().partition(":")

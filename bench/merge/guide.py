@@ -114,7 +114,7 @@ def measure(seed: int, size_px: tuple[int, int]) -> tuple[list[Measurement], lis
 
 
 def _leads_wrong(row: Row) -> bool:
-    """The main lies across the picture: to its left is where it is moved to the right from."""
+    """Return True if the guidance leads away from the new part. The water main lies across the picture."""
     if row.guidance is None or row.guidance.toward is None:
         return False
     # The object moved by +along: the kept scan is to the right of the picture's middle, and more of what is new to the left.

@@ -130,7 +130,7 @@ def judged_on(first: ReadyScan, second: ReadyScan, true: Rigid) -> tuple[Array, 
 
 
 def ready_of(view: PlacedView) -> ReadyScan:
-    """Prepare a view for registration."""
+    """Return a view prepared for registration."""
     return ready(view.cloud, view.calibration.rig.left, view.water_index, light_of(view.calibration))
 
 

@@ -86,7 +86,7 @@ def write_accuracy(folder: Path, document: Path, picture: Path) -> None:
 
 
 def table(run: Mapping[str, Any]) -> str:
-    """Median (and worst) of a set's rigs, a line per rung."""
+    """Return a table with the median (and worst) of a set's rigs, a line per rung."""
     rows: Sequence[JsonRow] = run["rows"]
     unseen = run["unseen"]
     seeds = sorted({row["seed"] for row in rows})
@@ -111,7 +111,7 @@ def table(run: Mapping[str, Any]) -> str:
 
 
 def beside_the_paper(rows: Sequence[JsonRow]) -> str:
-    """The paper's Table 2 and the same rungs here."""
+    """Return the table of the paper's Table 2 beside the same rungs here."""
     summed = summary(rows)
     keys = ("E_Lb", "E_Lp", "E_F", "noise_mm")
     lines = [

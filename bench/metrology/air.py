@@ -26,20 +26,20 @@ BOARDS_IN_WATER = 15
 
 
 def air_of(truth: TrueRig, boards: int) -> AirCalibration:
-    """From that many boards, on the day before the housing was closed. Raises AirCalibrationError."""
+    """Calibrate in air with ``boards`` boards, before the housing is closed. Raises AirCalibrationError."""
     views = _views(in_air(truth), poses_in_air(boards, truth.seed), AIR)
     return calibrate_air(views, truth.left.width_px, truth.left.height_px)
 
 
 def start_of(air: AirCalibration) -> Calibration:
-    """Lenses and pose from air, ports from the drawing."""
+    """Return the start calibration: lenses and extrinsics from air, nominal ports."""
     width_px, height_px = air.rig.left.width_px, air.rig.left.height_px
     drawing = replace(DESIGN, pixel_um=DESIGN.pixel_um * WIDTH_PX / width_px)
     return start_from_air(air, design_calibration(drawing, "KF-SIM", width_px, height_px, WATER))
 
 
 def boards_in_water(truth: TrueRig) -> list[BoardView]:
-    """Fifteen boards in the measuring volume."""
+    """Return fifteen boards in the measuring volume."""
     return _views(truth, poses_in_water(BOARDS_IN_WATER, truth.seed), Water())
 
 

@@ -89,7 +89,7 @@ def _place(
 
 
 def _ends_of_balls() -> Array:
-    """Points (n, 3) of the object frame around both balls."""
+    """Return points (n, 3) of the object frame around both balls."""
     reach = BALL_RADIUS_MM
     around = reach * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
     return np.concatenate([around + np.array([x, 0.0, 0.0]) for x in (-0.5 * BALL_DISTANCE_MM, 0.5 * BALL_DISTANCE_MM)])

@@ -23,7 +23,7 @@ LIMIT_S = 400.0
 
 
 def main() -> int:
-    """0, or 1 when a mutant survived that died before."""
+    """Run the command line; return 1 if a mutant survived that died before, else 0."""
     parser = argparse.ArgumentParser("dev mutate", description="Find the lines whose breaking no test notices.")
     verbs = parser.add_subparsers(dest="verb", required=True)
     drawing = verbs.add_parser("draw", help="write a list of mutants")

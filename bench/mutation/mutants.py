@@ -232,7 +232,7 @@ class Source:
 
 
 def _expressions(node: ast.AST) -> Iterator[ast.AST]:
-    """All expressions of a statement that run: no statement within it, no annotation, no text for people."""
+    """Yield all executed expressions of a statement, without nested statements, annotations and messages."""
     for name, value in ast.iter_fields(node):
         for child in value if isinstance(value, list) else [value]:
             if isinstance(child, ast.AST) and name not in _NOT_CODE and not isinstance(child, ast.stmt | ast.JoinedStr):

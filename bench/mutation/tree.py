@@ -129,7 +129,7 @@ class Tree:
             running.wait()
 
     def _end_the_rest(self) -> None:
-        """Kill the processes that a run left behind, known by a variable of their environment."""
+        """Kill the processes that a run left behind; a variable of their environment identifies them."""
         for process in Path("/proc").glob("[0-9]*/environ"):
             with suppress(OSError):
                 if f"{_MARK}={self.path}\0".encode() in process.read_bytes():

@@ -30,7 +30,7 @@ SOFT = "soft scenes"
 
 
 def is_soft(row: Row) -> bool:
-    """Tell whether the scene's object is not rigid."""
+    """Return True if the scene's object is not rigid."""
     return "soft" in row["families"]
 
 

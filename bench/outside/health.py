@@ -169,7 +169,7 @@ def _turned_figures(instruments: Sequence[tuple[StereoRig, Sequence[PatchGaps]]]
 
 
 def _sees(judgement: HealthJudgement, axis: int) -> bool:
-    """Tell whether a scan states that three like it detect a turn of ``KNOCK_DEG`` about the axis."""
+    """Return True if three scans like this one would detect a turn of ``KNOCK_DEG`` about the axis."""
     least_deg = judgement.numbers.get(f"found_{'xyz'[axis]}_deg")
     return least_deg is not None and least_deg <= KNOCK_DEG
 

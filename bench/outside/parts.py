@@ -30,7 +30,7 @@ class PartWithNoise(Protocol):
     def measure(
         self, count: int, seed: int, say: Say, keep: Path | None, noise: str
     ) -> tuple[list[Measurement], dict[str, Any]]:
-        """As ``Part.measure``; ``noise`` is one of ``noise.WAYS``."""
+        """Measure as ``Part.measure``; ``noise`` is one of ``noise.WAYS``."""
 
 
 class PartOfWorlds(Protocol):
@@ -39,7 +39,7 @@ class PartOfWorlds(Protocol):
     def measure(
         self, scans: int, seed: int, say: Say, keep: Path | None, world: str
     ) -> tuple[list[Measurement], dict[str, Any]]:
-        """As ``Part.measure``, in the ``world`` of that name."""
+        """Measure as ``Part.measure``, in the ``world`` of that name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ def write_page(measured: Path, page: Path) -> None:
 
 
 def short(value: float) -> str:
-    """Enough digits to compare, and no more."""
+    """Return as many digits as a comparison needs."""
     size = abs(value)
     return (
         f"{value:.0f}"

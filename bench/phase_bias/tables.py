@@ -93,13 +93,13 @@ def causes(response: Response) -> Iterator[Row]:
 
 
 def periods(response: Response) -> Iterator[Row]:
-    """As the instrument is, every period at the working distance."""
+    """Yield the errors of every period at the working distance."""
     for period_px in (16, 32, 64):
         yield from both_ways("periods", f"{period_px} px", period_px, MIDDLE, response)
 
 
 def distances(response: Response) -> Iterator[Row]:
-    """As the instrument is, the shortest period at every place."""
+    """Yield the errors of the shortest period at every pose."""
     for place, pose in POSES.items():
         yield from both_ways("distances", place, 16, pose, response)
 

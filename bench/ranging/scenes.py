@@ -39,7 +39,7 @@ class Case:
 
 
 def drawn(rng: np.random.Generator, name: str | None = None, held: bool = False) -> Case:
-    """A scene at random. ``held``: the ball bar as the sketches of the calibration in water show it, about so."""
+    """Draw a random scene; with ``held``, of the ball bar roughly as in the sketches of the calibration in water."""
     water = str(rng.choice(list(WATERS)))
     name = "ballbar" if held else str(rng.choice(OBJECTS)) if name is None else name
     x, y, z = rng.uniform(-8.0, 8.0), rng.uniform(-8.0, 8.0), rng.uniform(*AWAY_MM)

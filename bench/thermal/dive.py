@@ -67,14 +67,14 @@ class Dive:
         return self.machine.state is State.SHUTDOWN
 
     def say(self, *events: on.Event) -> None:
-        """Pass events to the machine, and apply its effects on the light."""
+        """Send events to the machine, and apply its effects on the light."""
         for event in events:
             self.machine, effects = step(self.machine, event)
             for effect in effects:
                 self._do(effect)
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         end_s = self._now_s + duration_s
         while self._now_s < end_s and not self.over:
             if not self.policy and self.machine.state is State.AIM:
@@ -88,7 +88,7 @@ class Dive:
                 self._sample()
 
     def scan(self) -> bool:
-        """Aim, press SCAN, look, keep; whether a scan was saved."""
+        """Run one scan from aiming to keeping; return True if it was saved."""
         self.wait(AIM_S)
         number = self.machine.captures + 1
         self.say(KeyPress(Key.SCAN, 0))
@@ -140,7 +140,7 @@ def dive_of(scans: int, water_c: float, sensors: bool = True) -> Dive:
 
 
 def boat_then_dive(scans: int, air_c: float, water_c: float, minutes: float, policy: bool = True) -> Dive:
-    """Switched on and forgotten on deck, then taken under water."""
+    """Simulate an instrument that is switched on and forgotten on deck, then used under water."""
     dive = Dive(air_c, "air", policy=policy)
     dive.wait(60.0 * minutes)
     dive.housing.medium, dive.housing.outside_c, dive.policy = "water", water_c, True

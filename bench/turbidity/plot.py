@@ -61,7 +61,7 @@ def draw(path: Path, panels: Sequence[Panel]) -> None:
 
 
 def place(value: float, marks: Sequence[float], log: bool) -> float:
-    """Where a value lies between the first mark (0) and the last (1); beyond them it is put on them."""
+    """Return the position of a value between the first mark (0) and the last (1), clipped to them."""
     low, high = marks[0], marks[-1]
     if log:
         value, low, high = math.log(max(value, 1e-12)), math.log(low), math.log(high)

@@ -75,7 +75,7 @@ class JudgedScan:
 
 
 def rig_in(water: SetWater, truth_set: str, seed: int, width_px: int) -> TrueRig:
-    """A hidden rig in water of that index."""
+    """Draw a hidden rig in water of that index."""
     return draw_truth(truth_set, seed, width_px, width_px * 3 // 4, water.index)
 
 
@@ -93,7 +93,7 @@ def noise_of(gain_db: float) -> StereoNoise:
 def expose(
     renderer: Renderer, sequence: PatternSequence, shutter: Shutter, only: int | None = None
 ) -> dict[str, NDArray[np.uint8]]:
-    """Both cameras' frames (n, h, w), of all patterns or of one of them."""
+    """Return both cameras' frames (n, h, w), of all patterns or of one."""
     shown = list(enumerate(pictures(sequence)))
     chosen = shown if only is None else [shown[only]]
     return {

@@ -52,7 +52,7 @@ class Series:
     most_gain_db: float = 0.0
 
     def water(self, attenuation_per_m: float) -> Water:
-        """Of that attenuation."""
+        """Return the series' water of that attenuation."""
         return Water(
             salinity_psu=self.salinity_psu,
             attenuation_per_m=attenuation_per_m,
@@ -155,7 +155,7 @@ def plane(series: Series, attenuation_per_m: float, seed: int, width_px: int) ->
 
 
 def artefacts(seed: int, step: Step, width_px: int = ARTEFACT_PX) -> Iterator[ArtefactRow]:
-    """Ball bars and planes at poses of their own, in fresh and salt water, the index set as it is."""
+    """Yield rows of ball bars and planes at different poses, in fresh and salt water of the set index."""
     kinds = [(series, attenuation) for series in ARTEFACT_SERIES for attenuation in ARTEFACT_ATTENUATIONS_PER_M]
     for rows in spread(partial(_artefacts, seed=seed, width_px=width_px), kinds):
         for row in rows:
@@ -189,13 +189,13 @@ def _artefacts(kind: tuple[Series, float], seed: int, width_px: int) -> list[Art
 
 
 def steps(rigs: int, artefact_rigs: int) -> int:
-    """How many scans that is."""
+    """Return the number of scans."""
     each = len(ARTEFACT_SERIES) * len(ARTEFACT_ATTENUATIONS_PER_M) * (BARS + PLANES)
     return rigs * len(SERIES) * len(ATTENUATIONS_PER_M) + artefact_rigs * each
 
 
 def as_json(row: Row | ArtefactRow) -> dict[str, Any]:
-    """One row of the file."""
+    """Return a row JSON-ready."""
     return asdict(row)
 
 

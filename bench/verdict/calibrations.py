@@ -46,8 +46,11 @@ class CloudErrors:
 
 
 def calibration_of(kind: str, truth: TrueRig) -> Calibration:
-    """Of ``KINDS``, for a rig of ``TRUTH_SET``: ``exact`` states the truth; ``calibrated`` was found from twenty boards in
-    air, two ball bars and two planes in water, at 1600 × 1200."""
+    """Return a calibration of ``KINDS`` for a rig of ``TRUTH_SET``.
+
+    ``exact`` states the truth. ``calibrated`` is estimated from twenty boards in air, and two ball bars and two planes
+    in water, at 1600 × 1200.
+    """
     exact = complete_calibration(truth)
     if kind == "exact":
         return exact
@@ -59,7 +62,7 @@ def calibration_of(kind: str, truth: TrueRig) -> Calibration:
 
 
 def binned(camera: HousedCamera, times: int) -> HousedCamera:
-    """The same camera with ``times`` × ``times`` of its pixels in one. Raises ValueError for one with a ray shift."""
+    """Return the camera with ``times`` × ``times`` binned pixels. Raises ValueError for one with a ray shift."""
     if camera.ray_shift is not None:
         raise ValueError("a camera with a ray shift is not binned; give one of another method")
     lens, correction = camera.lens, camera.correction
@@ -79,7 +82,7 @@ class TrueScene:
     def __init__(
         self, scan: RenderedScan, rig: StereoRig, time_s: float, view: TrueView | None = None, water: Water = WATER
     ) -> None:
-        """``view``: the left camera's at ``time_s``, where it is already known."""
+        """``view``: that of the left camera at ``time_s``, if known."""
         self._scan, self._rig, self._time_s, self._index = scan, rig, time_s, water.index
         self.view = view or scan.renderer.view("left", time_s)
         self._back = self._turn_back()
@@ -112,7 +115,7 @@ class TrueScene:
         )
 
     def calibrated_points(self, uv: Array, points_rig_mm: Array) -> Array:
-        """Where the rig puts true points that left pixels (n, 2) see and the right ones are matched without error."""
+        """Return the triangulated points of left pixels (n, 2) and true points, with error-free right pixels."""
         right = project(self._scan.renderer.truth, "right", points_rig_mm)
         return triangulate(self._rig, uv, right, self._index)
 

@@ -71,7 +71,7 @@ def _blamed(outcome: Outcome) -> str | None:
 
 
 def figures(rows: Sequence[Row]) -> list[Measurement]:
-    """The rates, each with its interval."""
+    """Return the rates with their intervals."""
     bad = [row for row in rows if row["grade"] == Grade.BAD.value]
     right = sum(row["right"] for row in bad)
     mending = sum(row["blamed"] in row["mends"] for row in bad)

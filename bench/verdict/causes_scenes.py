@@ -80,11 +80,11 @@ class FactorLevels:
 
     @property
     def present(self) -> tuple[str, ...]:
-        """The factors that are not as in a base."""
+        """Factors that differ from the base."""
         return tuple(factor for factor in FACTORS if getattr(self, factor) != NONE)
 
     def without(self, factor: str) -> FactorLevels:
-        """The same with that factor as in a base."""
+        """Return the levels with ``factor`` as in a base."""
         return replace(self, **{factor: NONE})
 
     def alone(self, factor: str) -> FactorLevels:
@@ -98,7 +98,7 @@ class FactorLevels:
 
 
 def draw_base(seed: int, number: int) -> Base:
-    """An object, its pose, its texture and the rig at random; the bases of one seed are numbered from 0."""
+    """Draw object, pose, texture and rig; the bases of one seed are numbered from 0."""
     rng = np.random.default_rng([seed, number, 77])
     thing, texture = str(rng.choice(OBJECTS)), str(rng.choice(TEXTURES))
     pose = np.array(DEFAULT_POSE[thing]) + rng.uniform(-1.0, 1.0, 6) * JITTER

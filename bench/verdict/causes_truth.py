@@ -111,7 +111,7 @@ def judge_scan(scan: RenderedScan, exposure: Exposure, stated: StatedCalibration
 def _taken(
     scan: RenderedScan, exposure: Exposure, stated: StatedCalibration | None
 ) -> tuple[AcquisitionSettings, Calibration, Water]:
-    """How a scan was taken, and the calibration and water that state the truth."""
+    """Return the settings of a scan, and the calibration and water that state the truth."""
     if stated is None:
         calibration, noise, water = true_calibration(scan.renderer.truth), noise_at(exposure), WATER
     else:
@@ -121,7 +121,7 @@ def _taken(
 
 
 def written(outcome: Outcome) -> dict[str, Any]:
-    """Ready for JSON."""
+    """Return the outcome JSON-ready."""
     content = asdict(outcome)
     content["grade"], content["reasons"] = outcome.grade.value, [code.value for code in outcome.reasons]
     return content
@@ -175,7 +175,8 @@ class Truth:
         return scan, *_taken(scan, exposure, self._stated)
 
     def _usual_exposure(self) -> Exposure | None:
-        """In the world ``outside``, the one that suits the base: whites, sensors and spots of light differ there."""
+        """Return the exposure that suits the base in the world ``outside``, where whites, sensors and spots of light
+        differ."""
         if self._world == ORDINARY:
             return None
         scene = scene_of(self._base, FactorLevels())
@@ -248,7 +249,7 @@ class Truth:
         return before.error_mm >= LESS_ERROR * after.error_mm
 
     def _suited(self, levels: FactorLevels) -> Exposure | None:
-        """The step of the exposure that uses the scale and keeps it; ``None``: the present one does."""
+        """Return the step of the exposure that uses the scale without saturation; ``None`` if the present one does."""
         present = self._exposure_of(levels)
         scan = frames_of(self._base, levels, self._keep, present, self._world)
         white = pictures(scan.sequence)[scan.sequence.bright]

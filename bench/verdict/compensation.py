@@ -53,7 +53,7 @@ Rows = Sequence[Row]
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
 ) -> tuple[list[Measurement], dict[str, Any]]:
-    """The nine named cases, and ``scans`` drawn ones, in ``world``."""
+    """Measure the nine named cases, and ``scans`` drawn ones, in ``world``."""
     named, drawn = named_cases(seed), [drawn_case(seed, k) for k in range(scans)]
     rows = judge_cases([*named, *drawn], say, keep, world)
     first = len(named) * len(kinds_in(world))
@@ -61,12 +61,12 @@ def measure(
 
 
 def kinds_in(world: str) -> tuple[str, ...]:
-    """The kinds of calibration that a scan is solved with: in the world ``outside`` the one that states the truth alone."""
+    """Return the kinds of calibration for a scan: in the world ``outside`` only the one that states the truth."""
     return KINDS if world == ORDINARY else KINDS[:1]
 
 
 def judge_cases(cases: Sequence[Case], say: Say, keep: Path | None, world: str = ORDINARY) -> list[Row]:
-    """The rows of all cases, with each kind of calibration."""
+    """Return the rows of all cases, with each kind of calibration."""
     judge, rows = Judge(keep, world), []
     for number, case in enumerate(cases):
         say(case.name, number / len(cases))
@@ -83,7 +83,7 @@ class Judge:
         self._seen: tuple[RenderedScan, float, TrueView] | None = None
 
     def rows(self, case: Case) -> list[Row]:
-        """One for each kind of calibration."""
+        """Return a row for each kind of calibration."""
         scan = self._scan(case, case.scene)
         return [self._row(case, scan, kind) for kind in kinds_in(self._world)]
 
@@ -199,7 +199,7 @@ def figures(named: Rows, drawn: Rows) -> list[Measurement]:
 
 
 def made_worse(rows: Rows) -> Measurement:
-    """None may be."""
+    """Return the number of scans that compensation made worse; none is allowed."""
     count = sum(map(worse, rows))
     return Measurement("scans made worse", float(count), f"of {len(rows)}", at_most=0.0, key="compensation_worse")
 
@@ -245,12 +245,12 @@ def of(
     unit: str = "",
     at_most: float | None = None,
 ) -> Measurement:
-    """A figure of all rows, where there are any."""
+    """Return a figure of all rows; NaN without rows."""
     if not rows:
         return Measurement(name, math.nan, unit, why="there was none")
     return Measurement(name, float(how([float(row[what]) for row in rows])), unit, at_most=at_most)
 
 
 def median(values: Iterable[float]) -> float:
-    """Of numbers."""
+    """Return the median of numbers."""
     return float(np.median(list(values)))

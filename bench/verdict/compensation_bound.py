@@ -27,13 +27,13 @@ GRAY_IMAGES = {16: 14, 32: 12, 64: 10}
 
 
 def shrunk_steps(speed_mm_s: float, period_px: int) -> Array:
-    """The four phases (rad) that an element sees which moves along with the fringes; backwards for negative speeds."""
+    """Return the four phases (rad) of an element that moves along with the fringes; backwards for negative speeds."""
     less = 2.0 * math.pi * speed_mm_s * FRAME_S * PX_PER_MM / period_px
     return np.asarray((0.5 * math.pi - less) * (np.arange(4) - 1.5))
 
 
 def four_sines(steps_rad: Array) -> float:
-    """Standard deviation by the four sines alone, against steps of 90°; the root of the mean variance over all phases."""
+    """Return the standard deviation by the four sines alone over that of 90° steps, as the RMS over all phases."""
     A = np.stack([np.ones(4), np.cos(steps_rad), -np.sin(steps_rad)], -1)
     normal = A.T @ A
     if np.linalg.cond(normal) > 1e12:
@@ -43,7 +43,7 @@ def four_sines(steps_rad: Array) -> float:
 
 
 def all_frames(steps_rad: Array, gray_images: int) -> float:
-    """The bound by all frames, both directions' steps alike; against steps of 90° by four sines alone."""
+    """Return the bound by all frames, with equal steps in both directions, over four sines alone with 90° steps."""
     phase = 2.0 * math.pi * np.arange(PHASES) / PHASES
     variances = [_variance(x, y, steps_rad, gray_images) for x in phase for y in phase]
     return math.sqrt(float(np.mean(variances)) / (1.0 / (2.0 * SWING**2)))

@@ -79,7 +79,7 @@ class RandomScan:
 def measure(
     scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
 ) -> tuple[list[Measurement], dict[str, Any]]:
-    """False alarms on ``scans`` good scans, and which wrong orders of their frames are found and rightly named."""
+    """Measure false alarms on ``scans`` good scans, and the detected and rightly named wrong orders of their frames."""
     rows: list[dict[str, Any]] = []
     for number in range(scans):
         drawn = draw(seed, number)
@@ -277,8 +277,10 @@ def _again(frames: NDArray[np.uint8], order: NDArray[np.int64], rng: np.random.G
 def _apart(
     sequence: PatternSequence, frames: NDArray[np.uint8], projector_px: NDArray[np.float64], by_all: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], float]:
-    """(n, n): share of the pixels that see the projector's light on which two patterns truly differ by a third of white;
-    and the share of the image that they are."""
+    """Return the differences (n, n) of patterns, and the share of the image that is illuminated.
+
+    A difference is the share of the illuminated pixels at which two true patterns differ by a third of white.
+    """
     swing = frames.max(axis=0).astype(np.int64) - frames.min(axis=0)
     inside = by_all & np.isfinite(projector_px).all(axis=-1) & (swing >= 8)
     p, q = (np.rint(projector_px[inside][:, axis]).astype(int) for axis in (0, 1))
@@ -293,7 +295,7 @@ def _apart(
 
 
 def _relabels(sequence: PatternSequence, wrong: Wrong) -> bool:
-    """Does this only give stripes another number? Two Gray images of one direction keep the parity of the code."""
+    """Return True if the order only renumbers stripes: two Gray images of one direction keep the parity of the code."""
     changed = [sequence.patterns[k] for k in range(len(wrong.order)) if wrong.order[k] != k]
     gray = all(pattern.kind is Kind.GRAY for pattern in changed)
     return wrong.kind.startswith("swap") and gray and len({pattern.direction for pattern in changed}) == 1

@@ -59,10 +59,10 @@ class Scans(Protocol):
         """Return the renderer of a recording."""
 
     def water(self, case: Case) -> Water:
-        """Of the true index, in the product's words."""
+        """Return the water of the true index, as the product describes it."""
 
     def noise(self, case: Case) -> StereoNoise:
-        """The cameras' noise, as the instrument states it."""
+        """Return the camera noise that the instrument states."""
 
 
 class KeptScans:
@@ -87,7 +87,7 @@ class KeptScans:
         return Renderer(truth, scene_of(case, take))
 
     def water(self, case: Case) -> Water:
-        """The ordinary world's."""
+        """Return the water of the ordinary world."""
         return WATER
 
     def noise(self, case: Case) -> StereoNoise:

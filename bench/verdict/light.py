@@ -196,7 +196,7 @@ def _change(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _still(scene: Any) -> Any:
-    """The same light, all of it at rest, and without noise."""
+    """Return the scene with the same light at rest, without noise."""
     daylight = replace(scene.daylight, flicker_depth=0.0, caustics=0.0, torch_velocity_mm_s=(0.0, 0.0, 0.0))
     return replace(scene, noise=False, daylight=daylight)
 
@@ -226,5 +226,5 @@ def _ripple(
 
 
 def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean over a few fringes."""
+    """Return the mean over a few fringes."""
     return np.asarray(cv2.blur(values, (31, 31)), np.float64)

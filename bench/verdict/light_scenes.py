@@ -37,7 +37,7 @@ class Case:
 
 
 def draw_case(rng: np.random.Generator) -> Case:
-    """Object, pose, texture, water and steady ambient light at random."""
+    """Draw object, pose, texture, water and steady ambient light."""
     kind, texture = str(rng.choice(OBJECTS)), str(rng.choice(TEXTURES))
     pose = (
         rng.uniform(-25, 25), rng.uniform(-20, 20), rng.uniform(430, 570),
@@ -82,7 +82,7 @@ def renderer_of(case: Case) -> Renderer:
 def photograph(
     renderer: Renderer, exposure: Exposure, noise_seed: int, sides: tuple[str, ...] = ("left", "right")
 ) -> dict[str, NDArray[np.uint8]]:
-    """All frames of the sequence of each side, (n, h, w)."""
+    """Render all frames (n, h, w) of the sequence for each side."""
 
     def camera(side: str) -> NDArray[np.uint8]:
         time_s = exposure.time_us / 1e6
@@ -100,7 +100,7 @@ def photograph(
 
 
 def noise_at(exposure: Exposure) -> StereoNoise:
-    """As the rig file of the simulated cameras states it."""
+    """Return the noise of the simulated cameras by their rig file."""
     camera = camera_noise(13_000.0, 20.0, 2.0, exposure.gain_db)
     return StereoNoise(camera, camera)
 

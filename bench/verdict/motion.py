@@ -96,7 +96,7 @@ def _rounded(value: float) -> float | None:
 
 
 def case_of(seed: int, number: int) -> Case:
-    """The ``number``-th scene of a seed: kinds of movement and textures take turns, all else is drawn."""
+    """Return scene ``number`` of a seed; kinds of motion and textures alternate, the others are drawn."""
     return draw_case(
         SEEDS_PER_SEED * seed + number, TURNS[number % len(TURNS)], TEXTURES[number // len(TURNS) % len(TEXTURES)]
     )
@@ -205,7 +205,7 @@ def compensated(
 
 
 def cloud_of(pipeline: Pipeline, frames: Frames) -> Cloud:
-    """The full cloud."""
+    """Return the full cloud of the frames."""
     for side, stack in frames.items():
         for k in range(len(stack)):
             pipeline.push(side, stack, k)

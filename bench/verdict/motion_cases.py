@@ -105,7 +105,7 @@ def _draw_water(rng: np.random.Generator) -> Water:
 
 
 def _draw_daylight(rng: np.random.Generator, seed: int) -> Daylight:
-    """Half of all scenes have steady light; of the rest most a lamp on mains, some clouds, some waves above."""
+    """Draw ambient light: steady in half of all scenes, else mostly a mains lamp, sometimes clouds or waves."""
     what = str(rng.choice(["steady", "lamp", "clouds", "waves"], p=[0.5, 0.35, 0.09, 0.06]))
     depth, lamp_hz = float(rng.uniform(0.1, 0.9)), float(rng.choice([100.0, 120.0]) * rng.uniform(0.998, 1.002))
     clouds_hz, net = float(rng.uniform(1.0, 3.0)), float(rng.uniform(0.1, 0.4))
@@ -120,7 +120,7 @@ def _draw_daylight(rng: np.random.Generator, seed: int) -> Daylight:
 
 
 def _draw_drift(rng: np.random.Generator, kind: str, seed: int) -> Drift:
-    """An eighth of all scenes has snow, some of these bubbles; fish are a kind of movement of their own."""
+    """Draw drift: an eighth of all scenes has snow, some of these bubbles; fish are a kind of motion."""
     snow = float(10.0 ** rng.uniform(0.5, 2.3))
     bubbles = int(rng.integers(0, 20)) if rng.random() < 0.3 else 0
     current = _triple(rng.normal(0.0, 20.0, 3))
@@ -131,7 +131,7 @@ def _draw_drift(rng: np.random.Generator, kind: str, seed: int) -> Drift:
 
 
 def _draw_motion(rng: np.random.Generator, kind: str) -> tuple[Motion, float]:
-    """And its speed in mm/s; amounts are log-uniform from harmless to gross."""
+    """Draw a motion and its speed in mm/s; amounts are log-uniform from harmless to large."""
     around = rng.uniform(0.0, 2.0 * np.pi)
     across = np.array([np.cos(around), np.sin(around), 0.0])
     any_way = rng.standard_normal(3)

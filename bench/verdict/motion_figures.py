@@ -23,27 +23,27 @@ Rows = Sequence[Row]
 
 
 def harmful(row: Row) -> bool:
-    """The movement adds over 10 % to the noise."""
+    """Return True if the motion adds over 10 % to the noise."""
     return row["added_percent"] is not None and row["added_percent"] > 100.0 * HARMFUL
 
 
 def harmless(row: Row) -> bool:
-    """It adds less than half of that."""
+    """Return True if the motion adds under 5 % to the noise."""
     return row["added_percent"] is not None and row["added_percent"] < 100.0 * HARMLESS
 
 
 def keeps_points(row: Row) -> bool:
-    """Nine tenths of them, at least."""
+    """Return True if nine tenths of the points are left."""
     return bool(row["lost_percent"] < 100.0 * LOST)
 
 
 def refused(row: Row, take: str = "moving") -> bool:
-    """By the verdict."""
+    """Return True if the verdict rejects the recording ``take``."""
     return row[take]["passed"] is False
 
 
 def compensated(row: Row) -> bool:
-    """Refused by the verdict, and then shown with its movement undone: neither lost nor shown as it was recorded."""
+    """Return True if the scan was rejected and then shown compensated."""
     return bool(row.get("compensated"))
 
 
@@ -103,7 +103,7 @@ def figures(rows: Rows, cpu_ms: float) -> list[Measurement]:
 
 
 def ratios(rows: Rows) -> list[float]:
-    """Predicted over true addition, where it is 3 to 30 %."""
+    """Return predicted over true added noise, where the true one is 3 to 30 %."""
     return [
         (0.1 + (row["moving"]["added_percent"] or 0.0)) / (0.1 + row["added_percent"])
         for row in rows
@@ -119,7 +119,7 @@ def _tenths(values: Sequence[float]) -> tuple[float, float] | None:
 
 
 def roc(positive: Sequence[float], negative: Sequence[float]) -> tuple[list[float], list[float], float]:
-    """Shares of negatives and of positives above every threshold, and the area under that curve."""
+    """Return the shares of negatives and positives above every threshold, and the area under that curve."""
     if not positive or not negative:
         return [], [], float("nan")
     p, n = np.asarray(positive), np.asarray(negative)

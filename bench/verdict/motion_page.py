@@ -17,7 +17,10 @@ BEGIN, END = "<!-- table: ./dev bench verdict --write-docs -->", "<!-- end of ta
 
 
 def write_page(content: Mapping[str, Any], docs: Path) -> None:
-    """Of the content of a measurement's file that has the part ``motion``. Raises OSError, and ValueError for a page without marks."""
+    """Write the page from a measurement's file with the part ``motion``.
+
+    Raises OSError, and ValueError for a page without marks.
+    """
     page, data = docs / "motion.md", content["parts"]["motion"]["data"]
     text = page.read_text(encoding="utf-8")
     if BEGIN not in text or END not in text:

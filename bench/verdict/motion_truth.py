@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 def displacement(surface: Surface, points_mm: Array) -> tuple[Array, Array]:
-    """Middle (3,) and small turn and shift (6,) that lay points (n, 3) onto the surface, robust least squares."""
+    """Fit centre (3,) and small rigid displacement (6,) of points (n, 3) to the surface, by robust least squares."""
     near = np.flatnonzero(np.abs(surface.distance_mm(points_mm)) < FALSE_MM)
     points = points_mm[near[:: max(1, len(near) // _FIT_POINTS)]]
     middle = points.mean(0) if len(points) else np.zeros(3)
@@ -54,14 +54,14 @@ def displacement(surface: Surface, points_mm: Array) -> tuple[Array, Array]:
 
 
 def displaced(points_mm: Array, middle: Array, x: Array) -> Array:
-    """Points (n, 3) after the turn (hundredths of a radian) and shift (mm) of ``x`` (6,)."""
+    """Return points (n, 3) after rotation (hundredths of a radian) and translation (mm) by ``x`` (6,)."""
     return np.asarray(points_mm + np.cross(_TURN * x[:3], points_mm - middle) + x[3:])
 
 
 def errors_mm(
     renderer: Renderer, cloud: Cloud, time_s: float, fit: tuple[Array, Array] | None = None
 ) -> tuple[Array, tuple[Array, Array]]:
-    """Distances (n,) of a cloud's points to the surface at ``time_s`` after a displacement, and that displacement."""
+    """Return distances (n,) of a cloud to the surface at ``time_s`` after a displacement, and that displacement."""
     points = left_to_rig(renderer.truth, cloud.points_mm)
     surface = renderer.surface(time_s)
     fit = fit or displacement(surface, points)

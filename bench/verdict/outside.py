@@ -78,11 +78,11 @@ class OutsideScans:
         return _world_of(case, take).renderer()
 
     def water(self, case: Case) -> Water:
-        """Of the true index."""
+        """Return the water of the true index."""
         return water_of(_world_of(case, Take.REST).rig)
 
     def noise(self, case: Case) -> StereoNoise:
-        """As measured on the instrument."""
+        """Return the noise as measured on the instrument."""
         return noise_of(_world_of(case, Take.REST).scene, case.gain_db)
 
 

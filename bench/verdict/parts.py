@@ -36,7 +36,7 @@ class WorldPart(Protocol):
     def measure(
         self, scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ...
     ) -> tuple[list[Measurement], dict[str, Any]]:
-        """As ``KeepingPart.measure``, with the scans of ``world`` (``worlds.WORLDS``)."""
+        """Measure as ``KeepingPart.measure``, with the scans of ``world`` (``worlds.WORLDS``)."""
 
 
 IN_WORLDS = ("motion", "identity", "identity_good", "causes", "compensation", "compensation_hard")
@@ -73,7 +73,7 @@ PARTS = MappingProxyType(
 
 
 def part(name: str) -> Part:
-    """The module of that name. Raises KeyError for a name not in ``PARTS``."""
+    """Return the module of a part. Raises KeyError for a name not in ``PARTS``."""
     if name not in PARTS:
         raise KeyError(name)
     return cast(Part, importlib.import_module(f"bench.verdict.{name}"))

@@ -87,7 +87,7 @@ class DriftCounts:
 
 
 def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
-    """``scans`` scenes, each once without drift and once with every kind of it."""
+    """Measure ``scans`` scenes, each once without drift and once with every kind of it."""
     rows: list[DriftCounts] = []
     for number in range(scans):
         rng = np.random.default_rng([seed, number, 63])

@@ -67,7 +67,7 @@ class Draw:
 
 
 def measure(scans: int, seed: int, say: Say) -> tuple[list[Measurement], dict[str, Any]]:
-    """Of ``scans`` static scans."""
+    """Measure ``scans`` static scans."""
     draws = [drawn(k, seed) for k in range(scans)]
     residuals, sigmas = [], []
     for k, draw in enumerate(draws):
@@ -150,7 +150,7 @@ def drawn(number: int, seed: int) -> Draw:
 
 
 def errors(draw: Draw) -> tuple[Array, Array]:
-    """Errors along the ray and sigmas in mm, (n,) each, of all points of the cloud."""
+    """Return errors along the ray and sigmas in mm, (n,) each, of all points of the cloud."""
     scan = render_scan(
         draw.scene, "realistic", draw.truth_seed, draw.size_px[0], draw.period_px, draw.exposure_s, draw.size_px[1],
         response_of(draw.scene.imaging.response) if draw.patterns == "light" else None, gain_db=draw.gain_db,
@@ -189,7 +189,7 @@ def along_the_ray(scan: RenderedScan, cloud: Cloud, time_s: float = 0.0) -> Arra
 
 
 def response_of(kind: str) -> Response:
-    """The projector's, as measuring it without error gives it."""
+    """Return the projector's response as measured without error."""
     codes = np.arange(8, 248)
     x = (codes - 127.5) / 119.5
     light = light_of_codes(kind)[codes].astype(np.float64)

@@ -20,7 +20,7 @@ from bench.whole_scan.scenes import TimedScene, timed_scene
 
 
 def main() -> None:
-    """Answer in JSON, line by line."""
+    """Run a round for each line of stdin, and print its times as JSON."""
     scene = timed_scene(sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]))
     scene_digests = digests(scene)
     with procedure(scene) as timed:

@@ -218,7 +218,7 @@ def paced_worker(scene: TimedScene, disk: Path) -> Iterator[PacedWorker]:
 
 
 def cpu_ms(pid: int | None) -> float:
-    """Processor time that a process has had, all of its threads, the ended ones too. Raises RuntimeError where it is gone."""
+    """Return the CPU time of a process, with its ended threads. Raises RuntimeError if it has ended."""
     if pid is None:
         raise RuntimeError("the worker is gone; see what it said before")
     # clock_getcpuclockid(3): the complement of the number, and which of the kernel's counts.

@@ -61,7 +61,7 @@ class Sheet:
         self.text(24, 56, self.subtitle, size=12, colour=FAINT)
 
     def svg(self) -> str:
-        """The whole file."""
+        """Return the text of the SVG file."""
         head = (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {self.width} {self.height}" width="{self.width}" '
             f'height="{self.height}" font-family="DejaVu Sans, Arial, sans-serif" role="img">\n'
