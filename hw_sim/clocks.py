@@ -1,10 +1,10 @@
-"""Owns how clocks and trigger lines of the world ``outside`` err: jitter, wander, and what a time stamp is the time of.
+"""Errors of clocks and trigger lines in the world ``outside``: jitter, wander, and the meaning of a time stamp.
 
-The ordinary world's crystals are off by a constant; these wander as well, and no edge comes quite when it should.
+The ordinary world's crystals are off by a constant; these wander as well, and every edge has jitter.
 """
 
 # Symbols:
-#   x         what a clock is ahead of its constant rate, s
+#   x         time by which a clock is ahead of its constant rate, s
 #   y         fractional frequency offset, an Ornstein-Uhlenbeck process: dy = −y dt / τ + √(2/τ) · wander · dW
 #   white     frequency noise without memory, which makes x a random walk: dx = y dt + walk · dW
 
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from hw_sim.ranges import Range, drawn_strengths
 
 CORRELATION_S = 60.0
-"""Time τ after which a crystal has forgotten how fast it was: about that of a small case that warms and cools (an estimate)."""
+"""Correlation time τ of a crystal's frequency: about that of a small case that warms and cools (an estimate)."""
 STEP_S = 0.1
-"""The wander is known at multiples of this and goes straight between them."""
+"""Step of the wander, which is linear in between."""
 AT_ONCE = 3000
-"""Steps that are drawn at a time."""
+"""Number of steps that are drawn at a time."""
 
 RANGES = {
     "board_jitter_us": Range(
@@ -53,10 +53,10 @@ RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """The strengths of what clocks and trigger lines do wrong; zero is none of it. Raises ValueError for impossible numbers."""
+    """The errors of clocks and trigger lines; zero is no error. Raises ValueError for impossible numbers."""
 
     board_jitter_us: float = 0.0
-    """Standard deviation of the moment of each trigger pulse; its report dates it as it was fired."""
+    """Standard deviation of the time of each trigger pulse; its report has the true time."""
     camera_jitter_us: float = 0.0
     """Standard deviation of the moment at which each camera begins an exposure after the pulse's edge."""
     wander_ppm: float = 0.0
@@ -89,7 +89,7 @@ class Clocks:
 
 
 class Wander:
-    """One clock that wanders from its constant rate; the same seed wanders the same way."""
+    """The wander of one clock about its constant rate; the same seed gives the same wander."""
 
     def __init__(self, clocks: Clocks, seed: tuple[int, ...]) -> None:
         self._clocks = clocks
@@ -98,13 +98,13 @@ class Wander:
         self._ahead_s: NDArray[np.float64] = np.zeros(1)
 
     def ahead_ns(self, since_ns: int) -> int:
-        """Return by how much the clock is ahead of its constant rate, ``since_ns`` after the world's time 0 (≥ 0)."""
-        at = max(since_ns, 0) / (STEP_S * 1e9)
-        k = int(at)
+        """Return the time by which the clock is ahead of its constant rate, ``since_ns`` after time 0 (≥ 0)."""
+        steps = max(since_ns, 0) / (STEP_S * 1e9)
+        k = int(steps)
         while k + 1 >= self._ahead_s.size:
             self._extend()
         low, high = self._ahead_s[k], self._ahead_s[k + 1]
-        return round(1e9 * float(low + (high - low) * (at - k)))
+        return round(1e9 * float(low + (high - low) * (steps - k)))
 
     def _extend(self) -> None:
         # Exact discretisation of dy = −y dt / τ + …: y' = a y + √(1 − a²) · wander · N, a = exp(−step / τ).

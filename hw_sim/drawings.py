@@ -1,6 +1,7 @@
-"""Owns the drawings of the housings that the simulated world can be built in: what a workshop is told before anything goes wrong.
+"""The designs of the housings in which the simulated world can be built.
 
-Numbers are stated here and not read from any rig file of the product: a rig file that contradicts its housing must come out wrong.
+Their numbers are stated here and not read from a rig file of the product: a rig file that contradicts its housing must
+give wrong results.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ USUAL, COMPACT = "usual", "compact"
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """One housing as drawn; by default the usual one. Lengths in mm, in the rig frame."""
+    """One housing as designed; by default the usual one. Lengths in mm, in the rig frame."""
 
     centre_mm: float = 522.5
-    """The two axes cross here, and the projector is in focus."""
+    """Distance at which the two axes cross, and the projector is in focus."""
     toe_in_deg: float = 12.41
     half_baseline_mm: float = 115.0
     focal_mm: float = 11.5
@@ -30,16 +31,16 @@ class Drawing:
     projector_pixel_mm: float = 0.0108
     projector_px: tuple[int, int] = (1024, 768)
     port_mm: float = 30.0
-    """Distance of each window from the projection centre behind it."""
+    """Distance of each port from the projection centre behind it."""
     laser_mm: tuple[float, float, float] = (40.0, 0.0, 30.0)
-    """The right pointer's beam leaves its window here; the left one's mirrors it."""
+    """Point at which the right laser's beam leaves its port; the left one is its mirror image."""
     laser_aim_x_mm: float = 20.0
-    """Distance from the axis at which the beams meet the plane in the middle of the volume, both at the height of the axis."""
+    """Distance from the axis at which the beams meet the plane in the middle of the volume, at the axis's height."""
     ball_distance_mm: float = BALL_DISTANCE_MM
     """Ball bar that comes with it."""
 
     def pose(self, thing: str) -> Pose:
-        """Return where an object is held before this housing where nobody says otherwise: the usual place, nearer in proportion."""
+        """Return the default pose of an object before this housing: the usual pose, scaled with the distance."""
         x, y, z, *turns = DEFAULT_POSE[thing]
         nearer = self.centre_mm / Drawing().centre_mm
         return (nearer * x, nearer * y, nearer * z, turns[0], turns[1], turns[2])

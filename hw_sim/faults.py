@@ -1,4 +1,4 @@
-"""Owns what is broken: fault sentences, parsed, and asked for by the devices at the moment they matter.
+"""Fault injection: fault sentences, their parser, and the faults in force.
 
     <component> <verb> [how=<word>] [frame=<k>] [at_s=<t>] [for_s=<t>] [count=<n>] [amount=<x>]
 
@@ -20,7 +20,7 @@ class Kind:
     hows: tuple[str, ...] = ()
     strikes: bool = False
     amount: float | None = None
-    """Default of ``amount``; NaN where it must be given; ``None`` where it means nothing."""
+    """Default of ``amount``; NaN if it must be given; ``None`` if the fault has no amount."""
 
 
 Number = TypeVar("Number", int, float)
@@ -64,7 +64,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 
 
 class FaultSyntaxError(ValueError):
-    """The sentence is not understood, or the world cannot break that way."""
+    """The sentence cannot be parsed, or the world has no such fault."""
 
     exit_code = 2
 
@@ -82,24 +82,24 @@ class Fault:
     begins_ns: int = 0
     for_ns: int | None = None
     left: int | None = None
-    """Number of times that it still strikes; ``None`` without limit."""
+    """Number of further strikes; ``None`` without limit."""
     amount: float = NAN
     sentence: str = field(default="", compare=False)
 
     @property
     def waits_for_frame(self) -> bool:
-        """A lasting fault whose frame has not come yet."""
+        """True for a lasting fault whose frame has not come yet."""
         return self.frame is not None and not self.strikes
 
     def in_force(self, now_ns: int) -> bool:
-        """Return whether it is broken now (or, for one that strikes, whether it may strike now)."""
+        """Return True if it is in force now (or, for one that strikes, if it may strike now)."""
         ended = self.for_ns is not None and now_ns >= self.begins_ns + self.for_ns
         return not self.waits_for_frame and now_ns >= self.begins_ns and not ended and self.left != 0
 
 
 def parse(sentence: str, now_ns: int = 0) -> Fault:
-    """Parse a sentence said at ``now_ns``. Raises FaultSyntaxError."""
-    component, verb, *rest = [*sentence.split(), "", ""]
+    """Parse a sentence that was given at ``now_ns``. Raises FaultSyntaxError."""
+    component, verb, *parameters = [*sentence.split(), "", ""]
     if not verb:
         raise FaultSyntaxError(f"fault '{sentence}': a component and a verb are needed; supported: {supported()}")
     kind_name, _, part = component.partition(".")
@@ -107,10 +107,10 @@ def parse(sentence: str, now_ns: int = 0) -> Fault:
     if kind is None or part not in PARTS.get(kind_name, ("",)):
         raise FaultSyntaxError(f"fault '{sentence}': '{component} {verb}' is not supported; supported: {supported()}")
     fault = Fault(component, verb, kind.strikes, begins_ns=now_ns, sentence=sentence)
-    for word in filter(None, rest):
-        key, equals, value = word.partition("=")
+    for parameter in filter(None, parameters):
+        key, equals, value = parameter.partition("=")
         try:
-            _set(fault, key if equals else "", value, word, now_ns)
+            _set(fault, key if equals else "", value, parameter, now_ns)
         except ValueError as error:
             raise FaultSyntaxError(f"fault '{sentence}': {error}") from error
     _check(fault, kind)
@@ -147,18 +147,18 @@ def _number(kind: Callable[[str], Number], key: str, value: str) -> Number:
 
 def _check(fault: Fault, kind: Kind) -> None:
     if fault.how not in (kind.hows or (None,)):
-        wanted = " or ".join(f"how={h}" for h in kind.hows) or "no how"
-        raise FaultSyntaxError(f"fault '{fault.sentence}': how={fault.how} is not supported; supported: {wanted}")
+        allowed = " or ".join(f"how={h}" for h in kind.hows) or "no how"
+        raise FaultSyntaxError(f"fault '{fault.sentence}': how={fault.how} is not supported; supported: {allowed}")
     if fault.left is not None and not kind.strikes:
         raise FaultSyntaxError(f"fault '{fault.sentence}': it lasts, so it has no count; for_s= limits it")
-    # NaN is not equal to itself: the first test asks whether an amount was given, the next whether it is missing.
+    # NaN is not equal to itself: the first test is whether an amount was given, the next whether it is missing.
     if fault.amount == fault.amount and kind.amount is None:
         raise FaultSyntaxError(f"fault '{fault.sentence}': it takes no amount")
     if fault.amount != fault.amount and kind.amount is not None:
         if kind.amount != kind.amount:
             raise FaultSyntaxError(f"fault '{fault.sentence}': amount= is needed")
         fault.amount = kind.amount
-    # One named frame comes once per sequence, and the board has no frames: these strike once unless told otherwise.
+    # A named frame comes once per sequence, and the board has no frames: by default these strike once.
     if fault.left is None and kind.strikes and (fault.frame is not None or fault.component == "board"):
         fault.left = 1
 
@@ -176,8 +176,8 @@ def supported() -> str:
 class FaultBook:
     """The faults in force. Called with the world's lock held.
 
-    ``when`` calls its second argument at a moment of world time; ``changed`` is called with the time whenever
-    something may have broken or been repaired.
+    ``when`` calls its second argument at a moment of world time; ``changed`` is called with the time whenever faults
+    may have begun or been repaired.
     """
 
     def __init__(
@@ -192,11 +192,11 @@ class FaultBook:
         self._faults: list[Fault] = []
 
     def add(self, sentence: str) -> Fault:
-        """Say a fault sentence. Raises FaultSyntaxError."""
+        """Add a fault by its sentence. Raises FaultSyntaxError."""
         now_ns = self._now_ns()
         fault = parse(sentence, now_ns)
         self._faults.append(fault)
-        # What begins later, or ends, tells the devices at that moment: they do not poll.
+        # A fault that begins later, or ends, notifies the devices at that moment, since they do not poll.
         if fault.begins_ns <= now_ns:
             self._changed(now_ns)
         else:
@@ -207,34 +207,36 @@ class FaultBook:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The sentences as they were said, without those that have done what they could."""
+        """The sentences of all faults that are in force or may still strike."""
         now_ns = self._now_ns()
         return tuple(
             f.sentence for f in self._faults if f.begins_ns > now_ns or f.waits_for_frame or f.in_force(now_ns)
         )
 
     def mend(self, component: str, verb: str) -> int:
-        """Repair what is broken of that kind and nothing else, and return how many sentences that was. Raises FaultSyntaxError for a kind that
-        there is not, or that is not broken."""
+        """Repair the faults of that kind only, and return their number.
+
+        Raises FaultSyntaxError for an unknown kind, or one without a fault.
+        """
         kind_name, _, part = component.partition(".")
         if (kind_name, verb) not in KINDS or part not in PARTS.get(kind_name, ("",)):
             raise FaultSyntaxError(f"mend '{component} {verb}' is not supported; supported: {supported()}")
-        left = [one for one in self._faults if (one.component, one.verb) != (component, verb)]
-        mended = len(self._faults) - len(left)
+        remaining = [fault for fault in self._faults if (fault.component, fault.verb) != (component, verb)]
+        mended = len(self._faults) - len(remaining)
         if not mended:
             broken = "; ".join(self.sentences) or "nothing"
             raise FaultSyntaxError(f"mend '{component} {verb}': that is not broken; broken is: {broken}")
-        self._faults = left
+        self._faults = remaining
         self._changed(self._now_ns())
         return mended
 
     def clear(self) -> None:
-        """Repair everything."""
+        """Repair all faults."""
         self._faults.clear()
         self._changed(self._now_ns())
 
     def reach(self, frame: int, time_ns: int) -> None:
-        """Let faults begin that last from ``frame`` of an armed sequence on, which begins at ``time_ns``."""
+        """Begin the faults that last from ``frame`` of an armed sequence on, which begins at ``time_ns``."""
         for fault in self._faults:
             if fault.waits_for_frame and fault.frame == frame and time_ns >= fault.begins_ns:
                 fault.frame = None
@@ -252,7 +254,7 @@ class FaultBook:
         return None
 
     def strike(self, component: str, verb: str, how: str | None = None, frame: int | None = None) -> Fault | None:
-        """Return the fault of that kind that strikes now, and count it. ``frame`` is ``None`` outside an armed sequence."""
+        """Return the fault of that kind that strikes now, and count it; ``frame``: of an armed sequence, or None."""
         now_ns = self._now_ns()
         for fault in self._faults:
             if (fault.component, fault.verb, fault.how) != (component, verb, how) or not fault.in_force(now_ns):

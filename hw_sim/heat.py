@@ -1,9 +1,9 @@
-"""Owns the temperatures inside the housing: what is on makes heat, masses take it up, and the water carries it off.
+"""Temperatures inside the housing: devices heat it, masses store the heat, and the water carries it off.
 
-Lumped masses with conductances between them, which is how housings are dimensioned (e.g. Incropera, Fundamentals of
-Heat and Mass Transfer, ch. 5). The numbers are of an aluminium cylinder of 180 mm diameter and 450 mm length with some
-0.3 m² of wetted surface: 100 W/(m² K) of free convection there (water, some degrees of difference) make 30 W/K; inside,
-air and brackets carry heat from the parts to the shell.
+Lumped masses with conductances between them, as in the design of housings (e.g. Incropera, Fundamentals of Heat and
+Mass Transfer, ch. 5). The numbers are of an aluminium cylinder of 180 mm diameter and 450 mm length with some 0.3 m² of
+wetted surface: 100 W/(m² K) of free convection there (water, some degrees of difference) make 30 W/K; inside, air and
+brackets conduct heat from the parts to the shell.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class Powers:
     """The consumers that are on."""
 
     projector_lit: bool = False
-    """The projector's lamp shines: an LED of the projector's engine, driven by what is scanned out."""
+    """The projector's LED is on."""
     streaming: bool = False
     """Both cameras send images."""
     lasers: bool = False
 
     def watts(self) -> dict[str, float]:
-        """Return the heat made in each part, W."""
+        """Return the heat of each part, W."""
         return {
             "computer": 28.0,
             "TBOARD": 1.5 + (0.6 if self.lasers else 0.0),
@@ -59,7 +59,7 @@ class Powers:
 
 
 class Housing:
-    """All temperatures at one moment; everything begins as warm as the water."""
+    """All temperatures at one moment; they begin at that of the water."""
 
     def __init__(self, outside_c: float, medium: str = "water") -> None:
         """``medium``: water or air, around the housing."""
@@ -68,8 +68,8 @@ class Housing:
         self.medium = medium
         self._now_c: NDArray[np.float64] = np.full(len(PLACES), float(outside_c))
         conductance = np.zeros((len(PLACES), len(PLACES)))
-        for (one, other), watts_per_k in CONDUCTANCE_W_PER_K.items():
-            i, j = PLACES.index(one), PLACES.index(other)
+        for (first, second), watts_per_k in CONDUCTANCE_W_PER_K.items():
+            i, j = PLACES.index(first), PLACES.index(second)
             conductance[i, j] += watts_per_k
             conductance[j, i] += watts_per_k
         self._conductance = conductance
@@ -84,23 +84,23 @@ class Housing:
         return float(self._now_c[PLACES.index(place)])
 
     def advance(self, duration_s: float, powers: Powers) -> None:
-        """Let ``duration_s`` pass with that on."""
+        """Let ``duration_s`` pass with these consumers on."""
         watts = powers.watts()
-        made = np.array([watts.get(place, 0.0) for place in PLACES])
+        power_w = np.array([watts.get(place, 0.0) for place in PLACES])
         left_s = duration_s
         while left_s > 0.0:
             step_s = min(STEP_S, left_s)
             t = self._now_c
             # Explicit Euler of C dT/dt = P + Σ G (T_other − T) + G_out (T_out − T).
             inside = self._conductance @ t - self._conductance.sum(axis=1) * t
-            self._now_c = t + step_s * (made + inside + self._outwards * (self.outside_c - t)) / self._capacity
+            self._now_c = t + step_s * (power_w + inside + self._outwards * (self.outside_c - t)) / self._capacity
             left_s -= step_s
 
     def settled(self, powers: Powers) -> dict[str, float]:
-        """Return the temperatures after hours with that on, °C by place."""
+        """Return the steady-state temperatures with these consumers on, °C by place."""
         watts = powers.watts()
-        made = np.array([watts.get(place, 0.0) for place in PLACES])
+        power_w = np.array([watts.get(place, 0.0) for place in PLACES])
         # Steady state: the same balance with dT/dt = 0.
         system = np.diag(self._conductance.sum(axis=1) + self._outwards) - self._conductance
-        settled_c = np.linalg.solve(system, made + self._outwards * self.outside_c)
+        settled_c = np.linalg.solve(system, power_w + self._outwards * self.outside_c)
         return dict(zip(PLACES, settled_c.tolist(), strict=True))

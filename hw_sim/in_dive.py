@@ -1,4 +1,4 @@
-"""Owns how heat and depth change the true rig: mounts turn with the case's temperature, windows bend under pressure."""
+"""Effects of heat and depth on the true rig: mounts rotate with the case's temperature, ports bend under pressure."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from hw_sim.optics.mounts import EYES, Mounts
 from hw_sim.truth import TrueEye, TrueRig, turned
 
 REFERENCE_C = 20.0
-"""Temperature of the case at which a rig is as it was drawn."""
+"""Temperature of the case at which a rig has its drawn values."""
 NOTICED_K = 0.5
-"""The rig follows the case in steps of this: 0.0005° at most."""
+"""Step of the temperature that the rig follows: 0.0005° at most."""
 
 
 def in_dive(rig: TrueRig, mounts: Mounts, warm_k: float) -> TrueRig:
     """Return the rig ``warm_k`` above ``REFERENCE_C`` at the depth of ``mounts``.
 
-    Each eye turns about its projection centre together with its window. In air (a rig whose water has the index 1) there is no depth.
+    Each eye rotates about its projection centre together with its port. In air (a rig whose water has the index 1)
+    there is no depth.
     """
     eyes = {name: _warmed(rig.eye(name), mounts, name, warm_k, rig.n_water) for name in EYES}
     return replace(rig, left=eyes["left"], right=eyes["right"], projector=eyes["projector"])

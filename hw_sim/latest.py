@@ -1,4 +1,4 @@
-"""Owns a cache of the latest values that take long to compute: computed once, whoever asks first."""
+"""A cache of the latest values of expensive computations, shared by threads."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ Value = TypeVar("Value")
 
 
 class Latest(Generic[Key, Value]):
-    """The values of the last few keys. Threads may ask at once: one computes, the others wait for it.
+    """The values of the last few keys. If several threads ask at once, one computes and the others wait.
 
-    A value that is dropped for a newer one stays with those who hold it, so it must not be changed in place.
+    Callers may still hold a value after it has been replaced, so it must not be changed in place.
     """
 
     def __init__(self, keep: int = 1) -> None:
@@ -23,7 +23,7 @@ class Latest(Generic[Key, Value]):
         self._values: OrderedDict[Key, Value] = OrderedDict()
 
     def get(self, key: Key, compute: Callable[[], Value]) -> Value:
-        """Return the value of ``key``, from ``compute`` if it is not kept. What ``compute`` raises is passed on and not kept."""
+        """Return the value of ``key``, computed if it is not cached. Errors of ``compute`` are not cached."""
         with self._lock:
             if key not in self._values:
                 value = compute()

@@ -1,9 +1,9 @@
-"""Owns how a knock shifts a camera in its mount: the true rig has it turned and moved, for good.
+"""A knock: a camera of the true rig is permanently rotated and displaced in its mount.
 
     <left|right> [pitch_deg=<a>] [yaw_deg=<a>] [roll_deg=<a>] [x_mm=<s>] [y_mm=<s>] [z_mm=<s>]
 
-Turns are about the camera's own x (pitch), y (yaw) and z (roll) axes, shifts along them. Its window stays with it, as in
-the instrument, whose windows are tilted with the cameras.
+Rotations are about the camera's x (pitch), y (yaw) and z (roll) axes, displacements along them. Its port moves with it,
+as in the instrument, whose ports are tilted with the cameras.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ LIMITS = {"deg": 5.0, "mm": 20.0}
 
 
 class MountShiftError(ValueError):
-    """A knock is not understood; the text says what is allowed."""
+    """A knock cannot be parsed; the text has the allowed form."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True, slots=True)
 class MountShift:
-    """One shift of one camera: turns about its own axes, then a move along them."""
+    """One shift of one camera: rotations about its axes, then a displacement along them."""
 
     camera: str
     pitch_deg: float = 0.0
@@ -42,13 +42,13 @@ AMOUNTS = ("pitch_deg", "yaw_deg", "roll_deg", "x_mm", "y_mm", "z_mm")
 
 
 def parse(sentence: str) -> MountShift:
-    """Return the shift that a ``knock`` sentence names. Raises MountShiftError."""
-    camera, *words = [*sentence.split(), ""]
+    """Return the shift of a ``knock`` sentence. Raises MountShiftError."""
+    camera, *assignments = [*sentence.split(), ""]
     if camera not in SIDES:
         raise MountShiftError(f"knock '{sentence}': camera '{camera}'; allowed are {', '.join(SIDES)}")
     amounts: dict[str, float] = {}
-    for word in filter(None, words):
-        name, _, value = word.partition("=")
+    for assignment in filter(None, assignments):
+        name, _, value = assignment.partition("=")
         try:
             amount = float(value)
         except ValueError:
@@ -56,7 +56,7 @@ def parse(sentence: str) -> MountShift:
         limit = LIMITS.get(name.rpartition("_")[2], 0.0)
         if name not in AMOUNTS or not abs(amount) <= limit:
             raise MountShiftError(
-                f"knock '{sentence}': '{word}' is not understood; allowed are {', '.join(AMOUNTS)} = a number, "
+                f"knock '{sentence}': '{assignment}' is not understood; allowed are {', '.join(AMOUNTS)} = a number, "
                 f"up to {LIMITS['deg']:g} degrees or {LIMITS['mm']:g} mm"
             )
         amounts[name] = amount
@@ -66,10 +66,10 @@ def parse(sentence: str) -> MountShift:
 
 
 def with_mount_shifted(rig: TrueRig, shift: MountShift) -> TrueRig:
-    """Return the rig after the shift: camera and window turned and moved together."""
+    """Return the rig after the shift: camera and port moved together."""
     eye = rig.eye(shift.camera)
     R = np.array(eye.R)
-    # The move is along the axes as they were before the turn.
+    # The displacement is along the axes before the rotation.
     t = np.array(eye.t_mm) + R @ np.array([shift.x_mm, shift.y_mm, shift.z_mm])
     moved = replace(
         turned(eye, (shift.pitch_deg, shift.yaw_deg, shift.roll_deg)), t_mm=(float(t[0]), float(t[1]), float(t[2]))

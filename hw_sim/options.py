@@ -1,4 +1,4 @@
-"""Owns the world's options: names, defaults and checks, as ``docs/protocols/world.md`` lists them."""
+"""The world's options: names, defaults and checks, as ``docs/protocols/world.md`` lists them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PACES = ("lockstep", "realtime", "attended")
 
 
 class OptionError(ValueError):
-    """An option of the simulated world is unknown or out of range; the text names it and what is allowed."""
+    """An option of the simulated world is unknown or out of range; the text has its name and the allowed values."""
 
     exit_code = 2
 
@@ -107,7 +107,7 @@ class WorldOptions:
             raise OptionError(f"refresh_hz {self.refresh_hz:g}; allowed are 1..60")
 
     def power_on(self, side: str) -> PowerOn:
-        """Return how the camera of ``side`` powers up. Raises OptionError."""
+        """Return the state in which the camera of ``side`` powers up. Raises OptionError."""
         try:
             return _made(PowerOn, f"cameras {side}", _made(Cameras, "cameras", self.cameras).of(side))
         except (TypeError, ValueError) as error:
@@ -115,13 +115,13 @@ class WorldOptions:
 
     def beamer(self) -> Beamer:
         """Return the projector. Raises OptionError."""
-        given = {"kind": self.projector} if isinstance(self.projector, str) else self.projector
-        if not isinstance(given, Mapping):
+        table = {"kind": self.projector} if isinstance(self.projector, str) else self.projector
+        if not isinstance(table, Mapping):
             raise OptionError(
-                f'projector = {given!r:.80}; give the name of a kind, or a table with kind = "…" and more'
+                f'projector = {table!r:.80}; give the name of a kind, or a table with kind = "…" and more'
             )
         try:
-            beamer = _made(Beamer, "projector", given)
+            beamer = _made(Beamer, "projector", table)
         except OptionError:
             raise
         except (TypeError, ValueError) as error:
@@ -134,11 +134,11 @@ class WorldOptions:
         return beamer
 
     def drawing(self) -> Drawing:
-        """Return what the housing was built to."""
+        """Return the design of the housing."""
         return DRAWINGS[self.housing]
 
     def _pose(self) -> Pose | None:
-        """Return where the object is held; ``None``: at the usual place of the usual housing."""
+        """Return the pose of the object; ``None``: the usual pose of the usual housing."""
         if self.object_pose is not None or self.housing == USUAL or self.object not in DEFAULT_POSE:
             return self.object_pose
         return self.drawing().pose(self.object)
@@ -165,21 +165,27 @@ class WorldOptions:
 
 
 def _made(kind: Callable[..., Value], what: str, table: Mapping[str, Any]) -> Value:
-    """Return a frozen dataclass made from a rig file's table; its vectors are lists there. Raises OptionError and ValueError."""
-    known = inspect.signature(kind).parameters
+    """Return a frozen dataclass from a rig file's table, whose lists are vectors.
+
+    Raises OptionError and ValueError.
+    """
+    parameters = inspect.signature(kind).parameters
     for key in table:
-        if key not in known:
-            raise OptionError(f"{what}: unknown '{key}'{_nearest(key, set(known))}")
+        if key not in parameters:
+            raise OptionError(f"{what}: unknown '{key}'{_nearest(key, set(parameters))}")
     return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
 
 
 def _outside(table: Mapping[str, Any]) -> Outside:
-    """Return the harsher world of a rig file's table: ``seed`` draws ``families`` (all of the set, unless they are named), and
-    a table in a family's name sets strengths by hand: instead of the drawn ones, or alone. Raises OptionError and ValueError."""
-    known = {"seed", "families", *FAMILIES}
+    """Return the world ``outside`` of a rig file's table.
+
+    ``seed`` draws ``families`` (all of the set, unless they are named); a table with a family's name sets strengths by
+    hand, instead of the drawn ones or alone. Raises OptionError and ValueError.
+    """
+    allowed = {"seed", "families", *FAMILIES}
     for key in table:
-        if key not in known:
-            raise OptionError(f"outside: unknown '{key}'{_nearest(key, known)}")
+        if key not in allowed:
+            raise OptionError(f"outside: unknown '{key}'{_nearest(key, allowed)}")
     seed, families = table.get("seed"), table.get("families", ALL)
     if seed is None and "families" in table:
         raise OptionError("outside: families without a seed; add seed = 1, or give strengths by hand")
@@ -190,24 +196,26 @@ def _outside(table: Mapping[str, Any]) -> Outside:
     world = Outside() if seed is None else draw_outside(seed, families)
     by_hand = {}
     for name in FAMILIES.keys() & table.keys():
-        given = _made(FAMILIES[name].kind, f"outside {name}", table[name])
+        strengths = _made(FAMILIES[name].kind, f"outside {name}", table[name])
         drawn = getattr(world, name)
-        by_hand[name] = given if drawn is None else replace(drawn, **{key: getattr(given, key) for key in table[name]})
+        by_hand[name] = (
+            strengths if drawn is None else replace(drawn, **{key: getattr(strengths, key) for key in table[name]})
+        )
     return replace(world, **by_hand)
 
 
-def _nearest(key: str, known: set[str]) -> str:
-    # A slip of the pen is told its likely remedy; anything else the whole list.
-    near = difflib.get_close_matches(key, known, 1)
-    return f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(sorted(known))}"
+def _nearest(key: str, allowed: set[str]) -> str:
+    # A probable typing error gets the nearest name, any other error the list.
+    near = difflib.get_close_matches(key, allowed, 1)
+    return f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(sorted(allowed))}"
 
 
 def options_from(mapping: Mapping[str, Any]) -> WorldOptions:
-    """Return the options of a rig file's table. Raises OptionError for an unknown key, naming the nearest."""
-    known = {f.name for f in fields(WorldOptions)}
+    """Return the options of a rig file's table. Raises OptionError for an unknown key, with the nearest one."""
+    allowed = {f.name for f in fields(WorldOptions)}
     for key in mapping:
-        if key not in known:
-            raise OptionError(f"unknown option of the simulated world: '{key}'{_nearest(key, known)}")
+        if key not in allowed:
+            raise OptionError(f"unknown option of the simulated world: '{key}'{_nearest(key, allowed)}")
     values = dict(mapping)
     for key in ("object_pose", "faults"):
         if isinstance(values.get(key), list):

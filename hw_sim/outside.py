@@ -1,7 +1,7 @@
-"""Owns the world ``outside``: which families of physics it adds to the ordinary world, and how strongly.
+"""The world ``outside``: which families of physics it adds to the ordinary world, and how strongly.
 
-Each family's strengths are a frozen value of the room in which its physics lives, with a table of the ranges that they are
-drawn from and of who found them so. A family that is ``None`` is as in the ordinary world.
+Each family's strengths are a frozen value in the folder of its physics, with a table of ranges from which they are
+drawn and the sources of these. A family that is ``None`` is as in the ordinary world.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hw_sim.optics.mounts import Mounts
 from hw_sim.water.particles import Particles
 
 STREAM = 0x0075
-"""Keeps these draws apart from all others that begin with a seed."""
+"""Stream number that separates these draws from others with the same seed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,39 +32,39 @@ class Outside:
     """The strengths of each family; ``None``: as in the ordinary world."""
 
     backscatter: Particles | None = None
-    """Backscatter resolved in both directions, light scattered more than once, core and halo of what is turned forwards."""
+    """Backscatter resolved in both directions, multiple scattering, core and halo of forward scatter."""
     projector: LightEngine | None = None
     """Bit planes, brightness from frame to frame, a hot spot, a bent focus, the LED's colour."""
     surfaces: Finish | None = None
-    """White that is not 0.6, gloss, light below the surface and from surface to surface."""
+    """Albedo other than 0.6, gloss, subsurface scattering and interreflection."""
     lens: LensFlaws | None = None
-    """Fields of lens and window up to order 11, a dent, a stria, a pupil that moves. Belongs to the rig, not to a moment."""
+    """Distortion fields of lens and port up to order 11, a dent, a stria, a moving pupil. Part of the rig."""
     plates: BentPlates | None = None
-    """Board and plane bent to other shapes than a paraboloid. Belongs to the rig."""
+    """Board and plane bent to other shapes than a paraboloid. Part of the rig."""
     cameras: CameraTraits | None = None
-    """Other sensors, a response that is bent, vignetting, rows that flicker, hot pixels, veiling glare."""
+    """Other sensors, non-linear response, vignetting, row noise, hot pixels, veiling glare."""
     hands: HandTrack | None = None
-    """Jerk, a swell of 1 Hz, turns about the diver's shoulder."""
+    """Jerk, a swell of 1 Hz, rotation about the diver's shoulder."""
     mounts: Mounts | None = None
-    """Poses that drift with the case's temperature, windows that bend with depth."""
+    """Poses that drift with the case's temperature, ports that bend with depth."""
     soft: SoftBody | None = None
-    """An object that is not rigid; no part of the set."""
+    """An object that is not rigid; not in the set ``ALL``."""
     clocks: Clocks | None = None
-    """Trigger jitter, clocks that wander, what a time stamp is the time of."""
+    """Trigger jitter, wandering clocks, time stamps of start or end."""
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """One family: the generator that is its own, and what its strengths are."""
+    """One family: its random generator and the type of its strengths."""
 
     number: int
-    """Number of its generator. Never changed and never used again: it is part of what a seed means."""
+    """Number of its generator. Never change or reuse it: the draws of a seed depend on it."""
     kind: type
-    """The frozen dataclass of its strengths; each one's default is none of it."""
+    """The frozen dataclass of its strengths; the defaults are no effect."""
     drawn: Callable[[np.random.Generator], Any]
     """Draws the strengths."""
     of_the_set: bool = True
-    """False for what is no part of the set ``ALL`` and must be named."""
+    """False for a family that is not in the set ``ALL`` and must be named."""
 
 
 FAMILIES: dict[str, Family] = {
@@ -84,8 +84,11 @@ ALL = tuple(name for name, family in FAMILIES.items() if family.of_the_set)
 
 
 def draw_outside(seed: int, families: Sequence[str] = ALL) -> Outside:
-    """Return the strengths of ``families``, drawn each from a generator of its own ([``seed``, number of the family]), so that
-    switching one on or off changes no other. Raises ValueError for a family that is not one of ``FAMILIES``."""
+    """Return the strengths of ``families``, each drawn from a generator of its own.
+
+    The generator's seed is [``seed``, number of the family], so that switching one family on or off changes no other.
+    Raises ValueError for a family that is not one of ``FAMILIES``.
+    """
     strengths: dict[str, Any] = {}
     for name in families:
         family = FAMILIES.get(name)

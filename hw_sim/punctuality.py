@@ -1,6 +1,6 @@
-"""Owns what the world noticed of punctuality: how soon the host answers a vertical blank, and how late the world is itself.
+"""Punctuality in real time: how soon the host answers a vertical blank, and how late the world is.
 
-All of it in real time, so it means something only where the world's pace is ``realtime``.
+It has a meaning only if the world's pace is ``realtime``.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections import deque
 from hw_sim.devices.head import Flip
 
 MOST = 20_000
-"""Values kept of each kind; the oldest goes."""
+"""Largest number of values of each kind; the oldest are dropped."""
 
 
 class Punctuality:
-    """Counts and times of vertical blanks. Told of each one with the world's lock held."""
+    """Counts and times of vertical blanks. Called for each one with the world's lock held."""
 
     def __init__(self) -> None:
         self.answers_us: deque[float] = deque(maxlen=MOST)
@@ -32,7 +32,7 @@ class Punctuality:
         self._flipped_ns: int | None = None
 
     def blank(self, late_ns: int, recording: bool, projector: Flip | None, display: Flip | None) -> None:
-        """Note a vertical blank that happens now, ``late_ns`` after it was due, with these flips waiting."""
+        """Note a vertical blank that happens now, ``late_ns`` after its time, with these flips waiting."""
         if recording:
             self.blanks_late_us.append(late_ns / 1e3)
             if projector is None:
@@ -43,5 +43,5 @@ class Punctuality:
             self.other_blanks += 1
             self.screen_updates += display is not None
         if projector is not None:
-            # As the host saw it: its answer is counted from when the blank really came, not from when it was due.
+            # The host's answer counts from the real time of the blank, not from its due time.
             self._flipped_ns = time.monotonic_ns()

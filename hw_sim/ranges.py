@@ -1,4 +1,4 @@
-"""Owns how the strengths of the world ``outside`` are drawn: each from a range that says where it comes from."""
+"""Random strengths of the world ``outside``, each drawn from a range with a source."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The values that a strength may take in a drawn world, both ends included.
+    """The values that a strength may have in a drawn world, both ends included.
 
-    ``source`` says who found them so. It begins with "estimate:" where nobody did, and with "partly estimate:" where somebody
-    found a value within them and the ends are a guess.
+    ``source`` says where they come from. It begins with "estimate:" if they are a guess, and with "partly estimate:" if
+    a value within them was measured and the ends are a guess.
     """
 
     low: float
     high: float
     source: str
     even_in_log: bool = False
-    """Small values are as likely as large ones: a tenth to one as one to ten."""
+    """Uniform in the logarithm: a tenth to one is as likely as one to ten."""
 
     def __post_init__(self) -> None:
         if not self.low <= self.high:
@@ -38,7 +38,7 @@ class Range:
 
 
 def drawn_strengths(ranges: Mapping[str, Range], rng: np.random.Generator) -> dict[str, float]:
-    """Return one value for each row of the table, evenly distributed over its range, or over the logarithms there.
+    """Return one value for each row of the table, uniform over its range or its logarithm.
 
     The rows are drawn in their order, so that a row appended to a table changes none of those before it.
     """

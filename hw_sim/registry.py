@@ -1,6 +1,6 @@
-"""Owns the names of the worlds that exist: how an URL in a rig file, or a second set of wires, finds one.
+"""The registry of the existing worlds by name, for URLs in rig files and for a second set of wires.
 
-The one piece of state that belongs to the process, because pyserial knows a port by nothing but its URL.
+It is the one piece of process-wide state, since pyserial knows a port only by its URL.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _WORLDS: dict[str, World] = {}
 
 
 def register(name: str, world: World) -> None:
-    """Register ``world`` under ``name``. Raises ValueError if there is one of that name."""
+    """Register ``world`` under ``name``. Raises ValueError if that name is in use."""
     with _LOCK:
         if name in _WORLDS:
             raise ValueError(f"there is already a world named '{name}'; give the new one another name")
@@ -24,7 +24,7 @@ def register(name: str, world: World) -> None:
 
 
 def unregister(name: str, world: World) -> None:
-    """Forget ``world``, if it is the one of that name."""
+    """Remove ``world``, if it is registered under ``name``."""
     with _LOCK:
         # A later world may have the name by now.
         if _WORLDS.get(name) is world:

@@ -1,4 +1,4 @@
-"""Owns the values that describe what the instrument is put before."""
+"""The scene before the instrument: object, light, water and imaging effects."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ RESPONSES = ("measured", "linear", "gamma")
 
 @dataclass(frozen=True, slots=True)
 class Imaging:
-    """The causes that make a recorded fringe no pure sine; each can be switched off, so that its effect can be measured.
+    """The causes of imperfect sine fringes; each can be switched off, so that its effect can be measured.
 
-    Raises ValueError for a response that is not one of ``RESPONSES``."""
+    Raises ValueError for a response that is not one of ``RESPONSES``.
+    """
 
     response: str = "measured"
-    """Light of the projector's codes: like one that was measured, proportional, or a pure gamma of 2.2."""
+    """The projector's response: a measured one, linear, or a pure gamma of 2.2."""
     projector_defocus: bool = True
-    """Light gets softer away from the projector's focus."""
+    """Blur of the light away from the projector's focus."""
     camera_defocus: bool = False
-    """Images get softer away from the cameras' focus: at f/8 by 0.46 px (of 1600) where ``FAR_MM`` away, which is added in
-    squares to the lens's own blur. Off, because it costs time and, inside of the measuring volume, next to nothing."""
+    """Blur of the images away from the cameras' focus: at f/8 by 0.46 px (of 1600) at a distance of ``FAR_MM``, added
+    in squares to that of the lens. Off, since it costs time and is negligible within the working volume."""
 
     def __post_init__(self) -> None:
         if self.response not in RESPONSES:
@@ -44,18 +45,18 @@ class Scene:
     pose: tuple[float, float, float, float, float, float] | None = None
     """[x, y, z, rx_deg, ry_deg, rz_deg] in the rig frame at time 0; ``None``: where both cameras see it well."""
     texture: str = "slight"
-    """Texture of every object but the board, which has its print."""
+    """Texture of every object except the board, which has its print."""
     water: Water = field(default_factory=Water)
     ambient: float = 0.02
     noise: bool = True
     motion: Motion = field(default_factory=Motion)
     imaging: Imaging = field(default_factory=Imaging)
     daylight: Daylight = field(default_factory=Daylight)
-    """All that is special about the ambient light, and other lamps."""
+    """Variation of the ambient light, and other lamps."""
     drift: Drift = field(default_factory=Drift)
     """Snow, bubbles and fish in the water between."""
     fog: Fog = field(default_factory=Fog)
-    """A fogged or scratched place on the cameras' windows."""
+    """A fogged or scratched place on the cameras' ports."""
     capped: frozenset[str] = frozenset()
     """Cameras whose lens has its cap on: ``left``, ``right``."""
     outside: Outside = field(default_factory=Outside)
@@ -80,22 +81,24 @@ class Scene:
 
     @property
     def moves(self) -> bool:
-        """The object moves before the rig, or in itself."""
+        """True if the object moves before the rig, or is not rigid."""
         return not self.motion.still or self.outside.hands is not None or self.outside.soft is not None
 
     @property
     def index(self) -> float:
-        """Refractive index of the water relative to air for the light that is projected: true rigs are drawn for it."""
+        """Refractive index of the water, relative to air, for the projected light; true rigs are drawn for it."""
         engine = self.outside.projector
         if engine is None:
             return self.water.index
         wavelengths_nm, shares = engine.spectrum(self.water.temperature_c)
-        at = [refractive_index(self.water.temperature_c, self.water.salinity_psu, float(nm)) for nm in wavelengths_nm]
-        return float(shares @ at)
+        refractive_indices = [
+            refractive_index(self.water.temperature_c, self.water.salinity_psu, float(nm)) for nm in wavelengths_nm
+        ]
+        return float(shares @ refractive_indices)
 
     @property
     def glass_more(self) -> float:
-        """Index of the sapphire windows for that light, against that of 530 nm, which true rigs state."""
+        """Index of the sapphire ports for that light, minus that at 530 nm, which true rigs state."""
         engine = self.outside.projector
         if engine is None:
             return 0.0
@@ -104,7 +107,7 @@ class Scene:
 
     @property
     def still(self) -> bool:
-        """The same light makes the same picture at any time."""
+        """True if the same light makes the same image at any time."""
         if self.outside.projector is not None:
             return False
         return not self.moves and self.daylight.steady and self.drift.nothing

@@ -1,6 +1,7 @@
-"""Owns the true rig: what the simulated instrument really is, which nobody on the other side of the wires knows.
+"""The true rig: the ground truth of the simulated instrument, which the product never sees.
 
-Drawn from a seed in sets of increasing malice (see ``draw_truth``). Amounts are those of a carefully built housing.
+It is drawn from a seed in sets of increasing imperfection (see ``draw_truth``). The tolerances are those of a carefully
+built housing.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ SETS = ("nominal", "realistic", "hard", "paper", "modelled", "outside")
 
 @dataclass(frozen=True, slots=True)
 class TruePort:
-    """A window; the outer face is tilted against the inner one by the wedge, towards ``wedge_direction_deg``."""
+    """A port; the outer face is tilted against the inner one by the wedge, towards ``wedge_direction_deg``."""
 
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     d_mm: float = 30.0
@@ -52,7 +53,7 @@ class TruePort:
     def outer_normal(self) -> Array:
         """Unit normal of the outer face."""
         n = np.array(self.normal)
-        # A frame around the inner normal; the wedge tilts the outer one by tan(wedge) in the plane of the faces.
+        # A frame about the inner normal; the wedge tilts the outer one by tan(wedge) in the plane of the faces.
         x = np.cross([0.0, 1.0, 0.0], n)
         x /= np.linalg.norm(x)
         angle, direction = math.radians(self.wedge_deg), math.radians(self.wedge_direction_deg)
@@ -62,7 +63,7 @@ class TruePort:
 
 @dataclass(frozen=True, slots=True)
 class TrueEye:
-    """A camera, or the projector used as one, in the rig frame."""
+    """A camera, or the projector as an inverse camera, in the rig frame."""
 
     width_px: int
     height_px: int
@@ -80,7 +81,7 @@ class TrueEye:
     """Distance, z in the rig frame, at which a projector is sharp."""
 
     def packed(self, n_water: float) -> Array:
-        """Return the array (PACKED,) float64 that compiled tracing reads; longer for an eye with flaws."""
+        """Return the array (PACKED,) float64 for compiled tracing; longer for an eye with flaws."""
         eye = np.zeros(PACKED)
         eye[:9] = (*self.f_px, *self.c_px, *self.distortion)
         eye[9:18] = np.ravel(self.R)
@@ -97,10 +98,10 @@ class TrueEye:
 
 @dataclass(frozen=True, slots=True)
 class Laser:
-    """A pointer behind a window of its own: the beam as it is in the water."""
+    """A laser pointer behind a port of its own: the beam as it is in the water."""
 
     origin_mm: tuple[float, float, float]
-    """Point at which it leaves the window's outer face, rig frame."""
+    """Point at which it leaves the port's outer face, rig frame."""
     direction: tuple[float, float, float]
 
 
@@ -111,7 +112,7 @@ class Artefacts:
     ball_distance_mm: float = BALL_DISTANCE_MM
     """Distance between the centres of the ball bar."""
     plane_bow_mm: float = 0.0
-    """Half of how far the middle of the plane stands back from the middles of its short edges: z = bow (1 − 2 r²/a²)."""
+    """Half of the depth of the plane's middle behind the middles of its short edges: z = bow (1 − 2 r²/a²)."""
     board_bow_mm: float = 0.0
     """The same of the ChArUco board's plate."""
     board_scale: float = 1.0
@@ -122,24 +123,24 @@ class Artefacts:
     """The same of the ChArUco board's plate."""
 
     def sizes(self) -> Array:
-        """Return the array (SIZES,) float64 that compiled shapes read; (SIZES_OUTSIDE,) where a plate has a form."""
+        """Return the array (SIZES,) float64 for compiled shapes; (SIZES_OUTSIDE,) if a plate has a form."""
         ordinary = self.plane_form_mm is None and self.board_form_mm is None
         sizes = np.zeros(SIZES if ordinary else SIZES_OUTSIDE)
         sizes[HALF_BALL_DISTANCE], sizes[PLANE_BOW] = 0.5 * self.ball_distance_mm, self.plane_bow_mm
         sizes[BOARD_BOW], sizes[BOARD_SCALE] = self.board_bow_mm, self.board_scale
-        for at, form in ((PLANE_FORM, self.plane_form_mm), (BOARD_FORM, self.board_form_mm)):
+        for index, form in ((PLANE_FORM, self.plane_form_mm), (BOARD_FORM, self.board_form_mm)):
             if form is not None:
-                sizes[at : at + 3] = form
+                sizes[index : index + 3] = form
         return sizes
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the dimensions ready for JSON, without the forms that no plate has."""
+        """Return the dimensions ready for JSON, without missing forms."""
         return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items() if v is not None}
 
 
 @dataclass(frozen=True, slots=True)
 class TrueRig:
-    """All that is true of one simulated instrument; frames and units as in ``docs/conventions.md``."""
+    """The ground truth of one simulated instrument; frames and units as in ``docs/conventions.md``."""
 
     seed: int
     set: str
@@ -155,7 +156,7 @@ class TrueRig:
         return {"left": self.left, "right": self.right, "projector": self.projector}[name]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the rig ready for JSON, in the words of ``docs/protocols/world.md``."""
+        """Return the rig ready for JSON, with the names of ``docs/protocols/world.md``."""
         return {
             "seed": self.seed,
             "set": self.set,
@@ -168,7 +169,7 @@ class TrueRig:
 
 @dataclass(frozen=True, slots=True)
 class _Amounts:
-    """Standard deviations (or ranges) of what goes wrong when a rig is built."""
+    """Standard deviations (or ranges) of the errors of a built rig."""
 
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     d_mm: float = 0.0
@@ -237,7 +238,7 @@ _AMOUNTS = {
 
 
 def _amounts_of(kind: str, seed: int) -> _Amounts | None:
-    """Return the amounts of a set, which for ``outside`` are those of the seed's workshop; ``None`` for an unknown set."""
+    """Return the amounts of a set, for ``outside`` those of the seed; ``None`` for an unknown set."""
     if kind == "outside":
         drawn: dict[str, Any] = {**drawn_tolerances(seed)}
         return replace(_REALISTIC, **drawn)
@@ -247,9 +248,9 @@ def _amounts_of(kind: str, seed: int) -> _Amounts | None:
 def draw_truth(
     kind: str, seed: int, width_px: int, height_px: int, n_water: float, drawing: Drawing = DRAWINGS[USUAL]
 ) -> TrueRig:
-    """Return the true rig of a set (``SETS``), built to ``drawing``, or of a ``truth.toml`` (a path); other image sizes bin the nominal pixel.
+    """Return the true rig of a set (``SETS``), built to ``drawing``, or of a ``truth.toml`` (a path).
 
-    Raises ValueError for an unknown set, OSError for an unreadable file.
+    Other image sizes bin the nominal pixel. Raises ValueError for an unknown set, OSError for an unreadable file.
     """
     if kind.endswith(".toml"):
         return load_truth(Path(kind), n_water)
@@ -287,18 +288,24 @@ def draw_truth(
     for side in (-1.0, 1.0):
         lean = np.radians(rng.normal(0.0, 0.2 if amounts.mount_deg else 0.0, 2))
         beams.append(_pointer(side, lean, n_water, drawing))
-    made = np.random.default_rng([seed, 21]).normal(0.0, 1.0, 2) * amounts.artefact_mm
+    artefact_errors_mm = np.random.default_rng([seed, 21]).normal(0.0, 1.0, 2) * amounts.artefact_mm
     board = np.random.default_rng([seed, 23]).normal(0.0, 1.0, 2) * (amounts.board_mm, amounts.board_scale)
     artefacts = Artefacts(
-        drawing.ball_distance_mm + float(made[0]), float(made[1]), float(board[0]), 1.0 + float(board[1])
+        drawing.ball_distance_mm + float(artefact_errors_mm[0]),
+        float(artefact_errors_mm[1]),
+        float(board[0]),
+        1.0 + float(board[1]),
     )
     rig = TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]), artefacts)
     return with_flaws(rig, draw_outside(seed)) if kind == "outside" else rig
 
 
 def with_flaws(rig: TrueRig, outside: Outside) -> TrueRig:
-    """Return the rig with the families of ``outside`` that belong to it: flaws of lens and window instead of its lens field, and
-    the forms of plates. Each eye's are drawn by the rig's seed; families that are off leave it as it is."""
+    """Return the rig with the families of ``outside`` that belong to it.
+
+    They are flaws of lens and port instead of its lens field, and the forms of plates. Each eye's are drawn by the
+    rig's seed; families that are off change nothing.
+    """
     if outside.lens is not None:
         eyes = {}
         for number, name in enumerate(("left", "right", "projector")):
@@ -314,8 +321,10 @@ def with_flaws(rig: TrueRig, outside: Outside) -> TrueRig:
 
 
 def _pointer(side: float, lean_rad: Array, n_water: float, drawing: Drawing) -> Laser:
-    """Return the pointer left (−1) or right (+1) of the projector, turned in its mount by ``lean_rad`` (x, y) against its window,
-    which is perpendicular to the beam as drawn: the window bends what leans (air, then water: its plane faces drop out).
+    """Return the laser left (−1) or right (+1) of the projector, rotated in its mount by ``lean_rad`` (x, y).
+
+    Its port is perpendicular to the nominal beam and refracts the rotated one (air, then water: its plane faces drop
+    out).
     """
     x_mm, y_mm, z_mm = drawing.laser_mm
     origin = np.array([side * x_mm, y_mm, z_mm])
@@ -334,22 +343,22 @@ def _pointer(side: float, lean_rad: Array, n_water: float, drawing: Drawing) -> 
 def in_air(rig: TrueRig) -> TrueRig:
     """Return the same instrument on the day of its calibration in air, before it was closed and taken into the water.
 
-    No windows (their index and the water's are 1, so that light goes straight; nor their dents and striae), and what moved since is undone: the
-    cameras' mounting by 0.005° and 0.01 mm and the principal distance by 1e-4 (standard deviations of the realistic
-    sets; the hard one doubles them, the nominal one has none). Follows from the rig's seed and set; a rig from a file whose set is
-    not one of ``SETS`` has changed by nothing.
+    There are no ports (their index and the water's are 1, so that light goes straight; nor their dents and striae).
+    Later changes are undone: the cameras' mounting by 0.005° and 0.01 mm and the principal distance by 1e-4 (standard
+    deviations of the realistic sets; the hard one doubles them, the nominal one has none). They follow from the rig's
+    seed and set; a rig from a file whose set is not one of ``SETS`` has no changes.
     """
     a = _amounts_of(rig.set, rig.seed) or _Amounts()
     rng = np.random.default_rng([rig.seed, 22])
     before = {}
     for name in ("left", "right"):
         eye = rig.eye(name)
-        turn, shift = _rodrigues(np.radians(rng.normal(0.0, a.moved_deg, 3))), rng.normal(0.0, a.moved_mm, 3)
+        rotation, shift = _rodrigues(np.radians(rng.normal(0.0, a.moved_deg, 3))), rng.normal(0.0, a.moved_mm, 3)
         focal = 1.0 + rng.normal(0.0, a.refocus)
         before[name] = replace(
             eye,
             f_px=(eye.f_px[0] * focal, eye.f_px[1] * focal),
-            R=_rows(np.array(eye.R) @ turn),
+            R=_rows(np.array(eye.R) @ rotation),
             t_mm=_triple(np.array(eye.t_mm) + shift),
             port=TruePort(n_g=1.0),
             aberrations=None if eye.aberrations is None else eye.aberrations.without_window(),
@@ -362,12 +371,12 @@ def in_air(rig: TrueRig) -> TrueRig:
 
 
 def turned(eye: TrueEye, angles_deg: tuple[float, float, float]) -> TrueEye:
-    """Return the eye turned by a rotation vector, degrees in its own frame, together with its window."""
+    """Return the eye rotated by a rotation vector, degrees in its own frame, together with its port."""
     return replace(eye, R=_rows(np.array(eye.R) @ _rodrigues(np.radians(np.array(angles_deg)))))
 
 
 def with_glass(rig: TrueRig, more: float) -> TrueRig:
-    """Return the rig with windows whose index is ``more`` than it was, for light of another colour."""
+    """Return the rig with ports whose index is larger by ``more``, for light of another colour."""
     if more == 0.0:
         return rig
     eyes = {name: rig.eye(name) for name in ("left", "right", "projector")}
@@ -379,7 +388,7 @@ def with_glass(rig: TrueRig, more: float) -> TrueRig:
 
 
 def load_truth(path: Path, n_water: float) -> TrueRig:
-    """Read a ``truth.toml`` as ``save_truth`` writes it. Raises OSError, and KeyError for what is missing there."""
+    """Read a ``truth.toml`` as ``save_truth`` writes it. Raises OSError, and KeyError for a missing key."""
     data = tomllib.loads(path.read_text())
     eyes = {}
     for name, table in data["cameras"].items():
@@ -432,8 +441,11 @@ def save_truth(rig: TrueRig, path: Path) -> None:
 
 
 def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float) -> TrueEye:
-    """Return the drawn eye as a workshop builds it. The order of the draws is part of each seed's rig: never change it."""
-    # The window leans against the lens, its faces stand off and apart by what machining leaves.
+    """Return the eye with the errors of a workshop.
+
+    The order of the draws is part of each seed's rig: never change it.
+    """
+    # Machining errors of the port: tilt against the lens, distance and thickness.
     tilt = math.radians(rng.uniform(*a.tilt_deg))
     towards = rng.uniform(0.0, 2 * math.pi)
     lean = math.tan(tilt) * np.array([math.cos(towards), math.sin(towards)])
@@ -448,7 +460,7 @@ def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float
         float(rng.uniform(0.0, 360.0)),
     )
     # Mounting, principal distance and point, and Brown's five coefficients of a typical small lens.
-    turn = _rodrigues(np.radians(rng.normal(0.0, a.mount_deg or 0.0, 3)))
+    rotation = _rodrigues(np.radians(rng.normal(0.0, a.mount_deg or 0.0, 3)))
     shift = rng.normal(0.0, a.mount_mm, 3)
     focal = 1.0 + rng.uniform(-a.focal, a.focal)
     centre = rng.normal(0.0, a.centre_px / binning, 2)
@@ -467,7 +479,7 @@ def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float
         f_px=(eye.f_px[0] * focal, eye.f_px[1] * focal),
         c_px=(eye.c_px[0] + float(centre[0]), eye.c_px[1] + float(centre[1])),
         distortion=(float(brown[0]), float(brown[1]), float(brown[2]), float(brown[3]), float(brown[4])),
-        R=_rows(np.array(eye.R) @ turn),
+        R=_rows(np.array(eye.R) @ rotation),
         t_mm=_triple(np.array(eye.t_mm) + shift),
         port=port,
         lens_field=None if field is None else tuple(float(x) for x in field.ravel()),
@@ -500,8 +512,11 @@ def _eye_dict(eye: TrueEye) -> dict[str, Any]:
 
 
 def _field_dict(field: tuple[float, ...] | None) -> dict[str, Any] | None:
-    """Return the lens field as a table: a pixel (u, v) sees what an ideal five-parameter lens has at (u, v) − field; u_px[j][i] belongs to
-    cos(iπ(u+½)/width) cos(jπ(v+½)/height), likewise v_px."""
+    """Return the lens field as a table of cosine coefficients.
+
+    A pixel (u, v) sees what an ideal five-parameter lens has at (u, v) − field; u_px[j][i] belongs to
+    cos(iπ(u+½)/width) cos(jπ(v+½)/height), likewise v_px.
+    """
     if field is None:
         return None
     u, v = np.reshape(field, (2, FIELD_ORDER, FIELD_ORDER)).tolist()
@@ -548,9 +563,9 @@ def ray(truth: TrueRig, eye: str, uv_px: ArrayLike) -> tuple[Array, Array]:
 
 
 def project(truth: TrueRig, eye: str, points_rig_mm: ArrayLike) -> Array:
-    """Return the pixels (n, 2) float64 at which water points (n, 3) of the rig frame are seen: Newton on the exact ray, 1e-9 px.
+    """Return the pixels (n, 2) float64 of water points (n, 3) of the rig frame: Newton on the exact ray, 1e-9 px.
 
-    NaN for a point behind the window. Raises KeyError for an unknown eye.
+    NaN for a point behind the port. Raises KeyError for an unknown eye.
     """
     points = np.ascontiguousarray(np.reshape(np.asarray(points_rig_mm, np.float64), (-1, 3)))
     out = np.empty((len(points), 2))

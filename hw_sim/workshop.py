@@ -1,6 +1,7 @@
-"""Owns how carefully instruments and artefacts of the world ``outside`` were made: tolerances that nobody may take as known.
+"""Tolerances of instruments and artefacts in the world ``outside``.
 
-In the other sets of true rigs the standard deviations are constants; here each rig comes from a workshop of its own.
+In the other sets of true rigs the standard deviations are constants; here each rig has drawn ones, which the product
+cannot know.
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ RANGES = {
         4e-5, 2.8e-4, "estimate: principal distance over 3 to 12 K of glass and aluminium, as in optics.mounts"
     ),
 }
-"""Ranges of the standard deviations of ``truth``; those that are not here are as in the realistic set."""
+"""Ranges of the standard deviations of ``truth``; the others are as in the realistic set."""
 
 
 def drawn_tolerances(seed: int) -> dict[str, float]:
-    """Return the standard deviations of the workshop that made the rig of ``seed``."""
+    """Return the standard deviations for the rig of ``seed``."""
     return drawn_strengths(RANGES, np.random.default_rng([seed, STREAM]))

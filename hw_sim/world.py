@@ -1,6 +1,6 @@
-"""Owns the one truth behind the wires: what is plugged into what, what lights the scene, what the cameras look at.
+"""The simulated world: the devices and their connections, the scene, and the images of the cameras.
 
-The world's back door for tests and the training simulator; ``docs/protocols/world.md`` is its manual.
+It is also the back door for tests and the training simulator; ``docs/protocols/world.md`` is its manual.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ SIDES = ("left", "right")
 SERIALS = {"left": "KF-CAM-L", "right": "KF-CAM-R"}
 HUMIDITY_PERCENT, SUPPLY_V = 38.0, 12.1
 SERIES_APART_S = 101.0037
-"""Time between sequences by the clock of daylight: each is lit anew, and the same one the same however slow the host is."""
+"""Time between sequences by the clock of daylight, so that a sequence's light does not depend on the host's speed."""
 WARM_UP_EVERY_S = 0.5
 LIT_DN = 8.0
-"""Mean code that is scanned out, above which the projector's lamp is driven."""
+"""Least mean code that is scanned out for the projector's lamp to be on."""
 KEPT_INTERVALS = 12
-"""Longest exposure in vertical blanks that sees the projector change."""
+"""Longest exposure, in vertical blanks, during which the projector may change."""
 
 
 @dataclass(slots=True)
@@ -68,11 +68,11 @@ class _Interval:
 
     begin_ns: int
     light: NDArray[np.uint8] | None = None
-    """Copied when somebody needs it."""
+    """Copied on demand."""
     signal: Signal | None = None
-    """The same of all channels, where the projector is none that shows green at once."""
+    """The same of all channels, unless the projector shows green immediately."""
     dark: bool = False
-    """The projector's lamp did not burn."""
+    """The projector's lamp was off."""
 
 
 class World:
@@ -137,8 +137,7 @@ class World:
         with self.time.condition:
             for sentence in self.options.faults:
                 self.faults.add(sentence)
-        # After the faults, of which one may be refused, and before the first blank: whoever finds the world's name finds
-        # it running.
+        # After the faults, of which one may be refused, and before the first blank: a registered world is running.
         registry.register(self.options.world, self)
         self._world_thread.start()
         return self
@@ -164,12 +163,12 @@ class World:
 
     @property
     def scene(self) -> Scene:
-        """The scene that the instrument is put before."""
+        """The scene before the instrument."""
         return self._scene
 
     @property
     def _renderer(self) -> Renderer:
-        """Made when the first image is wanted: it takes a while."""
+        """Make the renderer with the first image, since it takes a while."""
         with self._renderer_lock:
             if self._made_renderer is None:
                 self._made_renderer = Renderer(self.truth, self._scene)
@@ -181,12 +180,12 @@ class World:
             self.keypad.press(key, hold_s)
 
     def touch(self, key: str, at_ns: int = 0) -> None:
-        """Lay a finger on a key, until ``let_go``; at world time ``at_ns``, or now if that is past. Raises ValueError."""
+        """Press a key until ``let_go``, from world time ``at_ns`` on, or now if that is past. Raises ValueError."""
         with self.time.condition:
             self.keypad.touch(key, at_ns)
 
     def let_go(self, key: str, at_ns: int = 0) -> None:
-        """Take it off again, at ``at_ns`` or now. Raises ValueError."""
+        """Release it, at ``at_ns`` or now. Raises ValueError."""
         with self.time.condition:
             self.keypad.let_go(key, at_ns)
 
@@ -196,7 +195,7 @@ class World:
         self.set_scene(replace(self.scene, object=name, pose=None if pose is None else (x, y, z, rx, ry, rz)))
 
     def knock(self, shift: MountShift) -> None:
-        """Shift a camera in its mount, for good: it is seen from the next image on. Nothing repairs it."""
+        """Shift a camera in its mount, permanently; the next image shows it."""
         with self._renderer_lock:
             self._rig = with_mount_shifted(self._rig, shift)
             self._change_truth()
@@ -206,14 +205,14 @@ class World:
         return self._rig if mounts is None else in_dive(self._rig, mounts, self._warm_k)
 
     def _change_truth(self) -> None:
-        """Let images be made with the rig as it is now. The caller holds the renderer's lock."""
+        """Use the present rig for the next images. The caller holds the renderer's lock."""
         self.truth = self._rig_of_today()
         if self._made_renderer is not None:
             self._made_renderer = Renderer(self.truth, self._scene)
             self._frame_cache = FrameCache() if self._frame_cache is not None else None
 
     def _drift_with_heat(self) -> None:
-        """Let the mounts follow the case's temperature, but not within a sequence: heat moves nothing in a second."""
+        """Let the mounts follow the case's temperature, but not within a sequence: a second is too short."""
         warm_k = self._housing.temperature_c("TCASE") - REFERENCE_C
         if self._scene.outside.mounts is None or abs(warm_k - self._warm_k) < NOTICED_K or self.recording:
             return
@@ -222,28 +221,33 @@ class World:
             self._change_truth()
 
     def set_motion(self, motion: Motion) -> None:
-        """Change how the hands move during sequences: time 0 is a sequence's first pulse, live views are at rest."""
+        """Change the motion of the hands during sequences: time 0 is the first pulse, live images are at rest."""
         self.set_scene(replace(self.scene, motion=motion))
 
     def set_daylight(self, daylight: Daylight) -> None:
-        """Change the light that is not the projector's, from the next image on."""
+        """Change the ambient light, from the next image on."""
         self.set_scene(replace(self.scene, daylight=daylight))
 
     def set_drift(self, drift: Drift) -> None:
-        """Change what floats and swims in the water, from the next image on."""
+        """Change the specks and fish in the water, from the next image on."""
         self.set_scene(replace(self.scene, drift=drift))
 
     def set_water(self, water: Water) -> None:
-        """Change how the water dims, scatters back and blurs, from the next image on. Its index stays that of the start."""
+        """Change attenuation and scattering of the water, from the next image on; its index does not change."""
         self.set_scene(replace(self.scene, water=water))
 
     def set_caps(self, *sides: str) -> None:
-        """Put caps on the lenses of the cameras ``sides`` (``left``, ``right``), and off all others, from the next image on. Raises ValueError."""
+        """Put caps on the lenses of the cameras ``sides`` (``left``, ``right``), and remove all others.
+
+        From the next image on. Raises ValueError.
+        """
         self.set_scene(replace(self.scene, capped=frozenset(sides)))
 
     def set_projector(self, beamer: Beamer) -> None:
-        """Set the projector's electronics otherwise, as somebody does in its menu, from the next blank on. Raises OptionError where a computer outside
-        drives it."""
+        """Change the settings of the projector's electronics, from the next blank on.
+
+        Raises OptionError if a computer outside drives it.
+        """
         if self.cable is not None:
             raise OptionError(
                 f"projector '{beamer.kind}' with a computer outside, whose cable has green only; leave it as it is"
@@ -251,53 +255,56 @@ class World:
         with self.time.condition:
             self._beamer = None if beamer.usual else beamer
             self._beamer_truth = replace(self._beamer_truth, beamer=beamer)
-            # What was scanned out is held in another shape; a blank's worth of black stands for it.
+            # Earlier images are stored in another form; one black blank replaces them.
             self._intervals = deque([_Interval(self._intervals[-1].begin_ns)], maxlen=_most_intervals(self._beamer))
             self._shown_before = None
 
     def set_pace(self, pace: str) -> None:
-        """Change how world time passes from now on: ``realtime``, ``attended`` or ``lockstep``. Raises OptionError."""
+        """Change the pace of world time: ``realtime``, ``attended`` or ``lockstep``. Raises OptionError."""
         self.options = replace(self.options, pace=pace)
         with self.time.condition:
             self._world_thread.set_pace(pace)
 
     def set_scene(self, scene: Scene) -> None:
-        """Change what is looked at, from the next image that is made. The refractive index stays that of the start."""
+        """Change the scene, from the next image on. The refractive index does not change."""
         with self._renderer_lock:
             self._scene = scene
             if self._made_renderer is not None:
                 self._made_renderer.scene = scene
 
     def fault(self, sentence: str) -> Fault:
-        """Break something. Raises FaultSyntaxError."""
+        """Inject a fault. Raises FaultSyntaxError."""
         with self.time.condition:
             return self.faults.add(sentence)
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """The sentences of everything that is broken, or will be."""
+        """The sentences of all faults, present and future."""
         with self.time.condition:
             return self.faults.sentences
 
     @property
     def recording(self) -> bool:
-        """A sequence is armed, or its images are still being made."""
+        """True if a sequence is armed, or its images are still being made."""
         with self.time.condition:
             return self.armed is not None or self.developing
 
     def mend(self, component: str, verb: str) -> None:
-        """Repair one thing, like ``laser.left`` that is ``off``. Raises FaultSyntaxError where that is not broken."""
+        """Repair one fault, such as ``laser.left`` ``off``. Raises FaultSyntaxError if there is no such fault."""
         with self.time.condition:
             self.faults.mend(component, verb)
 
     def clear_faults(self) -> None:
-        """Repair everything."""
+        """Repair all faults."""
         with self.time.condition:
             self.faults.clear()
 
     def scanned_out(self, head: str) -> NDArray[np.uint8]:
-        """Return what a head scans out: ``projector``: (768, 1024) uint8 that lights the scene now (where the projector has a latency,
-        that is the picture of so many blanks ago; green alone, and where on the raster it lights); ``display``: (h, w, 3) uint8 RGB."""
+        """Return the image that a head scans out.
+
+        ``projector``: (768, 1024) uint8 that lights the scene now (with a latency of the projector, the image of so
+        many blanks ago; green alone, where it lights the raster); ``display``: (h, w, 3) uint8 RGB.
+        """
         with self.time.condition:
             match head:
                 case "projector":
@@ -308,22 +315,22 @@ class World:
                     raise ValueError(f"head '{head}'; allowed are projector, display")
 
     def seen(self, side: str) -> NDArray[np.uint8] | None:
-        """Return (h, w) uint8, not to be changed: the image that a camera (``left``, ``right``) took last; ``None`` before one."""
+        """Return the last image (h, w) uint8 of a camera (``left``, ``right``), read-only; ``None``: no image yet."""
         with self.time.condition:
             return self._seen.get(side)
 
     @property
     def projector_truth(self) -> ProjectorTruth:
-        """The values that measuring the projector would have to find."""
+        """The true values for a measurement of the projector."""
         return self._beamer_truth
 
     @property
     def surface(self) -> Surface:
-        """The true surface at rest, which is at a sequence's first pulse."""
+        """The true surface at rest, as at a sequence's first pulse."""
         return self._renderer.surface(0.0)
 
     def view(self, camera: str) -> TrueView:
-        """Return the ground truth of a camera's image at rest, which is at a sequence's first pulse."""
+        """Return the ground truth of a camera's image at rest, as at a sequence's first pulse."""
         return self._renderer.view(camera, 0.0)
 
     # ------------------------------------------------------------------------------------------ recording
@@ -335,12 +342,12 @@ class World:
 
     @property
     def host_ready(self) -> bool:
-        """The host has its next pattern ready and reads its cameras."""
+        """True if the host has its next pattern ready and reads its cameras."""
         return self.card.flip_pending(Output.PROJECTOR) and all(camera.room for camera in self.cameras.values())
 
     @property
     def developing(self) -> bool:
-        """Images of a sequence are still being made."""
+        """True if images of a sequence are still being made."""
         return any(not image.ready for image in self._recorded.values())
 
     # ------------------------------------------------------------------------------------------ what happens
@@ -353,7 +360,7 @@ class World:
         wrong = self.faults.active("projector", "wrong") is not None
         # Light that an exposure still needs must be copied before the flip overwrites it.
         if self._beamer is not None:
-            self._hold(before)  # it may light later than anybody knows now
+            self._hold(before)  # the projector may show it later
         elif wrong or any(camera.shutter.exposing_until_ns > time_ns for camera in self.cameras.values()):
             self._light(before)
         frame = self.board.upcoming_frame()
@@ -374,7 +381,7 @@ class World:
             self.board.no_vsync(time_ns)
 
     def _flip_is_late(self, frame: int | None) -> bool:
-        """Return whether the projector's pending flip misses this blank; each flip does so once at most."""
+        """Return True if the projector's pending flip misses this blank; each flip does so once at most."""
         flip = self.card.pending(Output.PROJECTOR)
         if flip is None or flip is self._late_flip or not self.faults.strike("projector", "delayed", frame=frame):
             return False
@@ -382,7 +389,7 @@ class World:
         return True
 
     def _light(self, interval: _Interval) -> NDArray[np.uint8]:
-        """Return (768, 1024) codes that light the scene during the present interval, the latest: those of green."""
+        """Return the codes (768, 1024) that light the scene during the present interval: those of green."""
         if interval.light is None:
             dark = self.faults.active("projector", "off") is not None
             if self._beamer is None:
@@ -398,7 +405,7 @@ class World:
         return interval.light
 
     def _hold(self, interval: _Interval) -> None:
-        """Keep what is scanned out during the present interval, for the projector to show when it does."""
+        """Copy the scanned-out image of the present interval, for the projector to show it later."""
         if interval.signal is None:
             shown = self._scanned() if self._shown_before is None else self._shown_before
             assert isinstance(shown, tuple)
@@ -406,16 +413,16 @@ class World:
             interval.dark = self.faults.active("projector", "off") is not None
 
     def _scanned(self) -> NDArray[np.uint8] | Signal:
-        """Return what comes out of the cable: green, or all channels where the projector looks at them."""
+        """Return the signal on the cable: green, or all channels if the projector uses them."""
         return self._projected() if self._beamer is None else self.card.projected_colours()
 
     @property
     def _driven(self) -> bool:
-        """The projector gets a signal."""
+        """True if the projector gets a signal."""
         return self.card.crtc(Output.PROJECTOR) is not None if self.cable is None else self.cable.driven
 
     def _projected(self) -> NDArray[np.uint8]:
-        """Return (768, 1024) codes at the projector's input."""
+        """Return the codes (768, 1024) at the projector's input."""
         return self.card.projected() if self.cable is None else self.cable.projected()
 
     def _fire(self, time_ns: int, width_ns: int, shot: Shot) -> None:
@@ -436,11 +443,11 @@ class World:
         )
 
     def _expose(self, side: str, exposure: Exposure) -> Latent | None:
-        """Begin the image of an exposure that has ended: everything that lit it is known by now."""
+        """Begin the image of an exposure that has ended: all its light is known by now."""
         latest = self._latest.get(side)
         live = exposure.shot.count is None
         if live and self.options.pace == "attended" and latest is not None and not latest.ready:
-            return latest  # nobody looks at a live view that comes minutes late
+            return latest  # a live image that comes minutes late is useless
         end_ns = exposure.start_ns + exposure.duration_ns
         slices = self._slices(exposure.start_ns, end_ns)
         clock_s = (exposure.start_ns - START_NS + exposure.duration_ns / 2) / 1e9
@@ -448,24 +455,24 @@ class World:
         if not live:
             first_ns = self._first_pulse_ns.get(exposure.shot.series, exposure.start_ns)
             moment_s = (exposure.start_ns - first_ns + exposure.duration_ns / 2) / 1e9
-            # Recorded frames go by the sequence's own clock, so that a slow host gets the same images as a fast one.
+            # Frames of a sequence use its own clock, so that a slow host gets the same images as a fast one.
             clock_s = moment_s + SERIES_APART_S * exposure.shot.series
         seed, lasers = self._noise_seed(side, exposure.shot), self.board.lasers_on
         exposure_s, gain_db = exposure.duration_ns / 1e9, exposure.gain_db
         frame = exposure.shot.frame
-        made = self._exposure_worker.make(
+        pending = self._exposure_worker.make(
             side,
             lambda: self._image(side, slices, moment_s, exposure_s, gain_db, lasers, seed, clock_s, frame),
         )
-        if made is not None:
-            self._latest[side] = made
+        if pending is not None:
+            self._latest[side] = pending
             if not live:
-                self._recorded[side] = made
-            made.when_ready(lambda: self._seen.update({side: made.image}))
-        return made
+                self._recorded[side] = pending
+            pending.when_ready(lambda: self._seen.update({side: pending.image}))
+        return pending
 
     def _slices(self, start_ns: int, end_ns: int) -> Sequence[LightSlice]:
-        """Return what lit an exposure that has ended, from its start on."""
+        """Return the slices of light of an exposure that has ended, from its start on."""
         frame_s = self.time.period_ns / 1e9
         if self._beamer is not None:
             self._hold(self._intervals[-1])
@@ -494,20 +501,20 @@ class World:
         clock_s: float,
         frame: int | None,
     ) -> NDArray[np.uint8]:
-        """Render one image or, where that is asked for, repeat it. Called without the lock."""
+        """Render one image or, if it was rendered before, repeat it. Called without the lock."""
         renderer = self._renderer
 
-        def made() -> NDArray[np.uint8]:
+        def render() -> NDArray[np.uint8]:
             return renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed, clock_s)
 
-        # A scene that moves, or is lit otherwise from moment to moment, has no frame that comes twice.
+        # In a scene that moves or whose light changes, no frame is equal to another.
         if self._frame_cache is None or not self._scene.still:
-            return made()
+            return render()
         key = self._frame_cache.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers, frame)
-        return self._frame_cache.get(key, made)
+        return self._frame_cache.get(key, render)
 
     def _noise_seed(self, side: str, shot: Shot) -> int:
-        """Return a seed that is the same for the same frame of the same sequence, however long the host took."""
+        """Return a seed that is the same for the same frame of the same sequence, independent of the host's speed."""
         key = f"{self.options.seed} {side} {shot.series} {shot.index}".encode()
         return int.from_bytes(hashlib.blake2b(key, digest_size=4).digest(), "little")
 
@@ -527,20 +534,20 @@ class World:
     # ------------------------------------------------------------------------------------------ sensors
 
     def _warm_up(self, time_ns: int) -> None:
-        """Warm the housing by what was on since the last time."""
+        """Warm the housing by the power since the last call."""
         passed_s = (time_ns - self._warmed_ns) / 1e9
         if passed_s < WARM_UP_EVERY_S:
             return
         self._warmed_ns = time_ns
         shines = self.board.armed is not None or bool(self._light(self._intervals[-1])[::64, ::64].mean() > LIT_DN)
         streaming = any(camera.acquiring for camera in self.cameras.values())
-        # The water may have been changed meanwhile: the housing feels it, although the refractive index stays.
+        # The water may have been changed: its temperature matters here, although the refractive index does not change.
         self._housing.outside_c = self._scene.water.temperature_c
         self._housing.advance(passed_s, Powers(shines, streaming, any(self.board.lasers_on)))
         self._drift_with_heat()
 
     def _sensor(self, name: str) -> str:
-        """Return a sensor's value as the board prints it; ``-`` when it does not answer."""
+        """Return a sensor's value as the board prints it; ``-`` if it does not answer."""
         if name == "LEAK":
             return "1" if self.faults.active("leak", "wrong") else "0"
         if self.faults.active(f"sensor.{name}", "off"):
@@ -562,12 +569,12 @@ def _most_intervals(beamer: Beamer | None) -> int:
 
 
 def true_rig(options: Mapping[str, Any]) -> TrueRig:
-    """Return the true rig of a world with ``options`` (``[rig.wires_options]``): what a calibration of it would have to find.
+    """Return the true rig of a world with ``options`` (``[rig.wires_options]``), for comparison with a calibration.
 
     Raises OptionError.
     """
-    wanted = options_from(options)
-    return _true_rig(wanted, wanted.scene())
+    parsed = options_from(options)
+    return _true_rig(parsed, parsed.scene())
 
 
 def _true_rig(o: WorldOptions, scene: Scene) -> TrueRig:
@@ -577,7 +584,7 @@ def _true_rig(o: WorldOptions, scene: Scene) -> TrueRig:
         if o.truth in SETS
         else _stored_truth(Path(o.truth), n_water)
     )
-    # Fields and forms belong to the instrument: they are part of its rig, in water and in air.
+    # Lens flaws and plate forms are part of the rig, in water and in air.
     wet = with_flaws(wet, scene.outside)
     wet = with_glass(wet, scene.glass_more)
     return in_air(wet) if o.medium == "air" else wet

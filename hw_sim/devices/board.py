@@ -1,4 +1,4 @@
-"""Owns the trigger board: it counts vertical syncs, fires the cameras' trigger lines, switches lasers, reads sensors.
+"""The trigger board: it counts vsyncs, fires the cameras' trigger lines, switches lasers, reads sensors.
 
 Bytes in by ``receive``, bytes out by ``take``; see ``docs/protocols/board.md``. All calls with the world's lock held.
 """
@@ -22,7 +22,7 @@ HEARTBEAT_US = 500_000
 SLOW_ANSWER_NS = 500_000_000
 SYNC_LOST_PERIODS = 3
 OUTPUT_BYTES = 65_536
-"""Capacity of the host's serial buffer; later lines are lost whole."""
+"""Capacity of the host's serial buffer; lines that do not fit are lost completely."""
 
 BAD_VERB, BAD_ARGUMENT, BUSY, NO_SYNC, PAST = 1, 2, 3, 4, 5
 REFUSALS = {
@@ -36,7 +36,7 @@ REFUSALS = {
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """The number of a pulse and of its sequence; rides along with the trigger line so that faults can name a frame."""
+    """The number of a pulse and of its sequence, for faults that name a frame."""
 
     series: int
     """Number of the ARM, from 1; 0 for live pulses."""
@@ -52,7 +52,7 @@ class Shot:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """A series of pulses that the board was told to fire."""
+    """A series of pulses that the board has to fire."""
 
     start: int
     every: int
@@ -81,8 +81,8 @@ class Board:
         period_ns: int = BLANK_NS,
         clocks: Clocks | None = None,
     ) -> None:
-        """``period_ns``: that of the projector's vertical sync, as far as the firmware was told. ``clocks``: how pulses and
-        clock err beyond a constant; ``None``: not at all."""
+        """``period_ns``: the firmware's value for the projector's vsync period. ``clocks``: errors of pulses and clock
+        beyond a constant; ``None``: no errors."""
         self._sync_lost_ns = SYNC_LOST_PERIODS * period_ns
         self._glitch_ns = period_ns // 2
         self._time, self._faults, self._fire, self._sensor = time, faults, fire, sensor
@@ -127,22 +127,22 @@ class Board:
 
     @property
     def _conducting(self) -> tuple[bool, bool]:
-        """The lasers (left, right) through which the drivers' current sense finds a current."""
+        """The lasers (left, right) through which the drivers' current sense measures a current."""
         left, right = (
             self._faults.active(f"laser.{side}", "stuck") is not None
-            or (wanted and self._powered and self._faults.active(f"laser.{side}", "off") is None)
-            for side, wanted in zip(("left", "right"), self._lasers, strict=True)
+            or (switched_on and self._powered and self._faults.active(f"laser.{side}", "off") is None)
+            for side, switched_on in zip(("left", "right"), self._lasers, strict=True)
         )
         return left, right
 
     def upcoming_frame(self) -> int | None:
-        """Index of the pulse that belongs to the next vertical sync, when it is one of an ARM."""
+        """Index of the pulse at the next vsync, if it is one of an ARM."""
         return self._frame_at(self._count + 1)
 
     # ------------------------------------------------------------------------------------------ vertical sync
 
     def vsync(self, time_ns: int) -> None:
-        """Count a vertical sync of the projector's video input, and fire what it is the turn of."""
+        """Count a vsync of the projector's video input, and fire the pulse that is due."""
         if not self._powered:
             return
         self._count = (self._count + 1) & 0xFFFFFFFF
@@ -150,7 +150,7 @@ class Board:
         job = self._job
         if job is None:
             return
-        # A glitch on the sync line half a period before its frame's own sync: the board cannot tell it from one.
+        # A glitch on the sync line half a period before its frame's vsync: the board cannot distinguish it.
         if self._faults.strike("board", "wrong", "glitch", self._frame_at(self._count + 1)):
             self._at(time_ns + self._glitch_ns, self.vsync)
         # The counter has 32 bits and wraps: a difference in its upper half is negative, the start is still to come.
@@ -164,13 +164,13 @@ class Board:
         if self._job is job:  # the fault may have reset the board
             late = self._faults.strike("board", "delayed", frame=frame)
             late_ns = 0 if late is None else int(late.amount * 1e6)
-            # An edge is later or earlier than the timer's by its jitter, but never before the sync that it follows.
+            # An edge deviates from the timer by its jitter, but never precedes the vsync that causes it.
             if self._jitter_ns:
                 late_ns += max(round(self._jitter_ns * self._jitter.standard_normal()), -job.delay_us * 1000)
             self._at(time_ns + job.delay_us * 1000 + late_ns, lambda t: self._pulse(job, index, t))
 
     def no_vsync(self, time_ns: int) -> None:
-        """Note that the projector's video input is dead at this blank."""
+        """Note that the projector's video input has no signal at this blank."""
         if self._job is not None and not self._synced(time_ns):
             self._job = None
             self._report("NOSYNC")
@@ -201,7 +201,7 @@ class Board:
     # ------------------------------------------------------------------------------------------ power and resets
 
     def refresh(self, time_ns: int) -> None:
-        """Look again at the faults: one may have begun or ended."""
+        """Check the faults again: one may have begun or ended."""
         powered = self._faults.active("board", "off") is None
         if powered and not self._powered:
             self._powered = True
@@ -234,7 +234,7 @@ class Board:
         return max(passed_ns, 0) // 1000
 
     def _at(self, time_ns: int, action: Callable[[int], None]) -> None:
-        """Put ``action`` on the world's agenda; a reset of the board forgets it."""
+        """Put ``action`` on the world's agenda; a reset of the board cancels it."""
         life = self._life
 
         def alive(t: int) -> None:
@@ -245,7 +245,7 @@ class Board:
 
     def _schedule_heartbeat(self) -> None:
         self._beats += 1
-        # The board's crystal is off by _ppm: its half seconds are not the world's.
+        # The board's crystal is off by _ppm, so that its half seconds differ from the world's.
         self._at(self._reset_ns + int(self._beats * HEARTBEAT_US * 1000 / (1.0 + self._ppm * 1e-6)), self._heartbeat)
 
     def _heartbeat(self, time_ns: int) -> None:
@@ -259,11 +259,11 @@ class Board:
     # ------------------------------------------------------------------------------------------ commands
 
     def receive(self, data: bytes) -> None:
-        """Obey the commands in bytes from the host."""
+        """Execute the commands in bytes from the host."""
         if not self._powered:
             return
         for command in self._reader.feed(data):
-            # A host that lost an answer sends the same number again: it is answered again, not obeyed again.
+            # A host that lost an answer repeats the number: it gets the answer again, without another execution.
             if self._answered is not None and self._answered[0] == command:
                 answer = self._answered[1]
             else:
@@ -277,10 +277,10 @@ class Board:
     def _execute(self, command: Command) -> bytes:
         verb = command.verb
         try:
-            words = self._obey(verb, command.arguments)
+            fields = self._obey(verb, command.arguments)
         except _Refused as refused:
             return line("N", command.number, verb[:16], refused.code, REFUSALS[refused.code])
-        return line("A", command.number, verb, *words)
+        return line("A", command.number, verb, *fields)
 
     def _obey(self, verb: str, arguments: tuple[str, ...]) -> list[object]:
         now_ns = self._time.now_ns()
@@ -336,8 +336,8 @@ class Board:
 
     # ------------------------------------------------------------------------------------------ towards the host
 
-    def _report(self, *words: object) -> None:
-        self._send(line("R", self._reports, *words))
+    def _report(self, *fields: object) -> None:
+        self._send(line("R", self._reports, *fields))
         self._reports = (self._reports + 1) & 0xFFFF
 
     def _send(self, data: bytes) -> None:
@@ -349,14 +349,14 @@ class Board:
 
     @property
     def waiting(self) -> int:
-        """Bytes that the host has not read."""
+        """Number of bytes that the host has not read."""
         return len(self._out)
 
     def take(self, size: int) -> bytes:
-        """Return up to ``size`` unread bytes and forget them."""
-        taken = bytes(self._out[:size])
+        """Return and remove up to ``size`` unread bytes."""
+        data = bytes(self._out[:size])
         del self._out[:size]
-        return taken
+        return data
 
 
 def _numbers(arguments: tuple[str, ...], *ranges: tuple[int, int]) -> list[int]:

@@ -1,4 +1,4 @@
-"""Owns the trigger board's line format: kind, number, words and checksum (``docs/protocols/board.md``)."""
+"""The trigger board's line format: kind, number, fields and checksum (``docs/protocols/board.md``)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Command:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, initial value 0xFFFF, not reflected, no final XOR."""
+    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, initial value 0xFFFF, not reflected, no final XOR."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte << 8
@@ -27,20 +27,20 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def line(kind: str, number: int, *words: object) -> bytes:
-    """One line with its checksum and line end."""
-    body = ",".join([kind, str(number), *(str(word) for word in words)]).encode("ascii")
+def line(kind: str, number: int, *fields: object) -> bytes:
+    """Return one line with its checksum and line end."""
+    body = ",".join([kind, str(number), *(str(word) for word in fields)]).encode("ascii")
     return b"$%s*%04X\r\n" % (body, crc16(body))
 
 
 class CommandReader:
-    """Finds commands in whatever arrives; starts again at each ``$``; keeps at most one line."""
+    """Parses commands from a stream; starts again at each ``$``; keeps at most one line."""
 
     def __init__(self) -> None:
         self._line = bytearray()
 
     def feed(self, data: bytes) -> list[Command]:
-        """The commands that ``data`` completes. Everything else is garbage and forgotten."""
+        """Return the commands that ``data`` completes. Invalid bytes are dropped."""
         commands = []
         for byte in data:
             if byte == ord("$"):
@@ -63,7 +63,7 @@ def _parse(raw: bytes) -> Command | None:
     body, star, crc = raw[1:-2].rpartition(b"*")
     if not star or b"*" in body or any(not 0x20 <= byte <= 0x7E for byte in raw[:-2]) or crc != b"%04X" % crc16(body):
         return None
-    words = body.decode("ascii").split(",")
-    if len(words) < 3 or words[0] != "C" or not words[1].isdecimal() or int(words[1]) > 0xFFFF:
+    fields = body.decode("ascii").split(",")
+    if len(fields) < 3 or fields[0] != "C" or not fields[1].isdecimal() or int(fields[1]) > 0xFFFF:
         return None
-    return Command(int(words[1]), words[2], tuple(words[3:]))
+    return Command(int(fields[1]), fields[2], tuple(fields[3:]))

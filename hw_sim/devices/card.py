@@ -1,6 +1,6 @@
-"""Owns the graphics card: two heads that share one vertical blank, and what they light up.
+"""The graphics card: two heads that share one vertical blank, and their output.
 
-All calls with the world's lock held; the system calls of those who opened the card are in ``card_file.py``.
+All calls with the world's lock held; the system calls of the processes that opened the card are in ``card_file.py``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PROJECTOR_SIZE = (1024, 768)
 
 
 class Card:
-    """The card and its two monitors. ``notify`` is called when something may be waited for."""
+    """The card and its two monitors. ``notify`` is called when a pending operation may have completed."""
 
     def __init__(
         self,
@@ -44,8 +44,8 @@ class Card:
         copies: bool = False,
         projector_px: tuple[int, int] = PROJECTOR_SIZE,
     ) -> None:
-        """``copies``: it scans out a copy of its own, made when it is told to, as virtual and USB cards do. ``projector_px``: raster of
-        the projector's chip."""
+        """``copies``: it scans out a copy that is made on request, as virtual and USB cards do. ``projector_px``:
+        raster of the projector's chip."""
         self.notify = notify
         self.copies = copies
         self.projector_px = projector_px
@@ -64,14 +64,14 @@ class Card:
         self.master: FlipOwner | None = None
         self._ids = itertools.count(200)
         self._blank_ns = 0
-        self.there = True
+        self.present = True
         self.show_console()
 
-    def plug(self, there: bool) -> None:
-        """Take the card away, as after a reset that it did not survive, or give it back. Who had opened it has a dead node."""
-        if there == self.there:
+    def plug(self, present: bool) -> None:
+        """Remove the card, as after a fatal reset, or return it; nodes that were open stay dead."""
+        if present == self.present:
             return
-        self.there = there
+        self.present = present
         for file in list(self.files):
             file.cut()
         for crtc in self.crtcs.values():
@@ -79,13 +79,13 @@ class Card:
         self.framebuffers.clear()
         self.files.clear()
         self.master = None
-        if there:
+        if present:
             self.show_console()
         self.notify()
 
     def opened(self, file: FlipOwner) -> None:
-        """Note a file that opened the node; the first is its master. Raises OSError(ENODEV) while the card is gone."""
-        if not self.there:
+        """Note a file that opened the node; the first is its master. Raises OSError(ENODEV) if the card is removed."""
+        if not self.present:
             raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
         self.files.append(file)
         if self.master is None:
@@ -94,7 +94,7 @@ class Card:
     def released(self, file: FlipOwner) -> None:
         """Note a file that closed the node: its framebuffers go; the last one leaves the card to the console."""
         if file not in self.files:
-            return  # opened before the card went
+            return  # opened before the card was removed
         for fb_id in [i for i, (owner, _) in self.framebuffers.items() if owner is file]:
             self.remove_framebuffer(fb_id)
         self.files.remove(file)
@@ -108,14 +108,14 @@ class Card:
         return next(self._ids)
 
     def show_console(self) -> None:
-        """Show what the kernel does when nobody has the card: black, in the preferred modes."""
+        """Show the console, as the kernel does without a master: black, in the preferred modes."""
         for connector, crtc in zip(self.connectors.values(), self.crtcs.values(), strict=True):
             self.complete(crtc)
             crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(self.modes[connector.output][0]), None, (0, 0)
             connector.crtc, connector.dpms = crtc, abi.DPMS_ON
 
     def remove_framebuffer(self, fb_id: int) -> None:
-        """Forget a framebuffer; a head that shows it goes dark."""
+        """Remove a framebuffer; a head that shows it goes dark."""
         _, framebuffer = self.framebuffers.pop(fb_id)
         for crtc in self.crtcs.values():
             if crtc.framebuffer is framebuffer:
@@ -134,12 +134,12 @@ class Card:
                 connector.crtc = None
 
     def look_at(self, crtc: Crtc) -> None:
-        """Copy what an engine shows, on a card that does."""
+        """Copy the framebuffer of an engine, on a card that scans out copies."""
         if self.copies and crtc.framebuffer is not None:
             crtc.copied = crtc.framebuffer.pixels().copy()
 
     def connect(self, connector: Connector, crtc: Crtc) -> None:
-        """Let an engine drive a connector, awake; an engine that loses its last one is switched off."""
+        """Let an engine drive a connector, awake; an engine without a connector is switched off."""
         before, connector.crtc, connector.dpms = connector.crtc, crtc, abi.DPMS_ON
         if before is not None and not any(c.crtc is before for c in self.connectors.values()):
             self.switch_off(before)
@@ -152,12 +152,12 @@ class Card:
         return connector.crtc if connector.crtc is not None and self.lit(connector.crtc) else None
 
     def lit(self, crtc: Crtc) -> bool:
-        """Return whether an engine has a mode and a monitor that is awake, and so vertical blanks."""
+        """Return True if an engine has a mode and a monitor that is awake, and so vertical blanks."""
         awake = any(c.crtc is crtc and c.dpms == abi.DPMS_ON for c in self.connectors.values())
         return crtc.mode is not None and awake
 
     def flip_pending(self, output: Output) -> bool:
-        """Return whether the next vertical blank brings a new image."""
+        """Return True if the next vertical blank brings a new image."""
         return self.pending(output) is not None
 
     def pending(self, output: Output) -> Flip | None:
@@ -176,7 +176,7 @@ class Card:
                     self.complete(crtc)
 
     def complete(self, crtc: Crtc) -> None:
-        """Do the pending flip, if any, and say so."""
+        """Do the pending flip, if any, and send its event."""
         flip = crtc.pending
         if flip is not None:
             crtc.framebuffer, crtc.pending = flip.framebuffer, None
@@ -185,7 +185,7 @@ class Card:
                 flip.owner.deliver(flip.user_data, self._blank_ns, crtc)
 
     def projected(self) -> NDArray[np.uint8]:
-        """Return a (768, 1024) uint8 copy: green as it leaves the cable, after the connector's range and the beamer's scaler."""
+        """Return a copy (768, 1024) uint8 of green at the projector, after the connector's range and the scaler."""
         width, height = self.projector_px
         crtc = self.crtc(Output.PROJECTOR)
         if crtc is None:
@@ -193,7 +193,7 @@ class Card:
         return self._at_the_projector(crtc.colour(1))
 
     def projected_colours(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
-        """Return copies of red, green and blue as ``projected`` does green; one array stands for all that are equal."""
+        """Return copies of red, green and blue as ``projected`` does green; equal channels share an array."""
         width, height = self.projector_px
         crtc = self.crtc(Output.PROJECTOR)
         if crtc is None:
@@ -212,7 +212,7 @@ class Card:
     def _at_the_projector(self, codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
         width, height = self.projector_px
         if codes.shape != (height, width):
-            # The beamer's scaler repeats or drops pixels, as cheap ones do.
+            # The projector's scaler repeats or drops pixels, as cheap ones do.
             rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), codes.shape, strict=True))
             codes = codes[rows[:, None], columns]
         # Anything but Full may leave with codes 16..235, as drivers choose for monitors of video: fringes lose contrast.
@@ -220,7 +220,7 @@ class Card:
         return codes if full else LIMITED_RANGE[codes]
 
     def displayed(self) -> NDArray[np.uint8]:
-        """Return an (h, w, 3) uint8 RGB copy of the diver's display; black in its own size while it is dark."""
+        """Return an (h, w, 3) uint8 RGB copy of the diver's display; black in its own size if it is dark."""
         crtc = self.crtc(Output.DISPLAY)
         if crtc is None:
             native = MODES[Output.DISPLAY][0]

@@ -1,4 +1,4 @@
-"""Owns one opened node of the graphics card: system calls with the kernel's rules.
+"""One opened node of the graphics card: system calls with the kernel's rules.
 
 Two-call counts, master, one pending flip, events. All calls with the world's lock held.
 """
@@ -57,7 +57,7 @@ DRIVER = (b"kfsim", b"20240101", b"simulated display card")
 
 
 class UserMemory(Protocol):
-    """Memory of the process that makes a call, by its addresses; raises OSError(EFAULT) for none."""
+    """Memory of the calling process by address; raises OSError(EFAULT) for an invalid one."""
 
     def copy_to_user(self, address: int, data: bytes) -> None: ...
 
@@ -65,11 +65,11 @@ class UserMemory(Protocol):
 
 
 class Host(Protocol):
-    """The machine that the card is built into, as far as they share something."""
+    """The machine of the card: its memory and clock."""
 
     @property
     def memory(self) -> UserMemory:
-        """Memory of the process that opened the node, where a call names no other."""
+        """Memory of the process that opened the node, if a call names no other."""
 
     def time_ns(self, world_ns: int) -> int:
         """Return a moment of world time by the host's monotonic clock."""
@@ -146,7 +146,10 @@ class CardFile:
     # ------------------------------------------------------------------------------------------ system calls
 
     def ioctl(self, request: int, buffer: bytearray, user: UserMemory | None = None) -> None:
-        """Do what ``fcntl.ioctl(fd, request, buffer, True)`` does; pointers lead into ``user``, by default the host's memory."""
+        """Do the same as ``fcntl.ioctl(fd, request, buffer, True)``.
+
+        Pointers lead into ``user``, by default the host's memory.
+        """
         self._check_open()
         self._user = user or self._host.memory
         if request >> 8 & 0xFF != abi.IOCTL_TYPE:
@@ -163,7 +166,7 @@ class CardFile:
         call(buffer)
 
     def map(self, length: int, offset: int) -> memoryview:
-        """Return what ``mmap`` of a dumb buffer does: its memory, writable and shared."""
+        """Return the memory of a dumb buffer, writable and shared, as ``mmap`` does."""
         self._check_open()
         dumb = self._offsets.get(offset)
         if dumb is None or not 0 < length <= len(dumb.memory):
@@ -172,7 +175,7 @@ class CardFile:
 
     @property
     def readable(self) -> bool:
-        """An event can be read."""
+        """True if an event can be read."""
         return bool(self._events)
 
     @property
@@ -181,7 +184,7 @@ class CardFile:
         return self._closed
 
     def read(self, size: int) -> bytes:
-        """Return what ``os.read`` of a non-blocking descriptor does: whole events. Raises BlockingIOError when there is none."""
+        """Return whole events, as ``os.read`` of a non-blocking descriptor does. Raises BlockingIOError without one."""
         self._check_open()
         if not self._events:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
@@ -191,7 +194,7 @@ class CardFile:
         return data
 
     def close(self) -> None:
-        """Give everything back. The last file leaves the card to the console."""
+        """Release all resources. The last file leaves the card to the console."""
         if self._closed:
             return
         self._closed = True
@@ -199,12 +202,12 @@ class CardFile:
         self._notify()
 
     def cut(self) -> None:
-        """Fail every call from now on: the card is gone."""
+        """Fail every call from now on: the card is removed."""
         self._cut = True
 
     def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None:
         """Queue the event of a flip that has completed."""
-        # struct drm_event_vblank carries the blank's time, not that of the delivery.
+        # struct drm_event_vblank has the time of the blank, not of the delivery.
         seconds, microseconds = divmod(self._host.time_ns(time_ns) // 1000, 1_000_000)
         event = (abi.EVENT_FLIP_COMPLETE, abi.FLIP_COMPLETE.size, user_data, seconds, microseconds)
         self._promised -= 1
@@ -284,7 +287,7 @@ class CardFile:
         if connector is None:
             raise _fail(errno.ENOENT)
         modes = self._card.modes[connector.output]
-        # As in the kernel: modes and encoders are copied all or not at all, properties as far as there is room.
+        # As in the kernel: modes and encoders are copied completely or not at all, properties as far as there is room.
         if arg.count_modes >= len(modes):
             self._user.copy_to_user(arg.modes_ptr, b"".join(bytes(mode) for mode in modes))
         if arg.count_encoders >= 1:
@@ -356,7 +359,7 @@ class CardFile:
             raise _fail(errno.EINVAL)
         if property_id == PROP_DPMS:
             connector.dpms = value
-            # A monitor that goes to sleep ends vertical blanks: what is pending must not wait for one.
+            # A sleeping monitor has no vertical blanks, so a pending flip must not wait for one.
             if value != abi.DPMS_ON and connector.crtc is not None:
                 self._card.complete(connector.crtc)
         else:
@@ -385,7 +388,7 @@ class CardFile:
         handle = _from(buffer, abi.U32).value
         dumb = self._dumb(handle)
         del self._dumbs[handle]
-        self._offsets = {offset: other for offset, other in self._offsets.items() if other is not dumb}
+        self._offsets = {offset: mapped for offset, mapped in self._offsets.items() if mapped is not dumb}
 
     def _dumb(self, handle: int) -> Dumb:
         try:
@@ -501,7 +504,7 @@ class CardFile:
         self._notify()
 
     def _fill(self, address: int, room: int, numbers: Sequence[int], kind: str = "I") -> int:
-        """Copy as many numbers as there is room for; returns how many there are."""
+        """Copy as many numbers as there is room for; return how many there are."""
         fitting = numbers[:room]
         self._user.copy_to_user(address, struct.pack(f"<{len(fitting)}{kind}", *fitting))
         return len(numbers)
@@ -524,7 +527,7 @@ def _check_viewport(framebuffer: Framebuffer, mode: abi.Modeinfo, offset: tuple[
 
 
 def _from(buffer: bytearray, kind: type[Struct]) -> Struct:
-    """Return the argument of a call; what user space did not give is zero, as in the kernel."""
+    """Return the argument of a call; bytes beyond the user's are zero, as in the kernel."""
     size = ctypes.sizeof(kind)
     return kind.from_buffer_copy(bytes(buffer[:size]).ljust(size, b"\0"))
 

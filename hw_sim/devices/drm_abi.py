@@ -1,4 +1,4 @@
-"""Owns the kernel's mode-setting structures and numbers (linux/drm.h, linux/drm_mode.h), little endian, 64 bit."""
+"""The kernel's mode-setting structures and numbers (linux/drm.h, linux/drm_mode.h), little endian, 64 bit."""
 
 from __future__ import annotations
 
@@ -235,24 +235,24 @@ FLIP_COMPLETE = struct.Struct("<IIQIIII")
 
 
 def mode(name: str, clock_khz: int, h: tuple[int, ...], v: tuple[int, ...], flags: int, preferred: bool) -> Modeinfo:
-    """A mode line: (active, sync start, sync end, total) of both directions."""
+    """Return a mode line: (active, sync start, sync end, total) of both directions."""
     kind = MODE_DRIVER | (MODE_PREFERRED if preferred else 0)
     refresh_hz = round(clock_khz * 1000 / (h[3] * v[3]))
     return Modeinfo(clock_khz, *h, 0, *v, 0, refresh_hz, flags, kind, name.encode())
 
 
 class OwnMemory:
-    """User space in this process. As the kernel's, its functions raise OSError(EFAULT) where user space gave no address."""
+    """User space in this process; its functions raise OSError(EFAULT) for a null address, as the kernel's."""
 
     def copy_to_user(self, address: int, data: bytes) -> None:
-        """Put ``data`` there."""
+        """Write ``data`` to the address."""
         if data:
             if address == 0:
                 raise OSError(14, "Bad address")
             ctypes.memmove(address, data, len(data))
 
     def copy_from_user(self, address: int, size: int) -> bytes:
-        """``size`` bytes that are there."""
+        """Return ``size`` bytes from the address."""
         if size == 0:
             return b""
         if address == 0:

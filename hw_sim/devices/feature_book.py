@@ -1,4 +1,4 @@
-"""Owns the values of a maker's features: what a host may write when, user sets, and what they mean for sensor and picture."""
+"""The values of a maker's features: write rules, user sets, and their effect on sensor and image."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Busy(Protocol):
 
 
 class FeatureBook:
-    """The values of one camera: from power-on on the owner's, or the factory's where the owner saved none.
+    """The values of one camera: after power-on the owner's saved ones, or the factory's.
 
-    Numbers are those of the registers: a word's number, 0 or 1, or the value itself.
+    Numbers are those of the registers: the number of a choice, 0 or 1, or the value itself.
     """
 
     def __init__(self, maker: Maker, picture_px: tuple[int, int], saved: Mapping[str, Value], camera: Busy) -> None:
-        """``picture_px``: columns and rows of the world's picture, which lies in the middle of the sensor."""
+        """``picture_px``: columns and rows of the world's image, in the middle of the sensor."""
         self.maker = maker
         self.sensor = (picture_px[0] + maker.border_px[0], picture_px[1] + maker.border_px[1])
         self._saved, self._camera = saved, camera
@@ -49,7 +49,7 @@ class FeatureBook:
     # ------------------------------------------------------------------------------------------ values
 
     def load(self, over: Mapping[str, Value]) -> None:
-        """Take the factory's values, and those of ``over`` instead where it has some."""
+        """Set the factory's values, overridden by those of ``over``."""
         self._values = {}
         for feature in self._settable.values():
             differing = feature.differing if isinstance(feature, Choice) else {}
@@ -69,14 +69,14 @@ class FeatureBook:
         return list(selector.words) if isinstance(selector, Choice) else [""]
 
     def word_at(self, name: str, instance: str = "") -> str:
-        """Return the word of a choice."""
+        """Return the name of the current choice."""
         feature = self._settable[name]
         assert isinstance(feature, Choice)
         number = self._values[name, instance]
         return next(word for word, code in feature.words.items() if code == number)
 
     def number(self, name: str, instance: str = "", otherwise: float = 0) -> float:
-        """Return a number as it stands; ``otherwise`` where the camera has no such feature."""
+        """Return a number; ``otherwise`` if the camera has no such feature."""
         return self._values.get((name, instance), otherwise)
 
     def _instance(self, feature: Settable | Press) -> str:
@@ -101,7 +101,7 @@ class FeatureBook:
             self._note_mode()
 
     def locked(self, feature: Settable) -> bool:
-        """Tell whether a feature is read-only now."""
+        """Return True if a feature is read-only now."""
         if feature.shapes and (self.number("TLParamsLocked") or self._camera.acquiring or self._camera.streaming):
             return True
         return feature.auto is not None and self.word_at(feature.auto) != "Off"
@@ -121,7 +121,7 @@ class FeatureBook:
     # ------------------------------------------------------------------------------------------ region
 
     def largest(self, axis: int) -> int:
-        """Return the columns (axis 0) or rows (1) that are left after binning and decimation."""
+        """Return the columns (axis 0) or rows (1) after binning and decimation."""
         joined = 1.0
         for name in JOINED[axis]:
             joined *= self.number(name, otherwise=1)
@@ -129,8 +129,8 @@ class FeatureBook:
 
     def high(self, name: str) -> int:
         """Return the upper limit of a size or an offset."""
-        axis, other = (SIZES | OFFSETS)[name]
-        return self.largest(axis) - int(self.number(other))
+        axis, counterpart = (SIZES | OFFSETS)[name]
+        return self.largest(axis) - int(self.number(counterpart))
 
     def _fit_region(self) -> None:
         """Shrink size and offset until they fit: cameras do so when binning changes, or a set is loaded."""
@@ -139,8 +139,8 @@ class FeatureBook:
             assert isinstance(size, Whole)
             assert isinstance(shift, Whole)
             largest = self.largest(axis)
-            wanted = int(self.number(offset))
-            self._values[offset, ""] = min(wanted, (largest - size.low) // shift.step * shift.step)
+            offset_px = int(self.number(offset))
+            self._values[offset, ""] = min(offset_px, (largest - size.low) // shift.step * shift.step)
             room = largest - int(self.number(offset))
             fitting = min(int(self.number(name)), room)
             self._values[name, ""] = size.low + (fitting - size.low) // size.step * size.step
@@ -157,7 +157,7 @@ class FeatureBook:
         return self.number("Height") / self.largest(1)
 
     def shown(self, feature: Shown) -> int:
-        """Return the value of what is only shown."""
+        """Return the value of a read-only feature."""
         match feature.name:
             case "SensorWidth" | "SensorHeight":
                 return self.sensor[feature.name == "SensorHeight"]
@@ -175,16 +175,16 @@ class FeatureBook:
         chosen = self.word_at("UserSetSelector")
         number = self._values["UserSetSelector", ""]
         self.load({} if chosen == DEFAULT_SET else self._saved)
-        # The selector itself belongs to no set.
+        # The selector is in no set.
         self._values["UserSetSelector", ""] = number
 
     # ------------------------------------------------------------------------------------------ what it means
 
     def _note_mode(self) -> None:
-        """Let ExposureMode act: with some makers only if the trigger that it needs is there already."""
-        wanted = TRIGGER_WIDTH if self.word_at("ExposureMode") == "TriggerWidth" else TIMED
+        """Apply ExposureMode; with some makers only if the trigger that it needs is already set."""
+        mode = TRIGGER_WIDTH if self.word_at("ExposureMode") == "TriggerWidth" else TIMED
         has_trigger = self._on(FRAME_START) and self._source(FRAME_START) != SOFTWARE
-        self._mode_acts = wanted if has_trigger or not self.maker.mode_after_source else TIMED
+        self._mode_acts = mode if has_trigger or not self.maker.mode_after_source else TIMED
 
     def _on(self, trigger: str) -> bool:
         return self.word_at("TriggerMode", trigger) == "On"
@@ -197,22 +197,24 @@ class FeatureBook:
         return LINE0 if wired else NOWHERE
 
     def software_trigger_is_for_frames(self) -> bool:
-        """Tell whether TriggerSoftware is meant for frames, by the trigger's selector."""
+        """Return True if TriggerSoftware triggers frames, by the trigger's selector."""
         return self.word_at("TriggerSelector") == FRAME_START
 
     def settings(self) -> Settings:
-        """Return what the features mean for the sensor's timing."""
+        """Return the sensor timing that follows from the features."""
         edge = self.word_at("TriggerActivation", FRAME_START)
         line = self.word_at("TriggerSource", FRAME_START)
         if line != "Software" and self.number("LineInverter", line):
             edge = FALLING_WORDS.get(edge, edge)
         selectors = self._settable["TriggerSelector"]
         assert isinstance(selectors, Choice)
-        others = [word for word in selectors.words if word != FRAME_START and self._on(word)]
-        # A trigger that begins or ends an exposure has no line of its own here: who turns it on waits for ever.
-        own = [word for word in others if word in (BURST, "AcquisitionStart")]
-        sources = [self._source(word) for word in own] + [NOWHERE] * (len(others) - len(own))
-        each = int(self.number("AcquisitionBurstFrameCount")) if BURST in others else None
+        active_triggers = [word for word in selectors.words if word != FRAME_START and self._on(word)]
+        # A trigger that begins or ends an exposure has no line here: a host that turns it on waits for ever.
+        acquisition_triggers = [word for word in active_triggers if word in (BURST, "AcquisitionStart")]
+        sources = [self._source(word) for word in acquisition_triggers] + [NOWHERE] * (
+            len(active_triggers) - len(acquisition_triggers)
+        )
+        each = int(self.number("AcquisitionBurstFrameCount")) if BURST in active_triggers else None
         rate_hz = self.number("AcquisitionFrameRate")
         limited = bool(self.number("AcquisitionFrameRateEnable"))
         overlap = self.maker.overlap
@@ -251,7 +253,7 @@ class FeatureBook:
 
     @property
     def processing(self) -> Processing:
-        """Return what is done to each picture."""
+        """Return the processing of each image."""
         horizontal, vertical = (tuple(int(self.number(name, otherwise=1)) for name in names) for names in JOINED)
         gamma = self.number("Gamma") if self.number("GammaEnable", otherwise=1) else 1.0
         return Processing(

@@ -1,4 +1,4 @@
-"""Owns the memory behind a maker's features: one register for each, at the address that the description names."""
+"""The registers of a maker's features, at the addresses that the description names."""
 
 from __future__ import annotations
 

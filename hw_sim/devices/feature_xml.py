@@ -1,6 +1,6 @@
-"""Owns the GenICam description of a maker's camera: what every camera has comes from ``u3v_camera.xml``, the rest from its features.
+"""The GenICam description of a maker's camera: common nodes from ``u3v_camera.xml``, and its features.
 
-Each register is described as not cachable, since selectors, user sets and automatic functions change what it holds.
+Each register is described as not cachable, since selectors, user sets and automatic functions change its value.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SPACING = 16
 """Bytes from one feature's registers to the next one's: a value of up to 8, and an upper limit."""
 TOP = 8
 OWN_FEATURES = {"OverlapMode": "Custom", "ExposureOverlapTimeMax": "Custom", "GammaEnable": "Custom"}
-"""Names that the standard does not have."""
+"""Features that are not in the standard."""
 
 
 def addresses(maker: Maker, base: int) -> Mapping[str, int]:
@@ -35,7 +35,7 @@ def description(maker: Maker, base: int) -> bytes:
     common = ElementTree.fromstring(resources.files(__package__).joinpath("u3v_camera.xml").read_bytes())
     common.set("ModelName", _identifier(maker.model))
     common.set("VendorName", _identifier(maker.vendor))
-    # Hosts keep descriptions by this number: another description needs another one.
+    # Hosts cache descriptions by this number: another description needs another number.
     common.set("ProductGuid", str(uuid.uuid5(uuid.NAMESPACE_URL, maker.model)).upper())
     port = _keep_common(common)
     _add_categories(common, maker)
@@ -62,18 +62,18 @@ def _tag(name: str) -> str:
 
 
 def _keep_common(root: ElementTree.Element) -> ElementTree.Element:
-    """Drop everything but the category of the device with what it leads to; return the port, taken out."""
+    """Remove all nodes except the device category and its children; remove and return the port."""
     nodes = {node.get("Name"): node for node in root}
-    kept: set[str | None] = {DEVICE_CATEGORY}
+    kept_names: set[str | None] = {DEVICE_CATEGORY}
     waiting: list[str | None] = [DEVICE_CATEGORY]
     while waiting:
         node = nodes[waiting.pop()]
         leads_to = {child.text for child in node if child.tag in (_tag("pFeature"), _tag("pValue"))}
-        waiting += leads_to - kept
-        kept |= leads_to
+        waiting += leads_to - kept_names
+        kept_names |= leads_to
     port = nodes["Device"]
     for name, node in nodes.items():
-        if name not in kept:
+        if name not in kept_names:
             root.remove(node)
     return port
 
@@ -97,7 +97,7 @@ def _add_categories(root: ElementTree.Element, maker: Maker) -> None:
 
 
 class _Writer:
-    """Appends the nodes of a feature: what a host sees, and behind it the hidden nodes of its register."""
+    """Appends the nodes of a feature: the visible one, and the hidden ones of its register."""
 
     def __init__(self, root: ElementTree.Element, where: Mapping[str, int]) -> None:
         self._root, self._where = root, where
@@ -165,7 +165,7 @@ class _Writer:
             return
         lock = ElementTree.SubElement(self._root, _tag("IntSwissKnife"), {"Name": f"{feature.name}Locked"})
         ElementTree.SubElement(lock, _tag("Visibility")).text = "Invisible"
-        # The hosts' lock, or an automatic function that is not Off, whose number is 0.
+        # The host's lock, or an automatic function that is not Off, whose number is 0.
         behind = "TLParamsLocked" if feature.auto is None else feature.auto
         ElementTree.SubElement(lock, _tag("pVariable"), {"Name": "HOLDER"}).text = f"{behind}Reg"
         ElementTree.SubElement(lock, _tag("Formula")).text = "HOLDER <> 0"

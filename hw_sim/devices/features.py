@@ -1,7 +1,7 @@
-"""Owns what a camera's feature is: a name of the standard, the values it may take, and what it starts with.
+"""The features of a camera: name in the standard, allowed values, and initial value.
 
-A maker's camera is a tuple of these (``makers.py``). The description that the camera hands out (``feature_xml.py``) and the
-memory behind it (``feature_book.py``) are both made from them, so that no address is written down twice.
+A maker's camera is a tuple of these (``makers.py``). Its description (``feature_xml.py``) and its memory
+(``feature_book.py``) are both made from them, so that no address is written down twice.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ INT32_HIGH = 2**31 - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Feature:
-    """A feature of the standard features naming convention (SFNC), or of a maker's own.
+    """A feature of the standard features naming convention (SFNC), or of a maker.
 
-    ``selector`` names the feature that says which of several instances is meant, as TriggerSelector does for TriggerMode.
+    ``selector`` names the feature that selects one of several instances, as TriggerSelector does for TriggerMode.
     """
 
     name: str
@@ -25,22 +25,22 @@ class Feature:
     tip: str
     selector: str | None = None
     shapes: bool = False
-    """It changes what the stream carries: read-only while TLParamsLocked is 1, or the camera acquires or streams."""
+    """It changes the stream's format: read-only while TLParamsLocked is 1, or the camera acquires or streams."""
     auto: str | None = None
-    """The feature that takes it over while that is not Off: read-only meanwhile."""
+    """The automatic function of this feature, which is read-only unless that is Off."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice(Feature):
-    """A word out of several; ``words`` gives the number of each."""
+    """One of several names; ``words`` gives the number of each."""
 
     words: Mapping[str, int]
     factory: str
     differing: Mapping[str, str] = field(default_factory=dict)
-    """Factory words of those instances that begin otherwise, by the word of the selector."""
+    """Factory values of instances that differ from ``factory``, by the value of the selector."""
 
     def code(self, value: Value) -> int:
-        """Return the number of a word. Raises ValueError."""
+        """Return the number of a name. Raises ValueError."""
         if not isinstance(value, str) or value not in self.words:
             raise ValueError(f"{self.name} = {value!r:.80}; allowed are {', '.join(self.words)}")
         return self.words[value]
@@ -56,7 +56,7 @@ class Whole(Feature):
     step: int = 1
     unit: str = ""
     computed: bool = False
-    """Its upper limit follows from other features; the camera has a hidden register that says it."""
+    """Its upper limit follows from other features; the camera has a hidden register with it."""
 
     def code(self, value: Value) -> int:
         """Return the number. Raises ValueError."""
@@ -103,7 +103,7 @@ class Press(Feature):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown(Feature):
-    """A whole number that the camera only shows."""
+    """A read-only integer."""
 
     unit: str = ""
 
@@ -112,12 +112,12 @@ Settable = Choice | Whole | Real | Switch
 AnyFeature = Settable | Press | Shown
 
 
-def numbered(*words: str) -> dict[str, int]:
-    """Return the words with their numbers from 0."""
-    return {word: number for number, word in enumerate(words)}
+def numbered(*names: str) -> dict[str, int]:
+    """Return the names with their numbers from 0."""
+    return {word: number for number, word in enumerate(names)}
 
 
 def split_key(key: str) -> tuple[str, str | None]:
-    """Return feature and selector's word of ``TriggerMode[FrameStart]``; ``None`` where no word is given."""
-    name, bracket, rest = key.partition("[")
-    return name, rest.removesuffix("]") if bracket else None
+    """Return feature and selector value of ``TriggerMode[FrameStart]``; ``None`` without a selector."""
+    name, bracket, selector_part = key.partition("[")
+    return name, selector_part.removesuffix("]") if bracket else None

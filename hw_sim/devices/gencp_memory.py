@@ -1,4 +1,4 @@
-"""Owns a GenCP device's memory: registers at addresses, read and written as the bus does, with GenCP's errors."""
+"""The memory of a GenCP device: registers at addresses, with GenCP's rules and errors."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """A piece of memory. ``whole`` ones are numbers: aligned to 4 bytes, and written in one piece."""
+    """A piece of memory. ``is_number``: aligned to 4 bytes, and written in one piece."""
 
     address: int
     length: int
     read: Callable[[], bytes] | None
     write: Callable[[bytes], None] | None = None
-    whole: bool = True
+    is_number: bool = True
 
 
 class Memory:
@@ -55,16 +55,16 @@ class Memory:
         self._registers: list[Register] = []
 
     def add(self, register: Register) -> None:
-        """Add a register. Raises ValueError where it overlaps another."""
-        at = bisect.bisect(self._starts, register.address)
-        before = self._registers[at - 1] if at else None
-        after = self._registers[at] if at < len(self._registers) else None
+        """Add a register. Raises ValueError if it overlaps another."""
+        position = bisect.bisect(self._starts, register.address)
+        before = self._registers[position - 1] if position else None
+        after = self._registers[position] if position < len(self._registers) else None
         if (before and before.address + before.length > register.address) or (
             after and register.address + register.length > after.address
         ):
             raise ValueError(f"register at {register.address:#x} overlaps another")
-        self._starts.insert(at, register.address)
-        self._registers.insert(at, register)
+        self._starts.insert(position, register.address)
+        self._registers.insert(position, register)
 
     def u32(self, address: int, read: Callable[[], int] | None, write: Callable[[int], None] | None = None) -> None:
         """Add a 32-bit number."""
@@ -88,7 +88,7 @@ class Memory:
 
     def blob(self, address: int, data: bytes) -> None:
         """Add constant bytes."""
-        self.add(Register(address, len(data), lambda: data, None, whole=False))
+        self.add(Register(address, len(data), lambda: data, None, is_number=False))
 
     def _number(
         self, form: str, address: int, read: Callable[[], float] | None, write: Callable[[Any], None] | None
@@ -114,16 +114,16 @@ class Memory:
         return data
 
     def write(self, address: int, data: bytes) -> None:
-        """Write ``data`` at ``address``. Raises Refused: a hole, a read-only register, half a number; nothing is written then."""
+        """Write all of ``data`` at ``address``. Raises Refused for a hole, a read-only register, half a number."""
         registers = self._touched(address, len(data))
         for register in registers:
             if register.write is None:
                 raise Refused(Status.WRITE_PROTECT)
             inside = address <= register.address and register.address + register.length <= address + len(data)
-            if register.whole and not inside:
+            if register.is_number and not inside:
                 raise Refused(Status.INVALID_PARAMETER)
         for register in registers:
-            # Only now that every register has agreed: a refused write changes nothing.
+            # Only after the check of every register, so that a refused write changes nothing.
             start, end = register.address - address, register.address + register.length - address
             if register.write is not None:
                 register.write(data[max(start, 0) : end])
@@ -131,17 +131,17 @@ class Memory:
     def _touched(self, address: int, size: int) -> list[Register]:
         if size <= 0:
             raise Refused(Status.INVALID_PARAMETER)
-        at = bisect.bisect(self._starts, address) - 1
+        position = bisect.bisect(self._starts, address) - 1
         touched: list[Register] = []
         reached = address
         while reached < address + size:
-            register = self._registers[at] if 0 <= at < len(self._registers) else None
+            register = self._registers[position] if 0 <= position < len(self._registers) else None
             if register is None or not register.address <= reached < register.address + register.length:
                 raise Refused(Status.INVALID_ADDRESS)
             touched.append(register)
             reached = register.address + register.length
-            at += 1
-        # GenCP: numbers are read and written in units of 4 bytes; strings and files at any place.
-        if (address % 4 or size % 4) and any(register.whole for register in touched):
+            position += 1
+        # GenCP: numbers are read and written in units of 4 bytes; strings and files at any address.
+        if (address % 4 or size % 4) and any(register.is_number for register in touched):
             raise Refused(Status.BAD_ALIGNMENT)
         return touched

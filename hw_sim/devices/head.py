@@ -1,4 +1,4 @@
-"""Owns one output of the card: its modes, what it scans out, and the flip that waits for the next vertical blank."""
+"""One output of the card: its modes, its framebuffer, and the flip that waits for the next vertical blank."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Dumb:
 
 @dataclass(frozen=True, slots=True)
 class Framebuffer:
-    """A dumb buffer seen as an image of 32-bit pixels, XRGB8888."""
+    """A dumb buffer as an image of 32-bit pixels, XRGB8888."""
 
     fb_id: int
     width: int
@@ -49,28 +49,28 @@ class Framebuffer:
 
 
 class FlipOwner(Protocol):
-    """A file that opened the card, may ask for a flip and waits for its event."""
+    """A file that opened the card and gets the events of its flips."""
 
     def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None: ...
 
     def cut(self) -> None:
-        """Note that the card is gone for good: nothing that was opened works any more."""
+        """Note that the card is removed permanently: open files no longer work."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flip:
-    """A page flip that was asked for."""
+    """A requested page flip."""
 
     framebuffer: Framebuffer
     user_data: int
     owner: FlipOwner | None
-    """The opened file that gets the event; ``None`` if none was asked for."""
+    """The opened file that gets the event; ``None``: no event was requested."""
     asked_ns: int = field(default_factory=time.monotonic_ns)
     """Real time."""
 
 
 class Output(Enum):
-    """An output, by the connector that its monitor is plugged into."""
+    """An output, named by its monitor."""
 
     PROJECTOR = "HDMI-A-1"
     DISPLAY = "DP-1"
@@ -102,7 +102,7 @@ PROJECTOR_MODES = {
 
 @dataclass(slots=True)
 class Connector:
-    """A socket with a monitor in it."""
+    """A socket with a monitor."""
 
     output: Output
     connector_id: int
@@ -113,7 +113,7 @@ class Connector:
     crtc: Crtc | None = None
     dpms: int = abi.DPMS_ON
     broadcast_rgb: int | None = None
-    """``None`` where the connector has no such property."""
+    """``None``: the connector has no such property."""
 
 
 def linear_gamma() -> NDArray[np.uint16]:
@@ -134,18 +134,18 @@ class Crtc:
     offset: tuple[int, int] = (0, 0)
     pending: Flip | None = None
     copied: NDArray[np.uint8] | None = None
-    """(h, w, 4) of the framebuffer when the card was last told to look at it; ``None``: it is scanned out itself."""
+    """(h, w, 4): the last copy of the framebuffer; ``None``: the framebuffer itself is scanned out."""
     gamma: NDArray[np.uint16] = field(default_factory=linear_gamma)
     """(3, 256) red, green and blue, 16 bit; the cable carries the upper 8."""
 
     def colour(self, channel: int) -> NDArray[np.uint8]:
-        """Return a (height, width) uint8 copy of one channel (0 red, 1 green, 2 blue) behind the gamma table."""
+        """Return a (height, width) uint8 copy of one channel (0 red, 1 green, 2 blue) after the gamma table."""
         table = (self.gamma[channel] >> 8).astype(np.uint8)
-        # By OpenCV, a tenth of what indexing takes: this is done for every vertical blank.
+        # OpenCV takes a tenth of the time of indexing, which matters at every vertical blank.
         return np.asarray(cv2.LUT(cv2.extractChannel(self.image(), 2 - channel), table), np.uint8)
 
     def image(self) -> NDArray[np.uint8]:
-        """Return (height, width, 4) uint8 of what is scanned out; a view into shared memory, the card's copy of it, or black."""
+        """Return the scanned-out image (height, width, 4) uint8: a view of shared memory, a copy of it, or black."""
         if self.mode is None:
             return np.zeros((1, 1, 4), np.uint8)
         width, height = self.mode.hdisplay, self.mode.vdisplay
@@ -157,7 +157,7 @@ class Crtc:
 
 
 def same_timing(a: Modeinfo, b: Modeinfo) -> bool:
-    """Return whether two modes drive the monitor alike; name and type do not matter."""
+    """Return True if two modes drive the monitor alike; name and type do not matter."""
     ignored = {"name", "type", "vrefresh"}
     return all(getattr(a, name) == getattr(b, name) for name, *_ in Modeinfo._fields_ if name not in ignored)
 

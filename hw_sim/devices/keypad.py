@@ -1,4 +1,4 @@
-"""Owns the key pad: four bouncing coils, and the reports they cause (``docs/protocols/keys.md``).
+"""The keypad: four bouncing coils, and their reports (``docs/protocols/keys.md``).
 
 Reports out through ``listen``; all calls with the world's lock held.
 """
@@ -26,7 +26,7 @@ LONGEST_HOLD_S = 3600.0
 
 
 class Keypad:
-    """The pad's firmware and its coils."""
+    """The keypad's firmware and its coils."""
 
     def __init__(self, time: WorldTime, faults: FaultBook, seed: int) -> None:
         self._time, self._faults = time, faults
@@ -49,16 +49,16 @@ class Keypad:
         if not 0 < hold_s <= LONGEST_HOLD_S:
             raise ValueError(f"hold_s={hold_s}; allowed is more than 0, up to {LONGEST_HOLD_S:g} s")
         now_ns, hold_ns = self._time.now_ns(), int(hold_s * 1e9)
-        # The finger is gone before a short press has settled: what bounces later is the release.
+        # A short press may end before it has settled: later bounces are those of the release.
         self._edge(now_ns, key, True, min(BOUNCE_NS, hold_ns))
         self._edge(now_ns + hold_ns, key, False, BOUNCE_NS)
 
     def touch(self, key: str, at_ns: int) -> None:
-        """Lay a finger on a key at ``at_ns``, or now if that is past, and stays. Raises ValueError for an unknown key."""
+        """Press a key at ``at_ns``, or now if that is past, and hold it. Raises ValueError for an unknown key."""
         self._finger(key, True, at_ns)
 
     def let_go(self, key: str, at_ns: int) -> None:
-        """Take the finger off, at ``at_ns`` or now. Raises ValueError for an unknown key."""
+        """Release the key, at ``at_ns`` or now. Raises ValueError for an unknown key."""
         self._finger(key, False, at_ns)
 
     def _finger(self, key: str, down: bool, at_ns: int) -> None:
@@ -67,7 +67,7 @@ class Keypad:
         self._edge(max(at_ns, self._time.now_ns()), key, down, BOUNCE_NS)
 
     def _edge(self, time_ns: int, key: str, down: bool, within_ns: int) -> None:
-        """Plan a change at ``time_ns`` and up to three bounces behind it, the last of which settles."""
+        """Plan a change at ``time_ns`` and up to three bounces after it, the last of which settles."""
         self._edges += 1
         number, bit = self._edges, BITS[key]
 
@@ -76,11 +76,11 @@ class Keypad:
             self._set(bit, down, t)
 
         def bounce(closed: bool, t: int) -> None:
-            if self._latest_edge[key] == number:  # else the finger has moved on
+            if self._latest_edge[key] == number:  # no later edge has come
                 self._set(bit, closed, t)
 
         self._time.at(time_ns, begin)
-        # An even number, so that the last bounce ends where the finger is.
+        # An even number, so that the last bounce ends in the new state.
         bounces = 2 * int(self._rng.integers(0, 4))
         after_ns = np.sort(self._rng.integers(min(500_000, within_ns // 2), max(1, within_ns), bounces))
         for i, offset_ns in enumerate(after_ns.tolist()):
@@ -92,12 +92,12 @@ class Keypad:
 
     @property
     def keys(self) -> int:
-        """The coils as the pad reads them."""
+        """The coils as the keypad reads them."""
         stuck = sum(bit for key, bit in BITS.items() if self._faults.active(f"key.{key}", "stuck"))
         return self._coils | stuck
 
     def refresh(self, time_ns: int) -> None:
-        """Look again at the faults: one may have begun or ended."""
+        """Check the faults again: one may have begun or ended."""
         plugged = self._faults.active("keypad", "off") is None
         if plugged != self.plugged:
             self.plugged = plugged
@@ -107,7 +107,7 @@ class Keypad:
         self._changed(time_ns)
 
     def listen(self, receive: Callable[[bytes], None]) -> None:
-        """Let every report go to ``receive`` until the pad is unplugged or ``forget``."""
+        """Send every report to ``receive`` until the keypad is unplugged or ``forget``."""
         self._listeners.append(receive)
 
     def forget(self, receive: Callable[[bytes], None]) -> None:
@@ -132,7 +132,7 @@ class Keypad:
         self._counter = (self._counter + 1) & 0xFF
         check = CHECK
         for byte in body:
-            # Exclusive or of all bytes: finds every single wrong bit.
+            # Exclusive or of all bytes, which detects every single wrong bit.
             check ^= byte
         report = body + bytes([check])
         if self._faults.active("keypad", "garbage"):
@@ -142,7 +142,7 @@ class Keypad:
         self._time.condition.notify_all()
 
     def _spoil(self, report: bytes) -> bytes:
-        """Return a report with one of: wrong checksum, wrong number, too short, noise."""
+        """Return a report with one error: wrong checksum, wrong number, too short, or noise."""
         match int(self._rng.integers(0, 4)):
             case 0:
                 return report[:-1] + bytes([report[-1] ^ 0x5A])

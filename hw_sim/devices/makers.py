@@ -1,7 +1,7 @@
-"""Owns three personalities of the camera: what FLIR's, Basler's and Allied Vision's cameras start with, allow and insist on.
+"""Three camera personalities: initial values, limits and rules of FLIR, Basler and Allied Vision cameras.
 
-They imitate manners, not electronics. Where a value was read, its source stands beside it; what is marked "estimate" is what
-cameras of that kind commonly do, chosen so that a careless host is caught.
+They imitate behaviour, not electronics. A value with a source has it beside it; "estimate" marks common behaviour of
+such cameras, chosen so that a careless host fails.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ FRAME_START = "FrameStart"
 
 @dataclass(frozen=True, slots=True)
 class Maker:
-    """The camera of a maker: data only; ``feature_book.py`` gives it life."""
+    """The camera of a maker: data only; ``feature_book.py`` implements the behaviour."""
 
     vendor: str
     model: str
     family: str
     vendor_id: int
-    """USB vendor number: Point Grey/FLIR, Basler and Allied Vision as the USB implementers' list has them."""
+    """USB vendor number of Point Grey/FLIR, Basler or Allied Vision, from the USB implementers' list."""
     product_id: int
     border_px: tuple[int, int]
-    """Columns and rows that the sensor has beyond the picture of the world, half of them on each side."""
+    """Columns and rows of the sensor beyond the world's image, half of them on each side."""
     readout_ns: int
     """Time to read the whole sensor: the reciprocal of the highest frame rate."""
     trigger_line: str
-    """The input that the board's pulse is wired to."""
+    """The input with the trigger board's pulse."""
     overlap: tuple[str, str] | None
-    """Feature and word that let an exposure begin while the last one is read out; ``None``: it always may."""
+    """Feature and value that allow an exposure to begin during readout; ``None``: it always may."""
     black_dn: float
     """Grey values of 8 bits for one unit of BlackLevel."""
     width_offset_us: int
-    """The sensor adds this to the width of the pulse in exposure mode TriggerWidth."""
+    """Exposure time beyond the width of the pulse in exposure mode TriggerWidth."""
     mode_after_source: bool
-    """ExposureMode acts as it was asked for only if TriggerMode and TriggerSource stood before it was written."""
+    """ExposureMode takes effect only if TriggerMode and TriggerSource were set before."""
     stream: StreamRules
     features: tuple[AnyFeature, ...]
 
@@ -84,12 +84,12 @@ def _common(
     throughput: tuple[int, int],
     decimates: bool,
 ) -> tuple[AnyFeature, ...]:
-    """Return the features that all three have, as the SFNC names them; the arguments are where they differ.
+    """Return the features that all three have, with the names of the SFNC; the arguments are their differences.
 
     ``step_px``: of width, height and both offsets. ``throughput``: factory value and highest, bytes per second.
     """
     width, height, x, y = step_px
-    least, start, most = black
+    lowest, start, highest = black
     mono8 = PIXEL_FORMATS["Mono8"]
     return (
         Whole(
@@ -304,8 +304,8 @@ def _common(
             tip="Added to every pixel.",
             selector="BlackLevelSelector",
             factory=start,
-            low=least,
-            high=most,
+            low=lowest,
+            high=highest,
         ),
         Real(name="Gamma", category=ANALOG, tip="Exponent of the grey values.", factory=gamma, low=0.25, high=4.0),
         Choice(
@@ -516,11 +516,11 @@ ALVIUM = Maker(
 """An Allied Vision Alvium."""
 
 MAKERS: Mapping[str, Maker] = {"blackfly": BLACKFLY, "ace": ACE, "alvium": ALVIUM}
-"""The personalities by the name that the world's options give them."""
+"""The personalities by their names in the world's options."""
 
 
 def check_saved(maker: Maker, saved: Mapping[str, Value]) -> None:
-    """Check an owner's set of values. Raises ValueError, naming the feature and what is allowed."""
+    """Check an owner's set of values. Raises ValueError with the feature and the allowed values."""
     settable = maker.settable()
     for key, value in saved.items():
         name, word = split_key(key)

@@ -1,7 +1,6 @@
-"""Owns what a camera makes of its sensor's light before it sends it: border, mirror, binning, region, grey values, packing.
+"""Image processing in the camera: border, mirror, binning, region, grey values, packing.
 
-The order is that of the cameras it imitates: what concerns places comes first, then what concerns grey values, then the
-format on the wire.
+The order is that of real cameras: geometry first, then grey values, then the format on the wire.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from hw_sim.devices.makers import PIXEL_FORMATS
 from hw_sim.devices.u3v_stream import Region
 
 RENDERED_BLACK_DN = 2.0
-"""Grey value of no light in the pictures of the world, which BlackLevel replaces by its own."""
+"""Grey value without light in the world's images, which BlackLevel replaces."""
 LUT_EXPONENT = 0.5
-"""The table behind LUTEnable: a curve that brightens dark values, as tables for the eye do."""
+"""Exponent of the table behind LUTEnable, which brightens dark values for the eye."""
 _DEPTH_BITS = {"Mono8": 8, "Mono10": 10, "Mono10p": 10, "Mono12": 12, "Mono12p": 12, "Mono16": 16}
 _DEPTH_BITS_OF = {number: _DEPTH_BITS[name] for name, number in PIXEL_FORMATS.items()}
 _PACKED = {PIXEL_FORMATS["Mono10p"], PIXEL_FORMATS["Mono12p"]}
@@ -25,12 +24,12 @@ _PACKED = {PIXEL_FORMATS["Mono10p"], PIXEL_FORMATS["Mono12p"]}
 
 @dataclass(frozen=True, slots=True)
 class Processing:
-    """The steps that each picture goes through, as the features say."""
+    """The processing of each image, as the features state it."""
 
     reverse_x: bool = False
     reverse_y: bool = False
     binning: tuple[int, int] = (1, 1)
-    """Columns and rows that become one: their mean."""
+    """Numbers of columns and rows that are averaged to one."""
     decimation: tuple[int, int] = (1, 1)
     black_dn: float = RENDERED_BLACK_DN
     gamma: float = 1.0
@@ -39,7 +38,7 @@ class Processing:
 
 
 def bordered(image: NDArray[np.uint8], sensor: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return (h, w) of a sensor of ``sensor`` = (columns, rows) with the picture in its middle, and no light around it."""
+    """Return (h, w) of a sensor of (columns, rows) with the image in its middle and darkness around it."""
     rows, columns = image.shape
     left, top = (sensor[0] - columns) // 2, (sensor[1] - rows) // 2
     right, below = sensor[0] - columns - left, sensor[1] - rows - top
@@ -47,7 +46,7 @@ def bordered(image: NDArray[np.uint8], sensor: tuple[int, int]) -> NDArray[np.ui
 
 
 def payload(image: NDArray[np.uint8], sensor: tuple[int, int], processing: Processing, region: Region) -> bytes:
-    """Return the image as it goes over the wire; ``image`` is (h, w) uint8 of the world, no larger than the sensor."""
+    """Return the bytes of an image on the wire; ``image`` is (h, w) uint8, at most as large as the sensor."""
     r = region
     if processing.pattern != "Off":
         codes = _drawn(processing.pattern, r, _DEPTH_BITS_OF[r.pixel_format])
@@ -60,7 +59,7 @@ def payload(image: NDArray[np.uint8], sensor: tuple[int, int], processing: Proce
 
 
 def _placed(pixels: NDArray[np.uint8], p: Processing) -> NDArray[np.uint8]:
-    """Mirror, join and drop pixels of the whole sensor."""
+    """Mirror, bin and decimate the pixels of the sensor."""
     pixels = pixels[:: -1 if p.reverse_y else 1, :: -1 if p.reverse_x else 1]
     (columns, rows), (every_x, every_y) = p.binning, p.decimation
     if (columns, rows) != (1, 1):
@@ -71,18 +70,18 @@ def _placed(pixels: NDArray[np.uint8], p: Processing) -> NDArray[np.uint8]:
 
 
 def grey_codes(processing: Processing, depth_bits: int) -> NDArray[np.uint16]:
-    """Return (256,) uint16: the code of ``depth_bits`` bits for each grey value of the picture.
+    """Return (256,) uint16: the code of ``depth_bits`` bits for each grey value of the image.
 
     Gamma is Y' = Y to the power of gamma with Y from 0 to 1 (SFNC 2.7, Gamma).
     """
     light = (np.arange(256) - RENDERED_BLACK_DN + processing.black_dn) / 255.0
     exponent = processing.gamma * (LUT_EXPONENT if processing.lut else 1.0)
-    most = (1 << depth_bits) - 1
-    # Codes of more bits are those of 8 bits times a power of two: so 255 leaves room for what 8 bits cannot tell.
+    highest = (1 << depth_bits) - 1
+    # Codes of more bits are those of 8 bits times a power of two, so that 255 is below the highest code.
     scale = 255.0 * (1 << depth_bits - 8)
     codes: NDArray[np.uint16] = np.round(np.clip(light, 0.0, 1.0) ** exponent * scale).astype(np.uint16)
-    # What saturated is the highest code, whatever was added to it.
-    codes[255] = most
+    # A saturated pixel has the highest code, regardless of the black level.
+    codes[255] = highest
     return codes
 
 

@@ -1,8 +1,8 @@
-"""Owns the state in which a camera comes out of its box, and the manners in which cameras of other makers differ.
+"""The power-on state of a camera, and behaviours in which cameras of other makers differ.
 
-A polite camera is set up for whoever triggers it on the rising edge. Others wake up with automatic exposure, on the
-falling edge, with the last user's region, name a feature otherwise, round a size without saying so, or still send what
-an earlier stream left in their memory. A ``personality`` is a whole camera in the manner of a maker (``makers.py``).
+The usual camera is set up for triggers on the rising edge. Others start with automatic exposure, on the falling edge,
+with the last user's region, name a feature differently, round a size silently, or still send blocks of an earlier
+stream from their memory. A ``personality`` is a complete camera of a maker (``makers.py``).
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ CHOICES = {
     "exposure_auto": {"Off": 0, "Continuous": 2},
     "gain_auto": {"Off": 0, "Continuous": 2},
 }
-"""The registers' values of the standard's words."""
+"""Register values of the standard's names."""
 USUAL = "usual"
 LEAST_TRANSFER_BYTES = 4096
 OF_THE_USUAL = (*CHOICES, "offset_x_px", "offset_y_px", "width_step_px")
-"""Options that describe the usual camera; of a personality ``saved`` says the same."""
+"""Options of the usual camera; a personality has ``saved`` instead."""
 
 
 @dataclass(frozen=True, slots=True)
 class PowerOn:
-    """The state of a camera before anybody has set it. Raises ValueError for a word that no camera knows."""
+    """The power-on state of a camera. Raises ValueError for an unknown value."""
 
     acquisition_mode: str = "Continuous"
     trigger_activation: str = "RisingEdge"
@@ -41,26 +41,26 @@ class PowerOn:
     gain_auto: str = "Off"
     offset_x_px: int = 0
     offset_y_px: int = 0
-    """The region begins there; it is smaller by as much."""
+    """Start of the region, which is smaller by as much."""
     lacks: tuple[str, ...] = ()
-    """Features that the description calls by a name of the maker's own."""
+    """Features with a maker's name in the description."""
     width_step_px: int = 0
-    """A width between two steps is rounded down, unsaid; 0: the camera refuses it instead."""
+    """A width between two steps is rounded down silently; 0: the camera refuses it instead."""
     keeps_stale: bool = False
     """Blocks that were not read when a stream ended are sent when the next begins."""
     personality: str = USUAL
     """The usual camera, or one of ``MAKERS``."""
     saved: Mapping[str, Value] = field(default_factory=dict)
-    """Values of features that a personality wakes up with, instead of the factory's: its owner saved them once. Of one
-    instance only: ``TriggerMode[FrameStart]``."""
+    """Feature values that the owner of a personality saved in place of the factory's. One instance is written
+    ``TriggerMode[FrameStart]``."""
     needs_lock: bool = False
     """A personality refuses to start while TLParamsLocked is 0."""
     left_halted: bool = False
-    """A program before left the stream's endpoint halted: it must be halted anew before clearing it helps."""
+    """An earlier program left the stream's endpoint halted: it must be halted again before clearing works."""
     largest_transfer_bytes: int | None = None
-    """A longer transfer of the stream fails; ``None``: none does."""
+    """Largest transfer of the stream that does not fail; ``None``: no limit."""
     memory_blocks: int = 32
-    """Number of frames that the camera keeps for a host that does not read; the next is lost."""
+    """Number of frames that the camera stores for a host that does not read; the next is lost."""
 
     def __post_init__(self) -> None:
         if self.personality not in (USUAL, *MAKERS):
@@ -80,9 +80,9 @@ class PowerOn:
             )
         if not 1 <= self.memory_blocks <= 1000:
             raise ValueError(f"memory_blocks {self.memory_blocks}; allowed are 1..1000")
-        for name, words in CHOICES.items():
-            if getattr(self, name) not in words:
-                raise ValueError(f"{name} '{getattr(self, name)}'; allowed are {', '.join(words)}")
+        for name, allowed in CHOICES.items():
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} '{getattr(self, name)}'; allowed are {', '.join(allowed)}")
         if self.offset_x_px % 8 or self.offset_y_px % 2 or min(self.offset_x_px, self.offset_y_px) < 0:
             raise ValueError("offset_x_px and offset_y_px begin at 0, in steps of 8 and 2")
         if self.width_step_px < 0 or self.width_step_px % 8:
@@ -94,7 +94,7 @@ class PowerOn:
         return MAKERS.get(self.personality)
 
     def register(self, name: str) -> int:
-        """The value of a choice as its register holds it."""
+        """Return the register value of a choice."""
         return CHOICES[name][str(getattr(self, name))]
 
 
@@ -109,6 +109,6 @@ class Cameras:
     right: Mapping[str, Any] = field(default_factory=dict)
 
     def of(self, side: str) -> Mapping[str, Any]:
-        """The table of one camera."""
+        """Return the table of one camera."""
         table: Mapping[str, Any] = getattr(self, side)
         return table

@@ -1,7 +1,7 @@
-"""Owns a camera's sensor timing: which triggers become exposures, and when each image has left for the host.
+"""A camera's sensor timing: which triggers start exposures, and when each image has left for the host.
 
-Everything after an exposure follows from it: readout, the camera's bounded memory, the link. Block ids count
-exposures, so what is lost on the way leaves a gap.
+Readout, the camera's bounded memory and the link follow from an exposure. Block ids count exposures, so that lost
+images leave gaps.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import WorldTime
 
 READOUT_NS = 14_000_000
-"""The whole sensor; rows are read one after the other. 71 frames a second at most."""
+"""Readout time of the whole sensor, row by row: at most 71 frames a second."""
 ROOM_BLOCKS = 4
-"""A host with fewer unread blocks keeps up; far from what overruns the memory."""
+"""Largest number of unread blocks of a host that keeps up; far fewer than overrun the memory."""
 CONTINUOUS, SINGLE_FRAME, MULTI_FRAME = 0, 1, 2
 LINE0, SOFTWARE = 0, 8
 NOWHERE = 99
-"""A line that nothing is wired to."""
+"""A line without a signal."""
 RISING, FALLING, BOTH_EDGES = 0, 1, 2
 TIMED, TRIGGER_WIDTH = 1, 2
 AUTO_OFF, AUTO_CONTINUOUS = 0, 2
 AUTO_EXPOSURE_US, AUTO_GAIN_TENTH_DB = 14_000, 120
-"""The automatic functions choose this in the dark of a scan: more than anybody asks for."""
+"""Values of the automatic functions in the dark of a scan: more than any host sets."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """An exposure: light was collected from ``start_ns`` on."""
+    """An exposure: light is collected from ``start_ns`` on."""
 
     start_ns: int
     duration_ns: int
@@ -51,15 +51,15 @@ class Latent(Protocol):
 
     @property
     def image(self) -> NDArray[np.uint8]:
-        """(h, w) of the whole sensor; only when ``ready``."""
+        """Image (h, w) of the whole sensor; only when ``ready``."""
 
     def when_ready(self, action: Callable[[], None]) -> None:
-        """Call ``action`` with the lock held: at once, or as soon as the image is there. In order of the calls."""
+        """Call ``action`` with the lock held, now or when the image is ready; in the order of the calls."""
 
 
 @dataclass(slots=True)
 class Settings:
-    """The settings that a host may change. Power-on values, unless told otherwise: a free-running camera that needs no trigger."""
+    """The settings that a host may change; by default those of a free-running camera without trigger."""
 
     acquisition_mode: int = CONTINUOUS
     frame_count: int = 1
@@ -75,23 +75,23 @@ class Settings:
     readout_ns: int = READOUT_NS
     """Duration of the readout of the whole sensor."""
     link_limit_ns: int = 0
-    """A limit of the link's throughput stretches the readout to at least this."""
+    """Least duration of the readout by the limit of the link's throughput."""
     overlaps: bool = True
-    """An exposure may begin while the last one is read out, by ``overlap_ns`` at most."""
+    """True if an exposure may begin during readout, by ``overlap_ns`` at most."""
     overlap_ns: int | None = None
     least_period_ns: int = 0
-    """No exposure begins sooner than this after the last one began."""
+    """Least time between the starts of exposures."""
     trigger_delay_ns: int = 0
     width_offset_ns: int = 0
-    """The sensor adds this to the width of a pulse."""
+    """Exposure time beyond the width of a pulse."""
     held_by: int | None = None
-    """Source of another trigger that must come before a frame may; ``None``: there is no such trigger."""
+    """Source of another trigger that must come before a frame; ``None``: there is no such trigger."""
     frames_each: int | None = None
     """Number of frames that each of those triggers allows; ``None``: all until the acquisition ends."""
 
     @classmethod
     def at_power_on(cls, state: PowerOn) -> Settings:
-        """The settings that a camera wakes up with."""
+        """Return the settings of a camera after power-on."""
         settings = cls()
         for name in CHOICES:
             setattr(settings, name, state.register(name))
@@ -104,12 +104,12 @@ class Settings:
 
     @property
     def used_gain_db(self) -> float:
-        """The gain that the image is made with."""
+        """The gain of the image."""
         return (self.gain_tenth_db if self.gain_auto == AUTO_OFF else AUTO_GAIN_TENTH_DB) / 10
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class ReadFrame:
     """A frame that left the sensor."""
 
     block_id: int
@@ -119,10 +119,10 @@ class Taken:
 
 
 class Shutter:
-    """``expose(exposure)`` begins an image (``None``: no room for another); ``send(taken)`` is called when it is with the link.
+    """The sensor's timing: ``expose(exposure)`` begins an image, ``send(frame)`` hands it to the link.
 
-    ``unread()`` counts the blocks the host has not read, ``link_ns()`` is what the link needs for a payload,
-    ``rows()`` the fraction of the sensor's rows that is read.
+    ``expose`` returns ``None`` without room for another image. ``unread()`` counts the blocks the host has not read,
+    ``link_ns()`` is the link's time for a payload, ``rows()`` the fraction of the sensor's rows that is read.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Shutter:
         time: WorldTime,
         faults: FaultBook,
         expose: Callable[[Exposure], Latent | None],
-        send: Callable[[Taken], None],
+        send: Callable[[ReadFrame], None],
         unread: Callable[[], int],
         link_ns: Callable[[], int],
         rows: Callable[[], float],
@@ -167,7 +167,7 @@ class Shutter:
         self.settings = Settings.at_power_on(self._power_on)
 
     def _begin_life(self) -> None:
-        """Forget what is still on its way: it never arrives, and keeps neither memory nor link busy."""
+        """Drop all images that are under way: they never arrive, and keep neither memory nor link busy."""
         self._life += 1
         self._held = 0
         self._link_free_ns = 0
@@ -186,13 +186,13 @@ class Shutter:
         self.trigger_mode_changed()
 
     def stop(self) -> None:
-        """End the acquisition; what is exposed or on its way still comes."""
+        """End the acquisition; images that are exposed or under way still come."""
         self.acquiring = False
 
     # ------------------------------------------------------------------------------------------ triggers
 
     def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
-        """Take a pulse of the trigger line that rises at ``time_ns``."""
+        """Handle a pulse of the trigger line that rises at ``time_ns``."""
         s = self.settings
         if s.held_by == LINE0 and self._allowed == 0:
             self._let_frames_begin(time_ns, shot)
@@ -210,7 +210,7 @@ class Shutter:
             self._at(start_ns + width_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.used_gain_db, shot)))
 
     def _let_frames_begin(self, time_ns: int, shot: Shot) -> None:
-        """Take the trigger that comes before the frames' own."""
+        """Handle the trigger that precedes the frames' trigger."""
         s = self.settings
         self._allowed = s.frames_each
         if not s.trigger_on and self._allowed == 1:
@@ -220,18 +220,18 @@ class Shutter:
             self.trigger_mode_changed()
 
     def software_hold(self) -> None:
-        """Take the host's command for the trigger that comes before the frames' own."""
+        """Handle the host's command for the trigger that precedes the frames' trigger."""
         if self.settings.held_by == SOFTWARE and self._allowed == 0:
             self._let_frames_begin(self._time.now_ns(), Shot(0, self._block_id, None))
 
     def software(self) -> None:
-        """Take the host's trigger command."""
+        """Handle the host's trigger command."""
         s = self.settings
         if s.trigger_on and s.trigger_source == SOFTWARE:
             self._trigger(self._own_exposure(self._time.now_ns()))
 
     def trigger_mode_changed(self) -> None:
-        """Note that the trigger mode changed: off during an acquisition, it runs freely from now on, and no two runs at once."""
+        """Note a change of the trigger mode: off during an acquisition starts a free run, but no second one."""
         self._free_run_number += 1
         if self.acquiring and not self.settings.trigger_on:
             self._free_run(self._free_run_number, self._time.now_ns())
@@ -251,14 +251,14 @@ class Shutter:
     # ------------------------------------------------------------------------------------------ exposure to link
 
     def _at(self, time_ns: int, action: Callable[[int], None], ready: Callable[[], bool] | None = None) -> None:
-        """Put ``action`` on the world's agenda; another acquisition forgets it."""
+        """Put ``action`` on the world's agenda; another acquisition cancels it."""
         life = self._life
 
         def alive(t: int) -> None:
             if self._life == life:
                 action(t)
 
-        # Also what is no longer wanted waits for its image, so that images are made in order.
+        # A cancelled action also waits for its image, so that images are made in order.
         self._time.at(time_ns, alive, ready)
 
     def _trigger(self, exposure: Exposure) -> None:
@@ -276,7 +276,7 @@ class Shutter:
         self._block_id += 1
         if self._left is not None:
             self._left -= 1
-            # The last of its acquisition ends it; what is exposed still comes.
+            # The last frame ends its acquisition; exposed images still come.
             self.acquiring = self._left > 0
         self.exposing_until_ns = end_ns
         s = self.settings
@@ -284,7 +284,7 @@ class Shutter:
         self._at(end_ns, lambda _: self._exposed(block_id, exposure))
 
     def _lets(self, exposure: Exposure) -> bool:
-        """Tell whether overlap, frame rate and another trigger let this exposure begin."""
+        """Return True if overlap, frame rate and another trigger allow this exposure."""
         s = self.settings
         earliest_ns = self._begun_ns + s.least_period_ns
         if not s.overlaps:
@@ -298,8 +298,8 @@ class Shutter:
         latent = self._image(exposure) if self._held + self._unread() < self._power_on.memory_blocks else None
         free_ns = max(self._readout_until_ns, self._link_free_ns)
         if latent is None:
-            # Behind those that wait for the link: block ids leave in order.
-            self._at(free_ns, lambda _: self._send(Taken(block_id, exposure, None)))
+            # After those that wait for the link, so that block ids leave in order.
+            self._at(free_ns, lambda _: self._send(ReadFrame(block_id, exposure, None)))
             return
         self._held += 1
         due_ns = self._link_free_ns = free_ns + self._link_ns()
@@ -312,12 +312,12 @@ class Shutter:
         def leave() -> None:
             if self._life == life:
                 self._held -= 1
-                self._send(Taken(block_id, exposure, latent))
+                self._send(ReadFrame(block_id, exposure, latent))
 
         self._at(due_ns, due, lambda: latent.ready)
 
     def _image(self, exposure: Exposure) -> Latent | None:
-        """Return a new image, or once more the last one while the sensor is stuck."""
+        """Return a new image, or the last one again while the sensor is stuck."""
         if self._frozen is None or self._faults.active(self._name, "stuck") is None:
             self._frozen = self._expose(exposure)
         return self._frozen

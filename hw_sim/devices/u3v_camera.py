@@ -1,6 +1,6 @@
-"""Owns one USB3 Vision camera as the bus sees it: descriptors, control requests, four bulk endpoints, power.
+"""One USB3 Vision camera on the bus: descriptors, control requests, four bulk endpoints, power.
 
-All calls with the world's lock held. What the host does wrong raises ``Stall`` or ``Overflow``, as the bus would.
+All calls with the world's lock held. Errors of the host raise ``Stall`` or ``Overflow``, as on the bus.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hw_sim.devices.feature_book import FeatureBook
 from hw_sim.devices.gencp_memory import Refused, Status
 from hw_sim.devices.picture import payload
 from hw_sim.devices.power_on import POLITE, PowerOn
-from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, Settings, Shutter, Taken
+from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, ReadFrame, Settings, Shutter
 from hw_sim.devices.u3v_control import MAX_COMMAND, ControlChannel
 from hw_sim.devices.u3v_descriptors import Identity, Speed
 from hw_sim.devices.u3v_stream import OVERRUN, Block, Overflow, Region, Setup, StreamPipe, StreamRules
@@ -29,9 +29,9 @@ from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import WorldTime
 
 LATENCY_SIGMAS = 4.0
-"""A trigger input that scatters is late by this many standard deviations on average: nearly none comes early."""
+"""Mean latency of a trigger input with jitter, in standard deviations: almost no pulse is early."""
 ARMING_NS = 30_000_000
-"""The sensor needs this long to start: longer than the response time, so that the host sees a PENDING_ACK."""
+"""Start-up time of the sensor: longer than the response time, so that the host gets a PENDING_ACK."""
 _GET_STATUS, _CLEAR_FEATURE, _SET_FEATURE, _GET_DESCRIPTOR = 0x00, 0x01, 0x03, 0x06
 _GET_CONFIGURATION, _SET_CONFIGURATION, _GET_INTERFACE, _SET_INTERFACE = 0x08, 0x09, 0x0A, 0x0B
 _ENDPOINT_HALT = 0
@@ -53,8 +53,8 @@ class U3vCamera:
         power_on: PowerOn = POLITE,
         clocks: Clocks | None = None,
     ) -> None:
-        """``clocks``: how trigger and clock err beyond a constant, and what a time stamp is the time of; ``None``: as the
-        ordinary ones, which stamp the start of an exposure."""
+        """``clocks``: errors of trigger and clock beyond a constant, and the meaning of a time stamp; ``None``: no
+        errors, and time stamps of the start of an exposure."""
         """``sensor``: columns and rows of the picture that ``expose`` makes; a maker's sensor has a border around it."""
         self.name = name
         self._time, self._faults = time, faults
@@ -122,7 +122,7 @@ class U3vCamera:
             self.features_changed("")
 
     def refresh(self, time_ns: int) -> None:
-        """Look again at the faults: the camera may leave the bus, come back, or come back slower."""
+        """Check the faults again: the camera may leave the bus, come back, or come back slower."""
         plugged = self._faults.active(self.name, "off") is None
         speed = Speed.HIGH if self._faults.active(self.name, "slow") else Speed.SUPER
         if (plugged, speed) != (self.plugged, self.speed):
@@ -133,16 +133,16 @@ class U3vCamera:
 
     @property
     def settings(self) -> Settings:
-        """The settings that the host made."""
+        """The settings by the host."""
         return self.shutter.settings
 
     @property
     def acquiring(self) -> bool:
-        """An acquisition runs."""
+        """True while an acquisition runs."""
         return self.shutter.acquiring
 
     def clock_ns(self) -> int:
-        """Return the camera's own clock now."""
+        """Return the camera's clock now."""
         return self._camera_time_ns(self._time.now_ns())
 
     def _camera_time_ns(self, time_ns: int) -> int:
@@ -177,7 +177,7 @@ class U3vCamera:
         self.shutter.trigger_mode_changed()
 
     def features_changed(self, name: str) -> None:
-        """Let sensor and stream follow a maker's features, of which ``name`` was written."""
+        """Apply a maker's features, of which ``name`` was written, to sensor and stream."""
         if self.book is not None:
             self.region = self.book.region
             self.shutter.settings = self.book.settings()
@@ -185,7 +185,7 @@ class U3vCamera:
                 self.shutter.trigger_mode_changed()
 
     def restart(self) -> None:
-        """Reset the camera (DeviceReset, or the cable): everything is forgotten, and it is another device on the bus."""
+        """Reset the camera (DeviceReset, or the cable): all state is lost, and it is a new device on the bus."""
         self.enumeration += 1
         self._control.reset()
         self._power_up()
@@ -211,34 +211,34 @@ class U3vCamera:
 
     @property
     def room(self) -> bool:
-        """The host reads fast enough."""
+        """True if the host reads fast enough."""
         return self._pipe.blocks < min(ROOM_BLOCKS, self.power_on.memory_blocks)
 
     def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
-        """Take a pulse of the trigger line."""
+        """Handle a pulse of the trigger line."""
         if not self.plugged:
             return
         if self._jitter_ns:
-            # The edge is passed on after a latency that scatters; no exposure begins before its pulse.
+            # The edge is passed on after a latency with jitter; no exposure begins before its pulse.
             time_ns += max(round(self._jitter_ns * (LATENCY_SIGMAS + self._jitter.standard_normal())), 0)
         self.shutter.line0(time_ns, width_ns, shot)
 
-    def _send(self, taken: Taken) -> None:
-        """Send a frame that is ready for the link: as it is, or as a fault left it."""
+    def _send(self, sent_frame: ReadFrame) -> None:
+        """Send a frame that is ready for the link, with the effects of a fault."""
         if not self.streaming or not self.plugged:
             return
-        exposure = taken.exposure
+        exposure = sent_frame.exposure
         time_ns = self._camera_time_ns(exposure.start_ns + (exposure.duration_ns if self._stamps_at_end else 0))
-        if taken.latent is None:
-            # The first block that finds the memory full is still announced; those behind it leave only a gap.
+        if sent_frame.latent is None:
+            # The first block that meets a full memory is still announced; later ones leave only a gap.
             if not self._overrun_told:
                 self._overrun_told = True
-                self._put(Block(taken.block_id, time_ns, self.region, b"", OVERRUN))
+                self._put(Block(sent_frame.block_id, time_ns, self.region, b"", OVERRUN))
             return
         self._overrun_told = False
         r = self.region
-        block = Block(taken.block_id, time_ns, r, self._payload(taken.latent.image, taken.block_id))
-        frame, count = taken.exposure.shot.frame, taken.exposure.shot.count
+        block = Block(sent_frame.block_id, time_ns, r, self._payload(sent_frame.latent.image, sent_frame.block_id))
+        frame, count = sent_frame.exposure.shot.frame, sent_frame.exposure.shot.count
         if self._strikes("intermittent", None, frame):
             return
         if self._swapped is None and self._changes_places(frame, count):
@@ -260,9 +260,9 @@ class U3vCamera:
         return r.with_chunks(payload(image, self.sensor, self.book.processing, r), block_id)
 
     def _changes_places(self, frame: int | None, count: int | None) -> bool:
-        """Return whether a frame changes places with the next one.
+        """Return True if a frame is swapped with the next one.
 
-        The last of a sequence has no next one, so that the one before it is asked in its stead.
+        The last frame of a sequence has no next one, so that the one before it is used instead.
         """
         if self._strikes("wrong", "swap", frame):
             return True
@@ -296,7 +296,7 @@ class U3vCamera:
         return usb.device(self.speed, self.usb_ids)
 
     def configuration_descriptor(self) -> bytes:
-        """Return the configuration descriptor with everything in it."""
+        """Return the complete configuration descriptor."""
         return usb.configuration(self.speed)
 
     def request(self, kind: int, request: int, value: int, index: int, length: int) -> bytes:
@@ -363,14 +363,14 @@ class U3vCamera:
             self._halted.discard(endpoint)
 
     def write(self, endpoint: int, data: bytes) -> int:
-        """Do a bulk OUT transfer; return the bytes taken. Raises Stall."""
+        """Do a bulk OUT transfer; return the number of bytes. Raises Stall."""
         if endpoint != usb.CONTROL_OUT or endpoint in self._halted or len(data) > MAX_COMMAND:
             raise Stall
         self._control.receive(data)
         return len(data)
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """Do a bulk IN transfer as far as data is there; return the bytes put into ``buffer``, and whether the transfer ends.
+        """Do a bulk IN transfer of the available data; return the byte count, and whether the transfer ends.
 
         Raises Stall, Overflow.
         """

@@ -1,4 +1,4 @@
-"""Owns the GenCP control channel: command packets in, acknowledge packets out, strictly one at a time."""
+"""The GenCP control channel: command packets in, acknowledge packets out, strictly one at a time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAX_COMMAND, MAX_ACKNOWLEDGE = 1024, 1024
 MAX_RESPONSE_MS = 20
 PENDING_MS = 200
 ACKS_KEPT = 4
-"""Acknowledges that nobody reads; the oldest go."""
+"""Largest number of unread acknowledges; the oldest are dropped."""
 
 # USB3 Vision, control protocol: prefix 'U3VC', flags, command id, length of the payload, request id, little-endian.
 _MAGIC = 0x43563355
@@ -23,7 +23,10 @@ _READ, _WRITE, _PENDING = 0x0800, 0x0802, 0x0805
 
 
 class ControlChannel:
-    """The device's end of the channel. ``duration_ns(address)`` says how long a write there takes; beyond the response time a PENDING_ACK is sent."""
+    """The device's end of the channel.
+
+    ``duration_ns(address)`` is the duration of a write there; beyond the response time a PENDING_ACK is sent.
+    """
 
     def __init__(self, time: WorldTime, memory: Memory, duration_ns: Callable[[int], int]) -> None:
         self._time, self._memory, self._duration_ns = time, memory, duration_ns
@@ -32,13 +35,13 @@ class ControlChannel:
         self._life = 0
 
     def reset(self) -> None:
-        """Forget what is under way."""
+        """Drop the command under way."""
         self._life += 1
         self._busy = False
         self._acks.clear()
 
     def receive(self, packet: bytes) -> None:
-        """Take one transfer of the host. What is no command is ignored."""
+        """Handle one transfer of the host; invalid commands are ignored."""
         if len(packet) < _HEADER.size:
             return
         magic, flags, command, size, request_id = _HEADER.unpack_from(packet)
@@ -64,7 +67,7 @@ class ControlChannel:
         if duration_ns <= MAX_RESPONSE_MS * 1_000_000:
             self._finish(command, wants_ack, payload, request_id)
             return
-        # GenCP, PENDING_ACK: a command that outlasts the response time is announced with the longer time it will take.
+        # GenCP, PENDING_ACK: a command that exceeds the response time is announced with its duration.
         self._busy = True
         if wants_ack:
             self._acknowledge(Status.SUCCESS, _PENDING, request_id, struct.pack("<HH", 0, PENDING_MS))
@@ -107,5 +110,5 @@ class ControlChannel:
         self._time.condition.notify_all()
 
     def take(self) -> bytes | None:
-        """Return the oldest acknowledge that was not read, and forget it; ``None``: there is none."""
+        """Return and remove the oldest unread acknowledge; ``None``: there is none."""
         return self._acks.popleft() if self._acks else None

@@ -1,4 +1,4 @@
-"""Owns the USB descriptors of the camera, at SuperSpeed and as it falls back to 480 Mbit/s."""
+"""The USB descriptors of the camera, at SuperSpeed and in the fall-back to 480 Mbit/s."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ class Speed(IntEnum):
 
     @property
     def bulk_packet(self) -> int:
-        """Bytes in a full bulk packet."""
+        """Number of bytes in a full bulk packet."""
         return 1024 if self is Speed.SUPER else 512
 
     @property
     def bytes_per_s(self) -> float:
-        """Rate that bulk transfers really reach."""
+        """Real data rate of bulk transfers."""
         return 380e6 if self is Speed.SUPER else 38e6
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The camera's names for itself; ``guid`` is vendor and serial in 12 hex digits."""
+    """The camera's identification; ``guid`` is vendor and serial in 12 hex digits."""
 
     vendor: str
     model: str
@@ -58,7 +58,10 @@ class Identity:
 
 
 def device(speed: Speed, ids: tuple[int, int]) -> bytes:
-    """Return the device descriptor; ``ids``: numbers of vendor and product. The USB serial number is the GUID, as U3V wants it."""
+    """Return the device descriptor; ``ids``: numbers of vendor and product.
+
+    The USB serial number is the GUID, as U3V requires.
+    """
     # USB 3.2, device descriptor: a SuperSpeed device gives the packet size of endpoint 0 as a power of two: 2⁹.
     usb, packet0 = (0x0300, 9) if speed is Speed.SUPER else (0x0210, 64)
     return struct.pack(
@@ -69,7 +72,7 @@ def device(speed: Speed, ids: tuple[int, int]) -> bytes:
 
 
 def configuration(speed: Speed) -> bytes:
-    """Return the configuration with all that belongs to it: three interfaces in one association."""
+    """Return the complete configuration: three interfaces in one association."""
     parts = [
         struct.pack("<BBBBBBBB", 8, _ASSOCIATION, CONTROL_INTERFACE, 3, _MISCELLANEOUS, _U3V, 0, 3),
         _interface(CONTROL_INTERFACE, 2, 0),

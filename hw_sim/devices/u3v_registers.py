@@ -1,6 +1,6 @@
-"""Owns the camera's register map: the tables that GenCP and USB3 Vision prescribe, and the camera's own features.
+"""The camera's register map: the tables of GenCP and USB3 Vision, and the camera's features.
 
-The addresses of the features are known to nobody but this file and ``u3v_camera.xml``, which the camera hands out.
+The addresses of the features are only in this file and in ``u3v_camera.xml``, which the camera hands out.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _XML_TIME = (2024, 5, 14, 9, 0, 0)
 
 
 class CameraCore(Protocol):
-    """The part of a camera that its registers show and change."""
+    """The part of a camera that its registers read and change."""
 
     identity: Identity
     power_on: PowerOn
@@ -101,7 +101,7 @@ class Limits:
 def zipped_description(lacks: tuple[str, ...] = ()) -> bytes:
     """Return the GenICam description as the camera stores it: the same bytes every time.
 
-    The features it ``lacks`` bear a name of the maker's own, as in cameras that do not follow the naming convention.
+    The features in ``lacks`` have a maker's name, as in cameras that do not follow the naming convention.
     """
     return _zipped(_without(resources.files(__package__).joinpath("u3v_camera.xml").read_bytes(), lacks), "KFC1920")
 
@@ -169,8 +169,8 @@ def _bootstrap(memory: Memory, core: CameraCore) -> None:
     def rename(data: bytes) -> None:
         core.user_name = data.ljust(_USER_NAME_BYTES, b"\0")
 
-    memory.add(Register(0x184, _USER_NAME_BYTES, lambda: core.user_name, rename, whole=False))
-    # Device capability: one bit for each thing that is supported.
+    memory.add(Register(0x184, _USER_NAME_BYTES, lambda: core.user_name, rename, is_number=False))
+    # Device capability: one bit for each supported function.
     memory.u64(0x1C4, lambda: 1 << 0 | 1 << 3 | 1 << 8 | 1 << 9 | 1 << 11)
     memory.u32(0x1CC, lambda: u3v_control.MAX_RESPONSE_MS)
     memory.u64(0x1D0, lambda: MANIFEST)
@@ -183,7 +183,7 @@ def _bootstrap(memory: Memory, core: CameraCore) -> None:
         if value & 1:
             latched = core.clock_ns()
 
-    # The timestamp is what was latched last: the two halves of a number must belong together.
+    # The timestamp is the last latched one, so that the two halves of a number belong together.
     memory.u64(0x1F0, lambda: latched)
     memory.u32(0x1F8, None, latch)
     memory.u64(0x1FC, lambda: TIMESTAMP_INCREMENT_NS)
@@ -198,7 +198,7 @@ def _manifest(memory: Memory, description: bytes) -> None:
 
 
 def _technology(memory: Memory, core: CameraCore) -> None:
-    """Lay out the SBRM (technology-specific bootstrap registers): stream and event interfaces are there."""
+    """Lay out the SBRM (technology-specific bootstrap registers), with stream and event interfaces."""
     memory.u32(SBRM + 0x00, lambda: _version(U3V_VERSION))
     memory.u64(SBRM + 0x04, lambda: 1 << 0 | 1 << 1)
     memory.u64(SBRM + 0x0C, lambda: 0)
@@ -340,7 +340,7 @@ def _features(memory: Memory, core: CameraCore) -> None:
 
 
 def _own_registers(memory: Memory, core: CameraCore) -> None:
-    """Lay out what every personality has: temperature, version and reset, as ``u3v_camera.xml`` names them."""
+    """Lay out temperature, version and reset of every personality, as ``u3v_camera.xml`` names them."""
     memory.f32(FEATURES + 0x400, core.temperature_c)
     memory.text(FEATURES + 0x420, 32, FIRMWARE_VERSION)
     memory.u32(FEATURES + 0x500, None, _command(core.restart))

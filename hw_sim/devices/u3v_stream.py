@@ -1,4 +1,4 @@
-"""Owns the camera's stream: blocks as leader, payload and trailer, and the bulk pipe that they leave through."""
+"""The camera's stream: blocks as leader, payload and trailer, and their bulk pipe."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Overflow(Exception):
 
 @dataclass(frozen=True, slots=True)
 class StreamRules:
-    """The demands of a camera's stream interface."""
+    """The requirements of a camera's stream interface."""
 
     alignment_log2: int = ALIGNMENT_LOG2
     """Transfers are multiples of two to this power."""
@@ -37,7 +37,7 @@ class StreamRules:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """The part of the sensor that is read out, and how its pixels are written down."""
+    """The part of the sensor that is read out, and its pixel format."""
 
     width: int
     height: int
@@ -54,7 +54,7 @@ class Region:
 
     @property
     def image_bytes(self) -> int:
-        """Bytes of an image; the last one may be filled up."""
+        """Number of bytes of an image; the last one may be padded."""
         return -(-self.width * self.height * self.bits // 8)
 
     @property
@@ -68,7 +68,7 @@ class Region:
         return TRAILER_BYTES + (4 if self.chunks else 0)
 
     def with_chunks(self, image: bytes, number: int) -> bytes:
-        """Return a payload: the image, and a chunk with the frame's number where that is wanted."""
+        """Return a payload: the image, and a chunk with the frame's number if that is on."""
         if not self.chunks:
             return image
         tails = CHUNK_TAIL.pack(IMAGE_CHUNK, len(image)), CHUNK_TAIL.pack(FRAME_CHUNK, 8)
@@ -77,7 +77,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One image on its way to the host, or what is left of it."""
+    """One image on its way to the host, possibly damaged."""
 
     block_id: int
     camera_time_ns: int
@@ -99,7 +99,7 @@ class Block:
         return head + struct.pack("<IIIIIHH", r.pixel_format, r.width, r.height, r.offset_x, r.offset_y, 0, 0)
 
     def trailer(self) -> bytes:
-        """Return the trailer: 32 bytes, with chunks 36, which say how much of the payload is valid."""
+        """Return the trailer: 32 bytes, with chunks 36; it has the number of valid payload bytes."""
         if self.spoilt_trailer is not None:
             return self.spoilt_trailer
         # USB3 Vision 1.0, image trailer: magic, reserved, size, block id, status, reserved; then valid bytes and rows.
@@ -112,7 +112,7 @@ class Block:
 
 @dataclass(slots=True)
 class Setup:
-    """The values that the host wrote into the stream interface registers (SIRM)."""
+    """The host's values in the stream interface registers (SIRM)."""
 
     max_leader: int = 0
     max_trailer: int = 0
@@ -134,13 +134,13 @@ class Setup:
             raise Refused(Status.REGISTERS_INCONSISTENT)
 
     def transfers(self) -> list[int]:
-        """Return the lengths of the transfers that make up a payload."""
+        """Return the lengths of the transfers of a payload."""
         return [n for n in [self.size] * self.count + [self.final1, self.final2] if n]
 
 
 @dataclass(slots=True)
 class _Transfer:
-    """One transfer of a block, as far as it has left."""
+    """One transfer of a block, partly sent."""
 
     data: memoryview
     terminated: bool
@@ -173,7 +173,7 @@ class StreamPipe:
         self._transfers.append(_Transfer(memoryview(data), terminated, last))
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Drop all blocks."""
         self._transfers.clear()
         self.blocks = 0
 
@@ -182,15 +182,15 @@ class StreamPipe:
         filled = 0
         while self._transfers and filled < len(buffer):
             transfer = self._transfers[0]
-            rest = len(transfer.data) - transfer.done
-            take = min(rest, len(buffer) - filled)
+            remaining = len(transfer.data) - transfer.done
+            take = min(remaining, len(buffer) - filled)
             # The device sends whole packets: one that does not fit is babble, and the host's transfer fails.
-            if take < rest and take % packet:
+            if take < remaining and take % packet:
                 raise Overflow
             buffer[filled : filled + take] = transfer.data[transfer.done : transfer.done + take]
             filled += take
             transfer.done += take
-            if take == rest:
+            if take == remaining:
                 short = len(transfer.data) % packet != 0
                 full = filled == len(buffer)
                 # A full last packet fills the buffer first; the empty packet behind it ends the host's next transfer.

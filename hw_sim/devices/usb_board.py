@@ -1,4 +1,4 @@
-"""Owns the trigger board as the bus sees it: a CDC-ACM serial device (USB class 2, PSTN subclass 2).
+"""The trigger board on the bus: a CDC-ACM serial device (USB class 2, PSTN subclass 2).
 
 All calls with the world's lock held.
 """
@@ -22,7 +22,7 @@ _TERMINAL_READY = 0x01
 
 
 class UsbBoard:
-    """The board behind its endpoints. It sends while the host's terminal is ready (DTR), as its firmware asks for."""
+    """The board behind its endpoints. It sends while the host's terminal is ready (DTR)."""
 
     speed = 3
     """High speed, 480 Mbit/s, as USB/IP and Linux number it."""
@@ -54,21 +54,21 @@ class UsbBoard:
 
     @property
     def plugged(self) -> bool:
-        """It is on the bus; a board without power is not."""
+        """True if it is on the bus, that is, if it has power."""
         return self._faults.active("board", "off") is None
 
     @property
     def enumeration(self) -> int:
-        """The same device however often it comes: a reset of its firmware does not leave the bus."""
+        """Always 0: a reset of the firmware does not leave the bus."""
         return 0
 
     def attach(self) -> None:
-        """Give the board to a host: it starts as after plugging in."""
+        """Connect the board to a host: it starts as after plugging in."""
         self._standard.restart()
         self._board.open = False
 
     def detach(self) -> None:
-        """Take the board from its host."""
+        """Disconnect the board from its host."""
         self._board.open = False
 
     def device_descriptor(self) -> bytes:
@@ -76,7 +76,7 @@ class UsbBoard:
         return self._standard.device
 
     def configuration_descriptor(self) -> bytes:
-        """Return the configuration descriptor with everything in it."""
+        """Return the complete configuration descriptor."""
         return self._standard.configuration
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
@@ -97,24 +97,27 @@ class UsbBoard:
 
     def _terminal(self, ready: bool) -> None:
         if ready and not self._board.open:
-            self._board.take(self._board.waiting)  # what was said before somebody listened is lost
+            self._board.take(self._board.waiting)  # output before the terminal was ready is lost
         self._board.open = ready
 
     def write(self, endpoint: int, data: bytes) -> int:
-        """Do a bulk OUT transfer; return the bytes taken. Raises Stall."""
+        """Do a bulk OUT transfer; return the number of bytes. Raises Stall."""
         if endpoint != DATA_OUT or endpoint in self._standard.halted:
             raise usb.Stall
         self._board.receive(data)
         return len(data)
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """Put what the board has to say into ``buffer``; return the bytes, and whether the transfer ends. Raises Stall."""
+        """Copy the board's output into ``buffer``; return the byte count, and whether the transfer ends.
+
+        Raises Stall.
+        """
         if endpoint in self._standard.halted:
             raise usb.Stall
         if endpoint == NOTIFY_IN:
             return 0, False
         if endpoint != DATA_IN:
             raise usb.Stall
-        said = self._board.take(len(buffer))
-        buffer[: len(said)] = said
-        return len(said), bool(said)
+        output = self._board.take(len(buffer))
+        buffer[: len(output)] = output
+        return len(output), bool(output)

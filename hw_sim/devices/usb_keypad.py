@@ -1,4 +1,4 @@
-"""Owns the key pad as the bus sees it: a full-speed HID device with one interrupt pipe.
+"""The keypad on the bus: a full-speed HID device with one interrupt pipe.
 
 All calls with the world's lock held.
 """
@@ -19,7 +19,7 @@ _HID_CLASS = (3, 0, 0)
 
 
 class UsbKeypad:
-    """The pad behind its endpoints. A report that nobody fetched is overwritten by the next one."""
+    """The keypad behind its endpoints. An unread report is overwritten by the next one."""
 
     speed = 2
     """Full speed, 12 Mbit/s, as USB/IP and Linux number it."""
@@ -39,22 +39,22 @@ class UsbKeypad:
 
     @property
     def plugged(self) -> bool:
-        """It is on the bus."""
+        """True if it is on the bus."""
         return self._keypad.plugged
 
     @property
     def enumeration(self) -> int:
-        """Counts how often it appeared there."""
+        """Number of times that it appeared on the bus."""
         return self._keypad.enumeration
 
     def attach(self) -> None:
-        """Give the pad to a host: it starts as after plugging in."""
+        """Connect the keypad to a host: it starts as after plugging in."""
         self._standard.restart()
         self._report = None
         self._keypad.listen(self._receive)
 
     def detach(self) -> None:
-        """Take the pad from its host."""
+        """Disconnect the keypad from its host."""
         self._keypad.forget(self._receive)
 
     def device_descriptor(self) -> bytes:
@@ -62,7 +62,7 @@ class UsbKeypad:
         return self._standard.device
 
     def configuration_descriptor(self) -> bytes:
-        """Return the configuration descriptor with everything in it."""
+        """Return the complete configuration descriptor."""
         return self._standard.configuration
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
@@ -80,7 +80,7 @@ class UsbKeypad:
         raise usb.Stall
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """Read one report, if there is one: return the bytes put into ``buffer``, and whether the transfer ends. Raises Stall."""
+        """Read one report, if there is one; return the bytes, and whether the transfer ends. Raises Stall."""
         if endpoint != REPORT_IN or endpoint in self._standard.halted:
             raise usb.Stall
         if self._report is None:

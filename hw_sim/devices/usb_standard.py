@@ -1,4 +1,4 @@
-"""Owns chapter 9 of the USB specification for the simple devices: descriptors by number, the standard requests."""
+"""Chapter 9 of the USB specification for the simple devices: descriptors and standard requests."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ def device(
 
 
 def configuration(interfaces: int, power_ma: int, body: bytes) -> bytes:
-    """Return the configuration with ``body`` (interfaces, endpoints, class descriptors) behind it; bus-powered."""
+    """Return the configuration followed by ``body`` (interfaces, endpoints, class descriptors).
+
+    The device is bus-powered.
+    """
     head = struct.pack("<BBHBBBBB", 9, CONFIGURATION, 9 + len(body), interfaces, 1, 0, 0x80, power_ma // 2)
     return head + body
 
@@ -47,26 +50,26 @@ def string(text: str) -> bytes:
 
 @dataclass(slots=True)
 class StandardRequests:
-    """The answers that every device gives on endpoint 0.
+    """The answers of every device on endpoint 0.
 
-    ``others`` are the descriptors of interfaces, by (kind, number). ``halt_cleared`` is called with an endpoint's address.
+    ``interface_descriptors``: by (kind, number). ``halt_cleared`` is called with an endpoint's address.
     """
 
     device: bytes
     configuration: bytes
     strings: tuple[str, ...]
-    others: Mapping[tuple[int, int], bytes] = field(default_factory=dict)
+    interface_descriptors: Mapping[tuple[int, int], bytes] = field(default_factory=dict)
     configured: int = 0
     halted: set[int] = field(default_factory=set)
     halt_cleared: Callable[[int], None] = lambda endpoint: None
 
     def restart(self) -> None:
-        """Go back to the state after plugging in."""
+        """Return to the state after plugging in."""
         self.configured = 0
         self.halted.clear()
 
     def answer(self, kind: int, request: int, value: int, index: int) -> bytes:
-        """Return the data of an IN request; nothing for an OUT request that was obeyed. Raises Stall."""
+        """Return the data of an IN request, b"" for an OUT request. Raises Stall."""
         match kind, request:
             # USB 2.0, 9.4: GET_DESCRIPTOR, GET_CONFIGURATION, GET_INTERFACE, GET_STATUS;
             case ((0x80 | 0x81), 0x06):
@@ -103,7 +106,7 @@ class StandardRequests:
                 return struct.pack("<BBH", 4, STRING, LANGUAGE)
             case 3 if kind == 0x80 and number <= len(self.strings):
                 return string(self.strings[number - 1])
-            case _ if (descriptor, number) in self.others:
-                return self.others[descriptor, number]
+            case _ if (descriptor, number) in self.interface_descriptors:
+                return self.interface_descriptors[descriptor, number]
             case _:
                 raise Stall

@@ -1,1 +1,1 @@
-"""Light that is not the projector's: daylight, waves, torches, and the two laser pointers."""
+"""Light besides the projector's: daylight, waves, torches, and the two laser pointers."""

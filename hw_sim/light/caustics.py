@@ -1,14 +1,14 @@
-"""Owns the net of bright lines that waves throw: sunlight refracted by a random surface, counted where it arrives.
+"""Caustics: the net of bright lines by sunlight that a random water surface refracts.
 
 Each ray of an even beam is displaced by the slope of the waves above it; where neighbours are displaced towards each
 other, light gathers. No light is lost: the net's mean is 1. The waves are band-limited around one length, run in all
-directions, and disperse as in deep water (frequency ∝ root of the wave number). Everything repeats after a tile.
+directions, and disperse as in deep water (frequency ∝ root of the wave number). The net is periodic in a tile.
 """
 
 # Symbols:
 #   k         wave number in cycles per tile, kx and ky its parts; height the waves' spectrum; slopes i k height
 #   omega     angular frequency of each wave, rad/s
-#   dx, dy    displacement of each ray, cells; a, b, i, j, s, t where it arrives, whole part and rest
+#   dx, dy    displacement of each ray, cells; a, b its target, i, j the integer and s, t the fractional part of it
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ CELLS = 256
 MESHES = 6
 """Side of the tile in units of the net's mesh."""
 GATHERING = 1.0
-"""Rms of how much the waves change the area between neighbouring rays: where it reaches −1 they cross."""
+"""Rms of the relative change of the area between neighbouring rays: at −1 they cross."""
 SUN_CELLS = 1.2
-"""The sun is no point: blur of the net (Gaussian sigma)."""
+"""Blur of the net by the size of the sun (Gaussian sigma)."""
 
 
 class Net:
@@ -37,7 +37,7 @@ class Net:
         cycles = np.fft.fftfreq(CELLS, 1.0 / CELLS)
         kx, ky = cycles[None, :], cycles[:, None]
         k = np.hypot(kx, ky)
-        # One band of wave numbers around the mesh; heights ∝ 1/k² make all of it gather light alike.
+        # One band of wave numbers around the mesh; with heights ∝ 1/k² all of them focus equally.
         band = np.where(np.abs(k / MESHES - 1.25) < 1.0, np.exp(-(((k / MESHES - 1.25) / 0.5) ** 2)), 0.0)
         height = band / np.maximum(k, 1.0) ** 2 * np.exp(2j * math.pi * rng.uniform(size=k.shape))
         radians = 2.0 * math.pi / CELLS
@@ -61,7 +61,7 @@ class Net:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _gather(dx: NDArray[np.float32], dy: NDArray[np.float32], net: NDArray[np.float32]) -> None:
-    """Put the light of each cell where it is displaced to, shared by the four cells around."""
+    """Add the light of each cell at its displaced place, shared by the four cells around it."""
     rows, columns = net.shape
     for y in range(rows):
         for x in range(columns):

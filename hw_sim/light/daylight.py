@@ -1,7 +1,8 @@
-"""Owns the ambient light: lamps that flicker, another diver's torch, and the bright net that waves throw.
+"""The ambient light: lamps that flicker, another diver's torch, and the caustics of waves.
 
-It falls on a surface from everywhere (it is weighted with albedo alone and casts no shadows) and is dimmed by the water on its way back to the camera. It goes by the world's clock, not by that of the hands:
-it flickers and moves while the hands are still.
+It falls on a surface from everywhere (it is weighted with albedo alone and casts no shadows) and is attenuated by the
+water on its way back to the camera. It follows the world's clock, not that of the hands: it flickers and moves while
+the hands are at rest.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SWING_MM = 120.0
-"""A moving torch strays so far from its place."""
+"""Amplitude of a moving torch about its place."""
 LIMITS = {
     "flicker_depth": (0.0, 1.0),
     "flicker_hz": (1.0, 100_000.0),
@@ -27,9 +28,9 @@ LIMITS = {
 
 @dataclass(frozen=True, slots=True)
 class Daylight:
-    """Light that is not the projector's. Off by default. Raises ValueError for what no light does (``LIMITS``).
+    """The ambient light. Off by default. Raises ValueError for impossible values (``LIMITS``).
 
-    Places and directions are in the rig frame at time 0, and stay there while the hands move.
+    Places and directions are in the rig frame at time 0, and do not move with the hands.
     """
 
     flicker_depth: float = 0.0
@@ -37,7 +38,7 @@ class Daylight:
     flicker_hz: float = 100.0
     """100 and 120 are lamps on mains of 50 and 60 Hz."""
     caustics: float = 0.0
-    """Share of the ambient light that comes through waves and is gathered into a net; its mean stays what it was."""
+    """Share of the ambient light that waves focus to caustics; the mean does not change."""
     caustics_scale_mm: float = 60.0
     """Mesh of the net."""
     caustics_speed_mm_s: float = 400.0
@@ -47,20 +48,20 @@ class Daylight:
     torch: float = 0.0
     """Light in the middle of the spot, in units of the projector's white at 500 mm."""
     torch_at_mm: tuple[float, float, float] = (30.0, -20.0, 520.0)
-    """The spot's middle before the clock counts; only its distance from the beam's axis matters."""
+    """The spot's middle at rest; only its distance from the beam's axis matters."""
     torch_direction: tuple[float, float, float] = (-0.5, 0.3, 1.0)
     torch_diameter_mm: float = 80.0
     """Full width at half maximum of the spot."""
     torch_velocity_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Velocity with which the spot swings through its place; it turns back ``SWING_MM`` from it."""
+    """Velocity of the spot at its middle; it swings by ``SWING_MM``."""
     seed: int = 1
     """Seed of the flicker's phase and of the waves."""
 
     def __post_init__(self) -> None:
-        for name, (least, most) in LIMITS.items():
+        for name, (lowest, highest) in LIMITS.items():
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"daylight: {name} = {value}; allowed are {least:g}..{most:g}")
+            if not lowest <= value <= highest:
+                raise ValueError(f"daylight: {name} = {value}; allowed are {lowest:g}..{highest:g}")
         for name in ("sun_direction", "torch_at_mm", "torch_direction", "torch_velocity_mm_s"):
             value = getattr(self, name)
             if len(value) != 3 or not all(math.isfinite(part) for part in value):
@@ -71,7 +72,7 @@ class Daylight:
 
     @property
     def steady(self) -> bool:
-        """Nothing of it changes with time."""
+        """True if the light does not change with time."""
         moving = self.torch > 0.0 and any(self.torch_velocity_mm_s)
         return self.flicker_depth == 0.0 and self.caustics == 0.0 and not moving
 
@@ -91,7 +92,7 @@ class Daylight:
 
     def torch_mm(self, clock_s: float) -> NDArray[np.float64]:
         """Return the spot's middle (3,), mm in the rig frame at time 0, at ``clock_s``."""
-        # A pendulum: in its middle it is as fast as was asked for, x = A sin(v t / A), and it stays in sight.
+        # A pendulum with the given speed in its middle, x = A sin(v t / A), which stays in sight.
         velocity = np.array(self.torch_velocity_mm_s)
         speed = float(np.linalg.norm(velocity))
         if speed == 0.0:

@@ -1,8 +1,8 @@
-"""Owns the two laser pointers: the light their beams put on the surface and into the water that a camera sees.
+"""The two laser pointers: the light of their beams on the surface and in the water.
 
-A beam is narrow and goes straight (its window bends it once, see ``truth``). On the surface it makes a dot: a Gaussian
-with a faint wide foot, grained by speckle. On its way the water throws a little of it back, single scattering: a streak
-from the window to the dot.
+A beam is narrow and straight (its port refracts it once, see ``truth``). On the surface it makes a dot: a Gaussian with
+a faint wide foot and speckle. The water scatters a little of it back, single scattering: a streak from the port to the
+dot.
 """
 
 # Symbols in _streak:
@@ -30,17 +30,17 @@ Array = NDArray[np.float64]
 SIGMA_MM = 0.9
 """Half width of a beam (Gaussian sigma)."""
 FOOT_SHARE, FOOT_SIGMA_MM = 0.01, 4.0
-"""Light that lens and window of the pointer scatter: its share in the middle, and its width."""
+"""Light scattered by lens and port of the pointer: its share in the middle, and its width."""
 SAME_SURFACE_MM = 8.0
-"""A dot lies on one surface and has no edge in it if all of the beam's light ends within so much of its way."""
+"""Largest range of the lengths at which the beam's light ends on one surface without an edge."""
 SHADOW_MM = 0.2
-"""A place is lit if the light that runs towards it, parallel to the beam's axis, gets so near to it."""
+"""Largest distance from the end of the light, along the beam, of a place that it reaches."""
 WINDOW_MM = 14.0
 FAR_MM = 1000.0
-"""A beam that meets nothing is followed so far."""
+"""Length to which a beam without a surface is followed."""
 _RINGS_MM = tuple(SIGMA_MM * k for k in (1.0, 2.0, 3.0))
 _AROUND = 12
-"""The axis and these rays around it say where a beam's light ends: a beam is cut by an edge that its axis misses."""
+"""Number of rays around the axis that determine where a beam's light ends, since an edge may cut a part of it."""
 STREAK_MARGIN_MM = 4.0
 LEAST_STREAK_E = 0.05
 
@@ -58,10 +58,10 @@ def add_laser(
 ) -> None:
     """Add one beam to a camera's mean electrons (h, w) in place.
 
-    ``peak_e`` is what a white surface perpendicular to the beam gives in its middle in clear water. Every pixel near the
-    dot is lit by its distance from the beam, so the dot is as oblique as the surface, and hidden where the camera sees
-    something nearer. What passes an edge lights what is behind it, or nothing. ``grain_seed``: of the speckle, which
-    belongs to the surface's place; ``None``: there is none.
+    ``peak_e``: electrons of a white surface perpendicular to the beam, in its middle, in clear water. The light of a
+    pixel near the dot depends on its distance from the beam, so that the dot is as oblique as the surface, and hidden
+    behind nearer surfaces. Light that passes an edge falls on the surface behind it, if there is one. ``grain_seed``:
+    of the speckle, which belongs to the surface's place; ``None``: no speckle.
     """
     origin, direction = np.array(laser.origin_mm), np.array(laser.direction)
     starts = origin + _across(direction)
@@ -84,7 +84,7 @@ def _across(direction: Array) -> Array:
 
 
 def _reach(starts: Array, direction: Array, pose: Pose) -> Array:
-    """Return how far (n,), mm, light goes from ``starts`` (n, 3) to the object; infinite where it meets nothing."""
+    """Return the lengths (n,), mm, of the light from ``starts`` (n, 3) to the object; infinite if none."""
     beam = np.empty((len(starts), 6))
     beam[:, :3], beam[:, 3:] = (starts - pose.t) @ pose.R, direction @ pose.R
     reach_mm = np.empty(len(starts))
@@ -113,28 +113,28 @@ def _add_dot(
     # A surface point by cylinder coordinates of the beam: along its axis, and off it squared.
     along_mm = (points - origin) @ direction
     off_mm2 = np.sum((points - origin) ** 2, axis=-1) - along_mm**2
-    # What scattering turns a little on the way widens the beam; the camera's own way blurs the whole picture.
+    # Forward scatter on its path widens the beam; that on the path to the camera blurs the image.
     wide_mm2 = SIGMA_MM**2 + (water.blur_px_per_m * 0.16 * along_mm / 1000.0) ** 2
     # A wider Gaussian of the same power is dimmer in its middle by the ratio of the areas.
-    lit = SIGMA_MM**2 / wide_mm2 * np.exp(-off_mm2 / (2.0 * wide_mm2))
-    lit += FOOT_SHARE * np.exp(-off_mm2 / (2.0 * FOOT_SIGMA_MM**2))
-    lit *= np.exp(-water.attenuation_per_m / 1000.0 * along_mm)
-    lit[~(off_mm2 < WINDOW_MM**2)] = 0.0
+    light = SIGMA_MM**2 / wide_mm2 * np.exp(-off_mm2 / (2.0 * wide_mm2))
+    light += FOOT_SHARE * np.exp(-off_mm2 / (2.0 * FOOT_SIGMA_MM**2))
+    light *= np.exp(-water.attenuation_per_m / 1000.0 * along_mm)
+    light[~(off_mm2 < WINDOW_MM**2)] = 0.0
     ends_mm = (ends - origin) @ direction
-    # One smooth surface: cut by length. Else each near point asks whether its own light reaches it.
+    # One smooth surface: cut by length. Otherwise test for each near point whether its light reaches it.
     if len(ends) == len(_across(direction)) and np.ptp(ends_mm) < SAME_SURFACE_MM:
-        lit[np.abs(along_mm - ends_mm[0]) > SAME_SURFACE_MM] = 0.0
+        light[np.abs(along_mm - ends_mm[0]) > SAME_SURFACE_MM] = 0.0
     else:
-        near = lit > 0.0
+        near = light > 0.0
         free_mm = _reach(points[near] - along_mm[near, None] * direction, direction, pose)
-        lit[near] = np.where(along_mm[near] < free_mm + SHADOW_MM, lit[near], 0.0)
+        light[near] = np.where(along_mm[near] < free_mm + SHADOW_MM, light[near], 0.0)
     if grain_seed is not None:
         # A camera px of 1600 is as large as one grain (1.22 λ N); a binned one holds as many as px are binned.
         grains = max(1.0, (1600.0 / electrons.shape[1]) ** 2)
         place = hashlib.blake2b(pose.key, digest_size=8).digest()
         rng = np.random.default_rng([grain_seed, int.from_bytes(place, "little")])
-        lit = lit * rng.gamma(grains, 1.0 / grains, lit.shape)
-    electrons[part] += (peak_e * geometry.pixels[part][..., GREY] * lit).astype(np.float32)
+        light = light * rng.gamma(grains, 1.0 / grains, light.shape)
+    electrons[part] += (peak_e * geometry.pixels[part][..., GREY] * light).astype(np.float32)
 
 
 def _add_streak(
@@ -148,15 +148,15 @@ def _add_streak(
     geometry: Geometry,
     water: Water,
 ) -> None:
-    """Add the light that the water throws back from the beam, up to ``reach_mm``."""
-    # What a mm of lit water sends back, as the albedo of a surface that would look the same; angles are near backscatter's.
+    """Add the backscatter of the beam in the water, up to ``reach_mm``."""
+    # Backscatter of a mm of water as the albedo of an equally bright surface; the angles are near 180°.
     albedo_per_mm = water.backscatter * BACKSCATTER_ALBEDO / BACKSCATTER_MM
-    # Seen across at a tenth of a radian, the longest way through the beam: below the limit nobody sees a streak.
+    # At an angle of a tenth of a radian, the longest path through the beam: below the limit the streak is invisible.
     brightest_e = peak_e * albedo_per_mm * SIGMA_MM * math.sqrt(2.0 * math.pi) / 0.1
     if brightest_e < LEAST_STREAK_E:
         return
-    way = origin + np.linspace(0.2 * MIDDLE_MM, reach_mm, 64)[:, None] * direction
-    part = _around(eye, electrons.shape, way, STREAK_MARGIN_MM)
+    path_points = origin + np.linspace(0.2 * MIDDLE_MM, reach_mm, 64)[:, None] * direction
+    part = _around(eye, electrons.shape, path_points, STREAK_MARGIN_MM)
     if part is not None:
         _streak(
             rays[part], geometry.distance_mm[part], origin, direction, reach_mm, peak_e * albedo_per_mm,
@@ -165,7 +165,7 @@ def _add_streak(
 
 
 def _around(eye: Array, shape: tuple[int, ...], points: Array, margin_mm: float) -> tuple[slice, slice] | None:
-    """Return the part of an image in which ``points`` (n, 3) are seen, with a margin; ``None``: they are not."""
+    """Return the part of an image with ``points`` (n, 3) and a margin; ``None``: they are outside."""
     pixels = np.empty((len(points), 2))
     pixels_of(eye, points, pixels)
     h, w = shape
@@ -186,7 +186,7 @@ def _streak(
     rays: Array, ends: Array, origin: Array, direction: Array, reach_mm: float, back_e_per_mm: float, per_mm: float,
     electrons: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Add to ``electrons`` (h, w) what the beam's light in the water sends along each ray (h, w, 6).
+    """Add the light of the beam in the water along each ray (h, w, 6) to ``electrons`` (h, w).
 
     A ray that passes the beam at a distance d, at an angle ψ, crosses σ √(2π) / sin ψ · exp(−d²/2σ²) of its light.
     """

@@ -1,9 +1,9 @@
-"""Owns what uneven ambient light adds to a camera's picture: the torch's spot and the net of the waves, where they fall."""
+"""Uneven ambient light in a camera's image: the torch's spot and the caustics."""
 
 # Symbols in _add:
-#   w, p      surface point in the rig's frame now, and in that of time 0, where the light stays; turn, shift lead from w to p
+#   w, p      surface point in the rig frame now, and in that of time 0, where the light stays; rotation, shift: w to p
 #   off2      squared distance of the point from the torch's axis; per_mm2 = 4 ln 2 / diameter² makes the diameter an FWHM
-#   a, b      place in the net, cells; i, j, s, t whole part and rest
+#   a, b      place in the net, cells; i, j the integer and s, t the fractional part of it
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
 LOOKS_PER_S = 250.0
-"""An exposure looks at the net so often: its lines are as wide as they move meanwhile."""
+"""Rate at which an exposure samples the net, so that its moving lines are blurred."""
 MOST_LOOKS = 4
 
 
@@ -31,7 +31,7 @@ class UnevenLight:
 
     def __init__(self) -> None:
         self._nets: Latest[tuple[float, float, int], Net] = Latest(keep=2)
-        # The cameras' threads ask for the same moments, though not at once.
+        # The cameras' threads need the same moments, but at different times.
         self._moments: Latest[tuple[object, ...], Picture] = Latest(keep=4 * MOST_LOOKS)
 
     def add(
@@ -44,13 +44,13 @@ class UnevenLight:
         rays: Array,
         geometry: Geometry,
         pose: Pose,
-        rest: Pose,
+        initial_pose: Pose,
         electrons: Picture,
     ) -> None:
-        """Add the spot, and what the net has more or less than even light, to mean ``electrons`` (h, w) in place.
+        """Add the spot, and the net minus even light, to mean ``electrons`` (h, w) in place.
 
         ``ambient_e`` and ``white_e`` are the electrons of ambient light and of the projector's white in ``duration_s``;
-        the object is at ``pose``, and was at ``rest`` when the places of the light were named.
+        the object is at ``pose``; ``initial_pose`` is that to which the places of the light refer.
         """
         net, tile_mm = np.ones((CELLS, CELLS), np.float32), 1.0
         if daylight.caustics > 0.0:
@@ -58,11 +58,11 @@ class UnevenLight:
             moments = [clock_s + duration_s * ((k + 0.5) / looks - 0.5) for k in range(looks)]
             net = np.mean([self._net_at(daylight, at_s) for at_s in moments], axis=0, dtype=np.float32)
             tile_mm = self._net(daylight).tile_mm
-        turn = rest.R @ pose.R.T  # from the rig's frame of now to that of time 0
+        rotation = initial_pose.R @ pose.R.T  # from the rig's frame of now to that of time 0
         sun_x, sun_y = _across(np.array(daylight.sun_direction))
         axis = np.array(daylight.torch_direction) / np.linalg.norm(daylight.torch_direction)
         _add(
-            rays, geometry.distance_mm, geometry.pixels, turn, rest.t - turn @ pose.t,
+            rays, geometry.distance_mm, geometry.pixels, rotation, initial_pose.t - rotation @ pose.t,
             net, ambient_e * daylight.caustics, CELLS / tile_mm, sun_x, sun_y,
             daylight.torch * white_e, daylight.torch_mm(clock_s), axis,
             4.0 * math.log(2.0) / daylight.torch_diameter_mm**2, electrons,
@@ -87,7 +87,7 @@ def _across(direction: Array) -> tuple[Array, Array]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _add(
-    rays: Array, distance: Array, pixels: Picture, turn: Array, shift: Array,
+    rays: Array, distance: Array, pixels: Picture, rotation: Array, shift: Array,
     net: Picture, net_e: float, per_mm: float, sun_x: Array, sun_y: Array,
     torch_e: float, torch_at: Array, axis: Array, per_mm2: float, electrons: Picture,
 ) -> None:  # fmt: skip
@@ -100,9 +100,9 @@ def _add(
                 continue
             ray = rays[y, x]
             wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
-            px = turn[0, 0] * wx + turn[0, 1] * wy + turn[0, 2] * wz + shift[0]
-            py = turn[1, 0] * wx + turn[1, 1] * wy + turn[1, 2] * wz + shift[1]
-            pz = turn[2, 0] * wx + turn[2, 1] * wy + turn[2, 2] * wz + shift[2]
+            px = rotation[0, 0] * wx + rotation[0, 1] * wy + rotation[0, 2] * wz + shift[0]
+            py = rotation[1, 0] * wx + rotation[1, 1] * wy + rotation[1, 2] * wz + shift[1]
+            pz = rotation[2, 0] * wx + rotation[2, 1] * wy + rotation[2, 2] * wz + shift[2]
             light = 0.0
             if torch_e > 0.0:
                 ax, ay, az = px - torch_at[0], py - torch_at[1], pz - torch_at[2]
@@ -116,7 +116,7 @@ def _add(
                 s, t = a - i, b - j
                 i0, j0 = i % columns, j % rows
                 i1, j1 = (i0 + 1) % columns, (j0 + 1) % rows
-                # Bilinear in the net; its mean, which even light already has, is taken off.
+                # Bilinear in the net, less its mean, which the even light already contains.
                 above = net[j0, i0] + s * (net[j0, i1] - net[j0, i0])
                 below = net[j1, i0] + s * (net[j1, i1] - net[j1, i0])
                 light += net_e * (above + t * (below - above) - 1.0)

@@ -1,1 +1,1 @@
-"""Things that are looked at, with exactly known surfaces."""
+"""Objects with exactly known surfaces."""

@@ -1,4 +1,4 @@
-"""Owns how plates of the world ``outside`` are bent: not to a paraboloid alone, but to a saddle, a twist and an S."""
+"""Forms of the plates in the world ``outside``: a saddle, a twist and an S besides the paraboloid."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from hw_sim.ranges import Range, drawn_strengths
 
 MOST_MM = 0.2
-"""Largest form for which the boxes around plane and board have room, together with a bow."""
+"""Largest form that fits into the boxes around plane and board, together with a bow."""
 BOARD = "estimate: a hundredth to some hundredths of a mm; 1 K across 8 mm of aluminium bends 300 mm by 0.03 mm"
 PLATE = (
     "measuring plates of 250 mm: flat to 5 µm (grade 0: 4 + L/250, L in mm) or 12.5 µm (grade 1: 10 + L/100), DIN 876"
@@ -47,7 +47,7 @@ class BentPlates:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> BentPlates:
-        """Return strengths drawn from ``RANGES``, each with a sign of its own."""
+        """Return strengths drawn from ``RANGES``, each with a random sign."""
         values = drawn_strengths(RANGES, rng)
         return cls(**{name: value * float(rng.choice([-1.0, 1.0])) for name, value in values.items()})
 

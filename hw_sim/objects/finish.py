@@ -1,4 +1,4 @@
-"""Owns what the surfaces of the world ``outside`` are made of: how white is white, gloss, and light that goes below the skin."""
+"""The surfaces of the world ``outside``: albedo of white, gloss, and subsurface scattering."""
 
 # Symbols:
 #   ρ         diffuse albedo; κ wave number, 1/mm; ℓ length by which light below the surface falls to 1/e
@@ -31,10 +31,10 @@ RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """The strengths of what surfaces do besides Lambert's law. Raises ValueError for impossible numbers."""
+    """The strengths of surface effects besides Lambert's law. Raises ValueError for impossible numbers."""
 
     white: float = MEAN_ALBEDO
-    """Albedo of what has 0.6 in the ordinary world; every other albedo changes by the same factor."""
+    """Albedo of surfaces with 0.6 in the ordinary world; all albedos change by the same factor."""
     gloss_index: float = 1.0
     """Index of the coat relative to water: Fresnel's reflection. 1: no gloss."""
     roughness: float = 0.3
@@ -44,16 +44,16 @@ class Finish:
     below_mm: float = 0.3
     """Length by which it spreads there: exp(−r/ℓ)."""
     bounce: float = 0.0
-    """Share of the light that goes from surface to surface once: 1 as it is, 0 none."""
+    """Share of the single interreflection: 1 as in reality, 0 none."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        for name, lowest, highest in (
             *(("white", 0.01, 1.0), ("gloss_index", 1.0, 2.0), ("roughness", 0.02, 1.0)),
             *(("below_part", 0.0, 1.0), ("below_mm", 0.01, 20.0), ("bounce", 0.0, 1.0)),
         ):
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"surfaces: {name} = {value}; allowed are {least:g}..{most:g}")
+            if not lowest <= value <= highest:
+                raise ValueError(f"surfaces: {name} = {value}; allowed are {lowest:g}..{highest:g}")
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Finish:
@@ -66,9 +66,9 @@ class Finish:
         return self.white / MEAN_ALBEDO
 
     def spread_below(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the projected light (h, w) as it leaves the surface again, in the pattern's frame: part of it has spread below.
+        """Return the projected light (h, w) as it leaves the surface again, in the pattern's frame.
 
-        A surface that leans spreads it as one that does not.
+        Part of it has spread below the surface. The slope of the surface is neglected.
         """
         if self.below_part == 0.0:
             return light

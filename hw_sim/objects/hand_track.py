@@ -1,10 +1,10 @@
-"""Owns how the hands of the world ``outside`` move: with jerk, in a swell, and in turns about the diver's shoulder.
+"""Motion of the hands in the world ``outside``: jerk, a swell, and rotation about the shoulder.
 
-This comes on top of a scene's own motion (``objects.motion``), and begins with time 0 as that does.
+It is added to a scene's motion (``objects.motion``), and begins with time 0 as that does.
 """
 
 # Symbols:
-#   turn, shift   the rig has moved so since time 0: p_then = turn (p_now − shoulder) + shoulder + shift, rig frame
+#   rotation, shift   motion of the rig since time 0: p_then = rotation (p_now − shoulder) + shoulder + shift, rig frame
 #   j             jerk, mm/s³; A, ω, φ amplitude, angular frequency and phase of the swell or of the turn
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class HandTrack:
-    """Movements of the hands besides a scene's motion; zero is none. Raises ValueError for impossible numbers."""
+    """Motion of the hands besides a scene's motion; zero is none. Raises ValueError for wrong numbers."""
 
     jerk_mm_s3: Vector = (0.0, 0.0, 0.0)
     swell_mm: Vector = (0.0, 0.0, 0.0)
@@ -62,10 +62,15 @@ class HandTrack:
     """The shoulder in the rig frame at time 0."""
 
     def __post_init__(self) -> None:
-        for name, most in (("jerk_mm_s3", 1e5), ("swell_mm", 100.0), ("shoulder_deg", 10.0), ("shoulder_mm", 5000.0)):
+        for name, highest in (
+            ("jerk_mm_s3", 1e5),
+            ("swell_mm", 100.0),
+            ("shoulder_deg", 10.0),
+            ("shoulder_mm", 5000.0),
+        ):
             value = getattr(self, name)
-            if len(value) != 3 or not all(abs(part) <= most for part in value):
-                raise ValueError(f"hands: {name} = {value}; give three numbers, each within -{most:g}..{most:g}")
+            if len(value) != 3 or not all(abs(part) <= highest for part in value):
+                raise ValueError(f"hands: {name} = {value}; give three numbers, each within -{highest:g}..{highest:g}")
         for name in ("swell_hz", "shoulder_hz"):
             value = getattr(self, name)
             if not 0.0 < value <= 30.0:
@@ -73,7 +78,7 @@ class HandTrack:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> HandTrack:
-        """Return strengths drawn from ``RANGES``, in directions that all are as likely."""
+        """Return strengths drawn from ``RANGES``, in uniformly distributed directions."""
         values = drawn_strengths(RANGES, rng)
         side = values["shoulder_side_mm"] * float(rng.choice([-1.0, 1.0]))
         return cls(
@@ -88,16 +93,19 @@ class HandTrack:
         )
 
     def seen(self, R: Array, t: Array, time_s: float) -> tuple[Array, Array]:
-        """Return rotation (3, 3) and translation (3,), mm, of an object that without this is at (R, t) in the rig's frame."""
+        """Return the pose in the rig frame of an object that would be at (R, t) without this motion.
+
+        Rotation (3, 3) and translation (3,), mm.
+        """
         swell = 2.0 * math.pi * self.swell_hz * time_s + self.swell_phase_rad
         # s = j t³/6 + A (sin(ωt + φ) − sin φ): at time 0 nothing has moved.
         shift = np.array(self.jerk_mm_s3) * time_s**3 / 6.0
         shift += np.array(self.swell_mm) * (math.sin(swell) - math.sin(self.swell_phase_rad))
         angle = 2.0 * math.pi * self.shoulder_hz * time_s + self.shoulder_phase_rad
-        turn = _turn(np.radians(self.shoulder_deg) * (math.sin(angle) - math.sin(self.shoulder_phase_rad)))
-        # What was at p before is now at turnᵀ (p − shift − shoulder) + shoulder.
+        rotation = _turn(np.radians(self.shoulder_deg) * (math.sin(angle) - math.sin(self.shoulder_phase_rad)))
+        # A point p is now at rotationᵀ (p − shift − shoulder) + shoulder.
         shoulder = np.array(self.shoulder_mm)
-        return turn.T @ R, turn.T @ (t - shift - shoulder) + shoulder
+        return rotation.T @ R, rotation.T @ (t - shift - shoulder) + shoulder
 
 
 def _towards_anywhere(length: float, rng: np.random.Generator) -> Vector:

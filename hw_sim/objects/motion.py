@@ -1,9 +1,9 @@
-"""Owns how the diver's hands move the instrument, and where an object therefore is at a moment."""
+"""Motion of the diver's hands with the instrument, and the resulting pose of an object at a moment."""
 
 # Symbols:
 #   R0, t0    pose of the object before anything moved: p_rig = R0 p_object + t0
 #   v, a      velocity and acceleration of the rig, mm/s and mm/s²; omega the tremor's angular frequency, rad/s
-#   turn, shift   how the rig has moved since: p_rig_then = turn (p_rig_now − pivot) + pivot + shift
+#   rotation, shift   motion of the rig since: p_rig_then = rotation (p_rig_now − pivot) + pivot + shift
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SWAY_MM, SWAY_S = 50.0, 1.0
-"""Hands that are not at rest while aiming go this far before they turn back; this long where they only tremble or turn."""
+"""Amplitude of hands that move while aiming; its duration if they only tremble or rotate."""
 PIVOT_MM = np.array([0.0, 0.0, 522.5])
 
 
@@ -33,7 +33,7 @@ class Motion:
     tremor_hz: float = 6.0
     rotation_deg_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     aiming: int = 0
-    """1: the hands move in live views, too, to and fro over ``SWAY_MM``; 0: there they are at rest."""
+    """1: the hands also move in live images, to and fro over ``SWAY_MM``; 0: they are at rest there."""
 
     def __post_init__(self) -> None:
         for name in ("velocity_mm_s", "acceleration_mm_s2", "tremor_mm", "rotation_deg_s"):
@@ -47,13 +47,15 @@ class Motion:
 
     @property
     def still(self) -> bool:
-        """Nothing moves."""
+        """True if there is no motion."""
         return not any((*self.velocity_mm_s, *self.acceleration_mm_s2, *self.tremor_mm, *self.rotation_deg_s))
 
 
 def swayed_s(motion: Motion, clock_s: float) -> float:
-    """Return the time of the motion, s, that a live view at ``clock_s`` shows: there and back again so that the object stays
-    in sight; 0 where the hands are at rest in live views."""
+    """Return the time of the motion, s, for a live image at ``clock_s``; 0 if the hands are at rest.
+
+    It runs to and fro so that the object stays in sight.
+    """
     if not motion.aiming:
         return 0.0
     speed_mm_s = math.hypot(*motion.velocity_mm_s)
@@ -63,14 +65,16 @@ def swayed_s(motion: Motion, clock_s: float) -> float:
 
 
 def pose_matrix(pose: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return rotation (3, 3) = Rz Ry Rx and translation (3,), mm, of a pose [x, y, z, rx_deg, ry_deg, rz_deg]: object frame →
-    rig frame."""
+    """Return rotation (3, 3) = Rz Ry Rx and translation (3,), mm, of a pose: object frame → rig frame.
+
+    A pose is [x, y, z, rx_deg, ry_deg, rz_deg].
+    """
     x, y, z, *angles = pose
     return _euler(tuple(math.radians(a) for a in angles)), np.array([x, y, z])
 
 
 def object_pose(pose: tuple[float, ...], motion: Motion, time_s: float) -> tuple[Array, Array]:
-    """Return rotation (3, 3) and translation (3,), mm, of the object in the moved rig's frame at ``time_s``."""
+    """Return rotation (3, 3) and translation (3,), mm, of the object in the moved rig frame at ``time_s``."""
     R0, t0 = pose_matrix(pose)
     if motion.still or time_s == 0.0:
         return R0, t0
@@ -79,9 +83,9 @@ def object_pose(pose: tuple[float, ...], motion: Motion, time_s: float) -> tuple
     omega = 2 * math.pi * motion.tremor_hz
     # s = v t + a t²/2 + A (sin(ωt + φ) − sin φ): at time 0 nothing has moved. Each axis trembles in its own phase.
     shift = v * time_s + 0.5 * a * time_s**2 + tremor * (np.sin(omega * time_s + phases) - np.sin(phases))
-    turn = _euler(tuple(math.radians(w) * time_s for w in motion.rotation_deg_s))
-    # Rig point = turn · (moved rig's point − pivot) + pivot + shift, inverted for the object.
-    return turn.T @ R0, turn.T @ (t0 - shift - PIVOT_MM) + PIVOT_MM
+    rotation = _euler(tuple(math.radians(w) * time_s for w in motion.rotation_deg_s))
+    # Rig point = rotation · (moved rig's point − pivot) + pivot + shift, inverted for the object.
+    return rotation.T @ R0, rotation.T @ (t0 - shift - PIVOT_MM) + PIVOT_MM
 
 
 def _euler(angles_rad: tuple[float, ...]) -> Array:

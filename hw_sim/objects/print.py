@@ -1,7 +1,7 @@
-"""Owns the print of the ChArUco board: where there is ink, to the last fraction of a camera pixel.
+"""The print of the ChArUco board, exact to fractions of a camera pixel.
 
 The drawing is bilevel and consists of small squares (``CELL_MM``) without a remainder: the chessboard's, and the
-markers' modules. A camera pixel sees the mean of what lies before it.
+markers' modules. A camera pixel sees the mean over its footprint.
 """
 
 # Symbols:
@@ -41,13 +41,16 @@ CELL_MM = SQUARE_MM / CELLS
 PAPER, INK = 0.6, 0.04
 """Albedos."""
 EDGE_MM, LEAST_SLOPE = 0.01, 0.2
-"""Nearer to the plate's edge than this, or seen more obliquely, other means than ``front_met`` decide what is seen."""
+"""Distance from the plate's edge and slope of the ray below which ``front_met`` is not used."""
 SAMPLES, TURN = 233, 144
 """A Fibonacci lattice: evenly spread over a pixel. Only where more than one edge crosses a pixel."""
 
 
 def board_print() -> Ink:
-    """Return the drawing (DOWN × CELLS, ACROSS × CELLS) uint8: 1 for paper, 0 for ink; the top left square is row 0."""
+    """Return the drawing (DOWN × CELLS, ACROSS × CELLS) uint8: 1 for paper, 0 for ink.
+
+    The top left square is row 0.
+    """
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
     board = cv2.aruco.CharucoBoard((ACROSS, DOWN), SQUARE_MM, MARKER_MM, dictionary)
     drawn = np.asarray(board.generateImage((ACROSS * CELLS, DOWN * CELLS)), np.uint8)
@@ -55,14 +58,17 @@ def board_print() -> Ink:
 
 
 def corners_mm(scale: float = 1.0) -> Array:
-    """Return the inner corners ((ACROSS − 1)(DOWN − 1), 3) float64 of the print in the object frame, mm, row by row; without the bow."""
+    """Return the inner corners ((ACROSS − 1)(DOWN − 1), 3) float64 of the print, mm, row by row.
+
+    They are in the object frame, without the bow.
+    """
     x, y = np.meshgrid(np.arange(1, ACROSS) - 0.5 * ACROSS, np.arange(1, DOWN) - 0.5 * DOWN)
     return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1) * (SQUARE_MM * scale)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _paper(ink: Ink, i: int, j: int) -> float:
-    """Return 1 where there is paper, which is also all around the print, and 0 where there is ink."""
+    """Return 1 for paper, which is also around the print, and 0 for ink."""
     if i < 0 or j < 0 or i >= ink.shape[1] or j >= ink.shape[0]:
         return 1.0
     return float(ink[j, i])
@@ -70,7 +76,7 @@ def _paper(ink: Ink, i: int, j: int) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _before(edge: float, a: float, b: float) -> float:
-    """Return the share of a pixel that lies before an edge at ``edge``, when its coordinate there is a u + b v, u and v in ±½."""
+    """Return the share of a pixel before an edge; its coordinate is a u + b v, u and v in ±½."""
     # u a + v b with u, v even in ±½ has a trapezoid as density: flat within wide − narrow, zero beyond wide + narrow.
     wide, narrow = 0.5 * max(abs(a), abs(b)), 0.5 * min(abs(a), abs(b))
     end = wide + narrow - abs(edge)
@@ -87,8 +93,10 @@ def _before(edge: float, a: float, b: float) -> float:
 def printed(
     ink: Ink, sizes: Array, x: float, y: float, right_x: float, right_y: float, down_x: float, down_y: float
 ) -> float:
-    """Return the mean albedo of what a pixel sees that looks at (x, y) of the object frame, mm; ``right`` and ``down`` lead to what
-    its neighbours look at."""
+    """Return the mean albedo of a pixel's footprint at (x, y) of the object frame, mm.
+
+    ``right`` and ``down`` lead to the footprints of its neighbours.
+    """
     per_mm = 1.0 / (CELL_MM * sizes[BOARD_SCALE])
     column, row = x * per_mm + 0.5 * ink.shape[1], y * per_mm + 0.5 * ink.shape[0]
     ax, ay, bx, by = right_x * per_mm, right_y * per_mm, down_x * per_mm, down_y * per_mm
@@ -106,7 +114,7 @@ def printed(
     if share < 0.0:
         share = 0.0
         for k in range(SAMPLES):
-            # Else average over the lattice: u evenly, v by the golden ratio (TURN / SAMPLES).
+            # Otherwise average over the lattice: u evenly, v by the golden ratio (TURN / SAMPLES).
             u = (k + 0.5) / SAMPLES - 0.5
             v = ((k * TURN) % SAMPLES + 0.5) / SAMPLES - 0.5
             share += _paper(ink, math.floor(column + u * ax + v * bx), math.floor(row + u * ay + v * by))
@@ -116,10 +124,10 @@ def printed(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
-    """Return how far, mm along a ray from before the board, its printed front is; NaN if the ray meets it hardly or not.
+    """Return the length, mm, of a ray to the board's printed front; NaN if it is oblique or misses.
 
-    This is what ``shapes.march`` finds, in a fifth of the time: the front is nearly a plane, and each round makes the rest of
-    what it is not a thousand times smaller.
+    It is the result of ``shapes.march`` in a fifth of the time: the front is nearly a plane, and each round makes the
+    error a thousand times smaller.
     """
     if dz < LEAST_SLOPE:
         return math.nan
@@ -127,7 +135,7 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
     far = -oz / dz
     for _ in range(3):
         x, y = ox + far * dx, oy + far * dy
-        # Fixed point: intersect with the plane at the height that the front has where the last guess met it.
+        # Fixed point: intersect with the plane at the front's height at the last intersection.
         bent = sizes[BOARD_BOW] * (1.0 - (x * x + y * y) * (2.0 / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)))
         if formed:
             bent = rise(sizes, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM, x, y)
@@ -140,7 +148,10 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def lean(sizes: Array, x: float, y: float) -> tuple[float, float]:
-    """Return the slopes dz/dx, dz/dy of the bent front at a point: the derivative of z = bow (1 − 2 r²/a²), or of ``shapes.rise``."""
+    """Return the slopes dz/dx, dz/dy of the bent front.
+
+    They are the derivative of z = bow (1 − 2 r²/a²), or of ``shapes.rise``.
+    """
     k = -4.0 * sizes[BOARD_BOW] / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)
     slope_x, slope_y = k * x, k * y
     if sizes.size > SIZES:

@@ -1,11 +1,11 @@
-"""Owns the shapes: for each object an implicit function, negative inside, whose zero set is the surface.
+"""The shapes: for each object an implicit function, negative inside, whose zero set is the surface.
 
-Object frame, mm: the side that the instrument looks at faces −z. The function never exceeds the distance to the
-surface, so that rays can march along it without stepping through. ``docs/protocols/world.md`` lists the dimensions.
+Object frame, mm: the side towards the instrument faces −z. The function never exceeds the distance to the surface, so
+that rays can march along it without stepping through. ``docs/protocols/world.md`` lists the dimensions.
 """
 
 # Symbols:
-#   kind, sizes  the object, and what the workshop made of it (see SIZES)
+#   kind, sizes  the object, and its true dimensions (see SIZES)
 #   x, y, z      point of the object's frame, mm; o, d origin and unit direction of a ray there
 #   f, g         values of the implicit function at the present and the next place of a ray, mm
 #   t            length along the ray; fall = −df/dt, mm per mm, as the last step had it
@@ -34,7 +34,7 @@ NAMES = {
 
 BALL_RADIUS_MM = 15.0
 BALL_DISTANCE_MM = 150.0
-"""Centre to centre, nominal; the truth's artefacts say what was made of it."""
+"""Nominal distance of the centres; the true one is in the truth's artefacts."""
 BAR_RADIUS_MM = 5.0
 PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM = 125.0, 100.0, 10.0
 FRUSTUM_BASE_MM, FRUSTUM_TOP_MM, FRUSTUM_HEIGHT_MM = 150.0, 80.0, 45.0
@@ -43,7 +43,7 @@ PIPE_RADIUS_MM, PIPE_HALF_LENGTH_MM = 45.0, 130.0
 FLANGE_RADIUS_MM, FLANGE_HALF_LENGTH_MM, FLANGE_X_MM = 60.0, 9.0, 55.0
 WELD_RADIUS_MM, WELD_X_MM = 4.0, -45.0
 BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM = 145.0, 118.0, 8.0
-"""The plate of the ChArUco board; what is printed on it: ``objects.print``."""
+"""The plate of the ChArUco board; its print is in ``objects.print``."""
 
 MAIN_RADIUS_MM, MAIN_HALF_LENGTH_MM = 60.0, 500.0
 MAIN_FLANGE_RADIUS_MM, MAIN_FLANGE_HALF_LENGTH_MM, MAIN_FLANGE_X_MM = 82.0, 11.0, 140.0
@@ -63,12 +63,12 @@ DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
 }
 
 HALF_BALL_DISTANCE, PLANE_BOW, BOARD_BOW, BOARD_SCALE, SIZES = 0, 1, 2, 3, 4
-"""Layout of ``sizes``: what differs from one made artefact to the next."""
+"""Layout of ``sizes``: dimensions that differ between copies of an artefact."""
 PLANE_FORM, BOARD_FORM, SOFT, SIZES_OUTSIDE = 4, 7, 10, 13
-"""The rest of ``sizes``, in the world ``outside`` only: saddle, twist and S of each plate, mm (``rise``), and the wave that runs through
-a soft object (``_wave``): amplitude in mm, wave number in rad/mm, phase in rad."""
+"""Further elements of ``sizes``, in the world ``outside`` only: saddle, twist and S of each plate, mm (``rise``), and
+the wave in a soft object (``_wave``): amplitude in mm, wave number in rad/mm, phase in rad."""
 VARIED = len(NAMES)
-"""An object that has all these sizes has its kind plus this: ordinary ones take no longer for what they have not."""
+"""Offset of the kind of an object with all these sizes, so that ordinary objects take no longer."""
 S_PEAK = 1.5 * math.sqrt(3.0)
 """The cubic p (1 − p²) times this has the extremes ±1."""
 
@@ -97,14 +97,14 @@ STONES_AT = np.array(
 )
 """Middle x y z and mean radius of each stone."""
 RADIUS = np.tile([161.0, 92.5, 132.0, 144.0, 138.0, 120.0, 188.0, 507.0], 2)
-"""Radius of a ball around the origin that holds each object."""
+"""Radius of a ball around the origin that contains each object."""
 
 HIT_MM = 1e-7
-"""A ray has arrived when the function is smaller than this; what remains is the last secant's."""
+"""Largest value of the function at the end of a ray; the last secant removes the remainder."""
 NEAR_MM, REACH_MM, LAST_MM = 0.1, 1.0, 1e-4
-"""Secants are tried where the function is this small, and if they reach no further than this; and the last of them."""
+"""Largest value of the function for secants, their largest length, and the value for the last one."""
 STRETCH = 1.9
-"""A stretched step tries this share of its longest length (2: the balls of its ends just touch if the guess is right)."""
+"""Share of the longest stretched step that is tried (2: the balls of its ends just touch if the guess is right)."""
 MARCH_STEPS = 300
 
 
@@ -178,8 +178,8 @@ def _shell(x: float, y: float, z: float) -> float:
     height = 0.0
     if inside > 0.0:
         fan = y + 85.0
-        turn = x / fan
-        rib = math.cos(24.0 * turn / (1.0 + 0.3 * turn * turn))
+        slope = x / fan
+        rib = math.cos(24.0 * slope / (1.0 + 0.3 * slope * slope))
         growth = math.sin(0.16 * math.sqrt(x * x + fan * fan))
         smooth = inside * inside * (3.0 - 2.0 * inside)
         height = smooth * (36.0 + 2.6 * rib * (1.6 - 0.9 * inside) + 0.5 * growth)
@@ -216,7 +216,7 @@ def _stones(x: float, y: float, z: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _plate(x: float, y: float, z: float, half_x: float, half_y: float, thickness: float, bow: float) -> float:
-    """Return a bound of the distance to a plate whose front, at z = 0, the workshop bent: z = bow (1 − 2 r²/half_x²)."""
+    """Return a bound of the distance to a plate whose front is bent: z = bow (1 − 2 r²/half_x²)."""
     bent = bow * (1.0 - (x * x + y * y) * (2.0 / (half_x * half_x)))
     # A front that leans by a slope m is √(1 + m²) nearer than measured along z: 0.999 covers m = 0.045, far above any bow.
     return 0.999 * _box(x, y, z - 0.5 * thickness - bent, half_x, half_y, 0.5 * thickness)
@@ -224,7 +224,7 @@ def _plate(x: float, y: float, z: float, half_x: float, half_y: float, thickness
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def rise(sizes: Array, bow: int, form: int, half_x: float, x: float, y: float) -> float:
-    """Return the height z, mm, of a plate's front with all its forms; ``bow`` and ``form`` are places in ``sizes``."""
+    """Return the height z, mm, of a plate's front with its forms; ``bow``, ``form``: indices in ``sizes``."""
     # Bow, z = bow (1 − 2 r²/a²); saddle p² − q², twist 2 p q (a saddle turned by 45°), and an S along x; p = x/a, q = y/a.
     p, q = x / half_x, y / half_x
     bent = sizes[bow] * (1.0 - 2.0 * (p * p + q * q)) + sizes[form] * (p * p - q * q)
@@ -234,14 +234,14 @@ def rise(sizes: Array, bow: int, form: int, half_x: float, x: float, y: float) -
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _wave(sizes: Array, x: float, y: float) -> float:
-    """Return how far, mm along z, the wave through a soft object has moved it at (x, y)."""
+    """Return the displacement, mm along z, by the wave in a soft object at (x, y)."""
     # It runs obliquely, so that neither rows nor columns of a pattern see only one phase of it.
     return float(sizes[SOFT] * math.sin(sizes[SOFT + 1] * (0.8 * x + 0.6 * y) + sizes[SOFT + 2]))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _outside(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
-    """Return ``implicit`` of an object whose kind has ``VARIED``: plates with forms, and whatever is soft."""
+    """Return ``implicit`` of an object whose kind has ``VARIED``: plates with forms, and soft objects."""
     steep = 1.0
     if sizes[SOFT] != 0.0 and kind != VARIED + BOARD:
         # A shear z → z − wave(x, y) whose slope is m makes gradients at most 1 + m as long.
@@ -275,7 +275,7 @@ def _outside(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
-    """Return the implicit function of an object at a point of its frame, mm: never more than the distance to the surface."""
+    """Return the implicit function at a point of the object frame, mm: at most the surface's distance."""
     if kind == 0:
         return _plate(x, y, z, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM, sizes[PLANE_BOW])
     if kind == 1:
@@ -321,7 +321,7 @@ def _slab(low: float, high: float, slope: float) -> tuple[float, float]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def box_span(kind: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
-    """Return where a ray enters and leaves the object's box, mm, with half a millimetre to spare; enter > leave: it misses."""
+    """Return where a ray enters and leaves the object's box, mm, with a margin; enter > leave: it misses."""
     x0, x1 = _slab(BOX[kind, 0] - ox, BOX[kind, 3] - ox, dx)
     y0, y1 = _slab(BOX[kind, 1] - oy, BOX[kind, 4] - oy, dy)
     z0, z1 = _slab(BOX[kind, 2] - oz, BOX[kind, 5] - oz, dz)
@@ -332,16 +332,16 @@ def box_span(kind: int, ox: float, oy: float, oz: float, dx: float, dy: float, d
 def march(
     kind: int, sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, start: float, stop: float
 ) -> float:
-    """Return the distance along a ray (object frame, unit direction) to the first surface after ``start``; NaN when there is none
-    before ``stop``. Good to 1e-8 mm unless the ray grazes.
+    """Return the length of a ray to the first surface after ``start``; NaN: none before ``stop``.
 
-    The function is a radius within which there is nothing (sphere tracing: Hart 1996). A step may be longer than that,
-    as long as the free balls of its two ends touch; how long is guessed from how fast the function fell in the last one
-    (relaxed sphere tracing: Keinert et al. 2014; Bálint and Valasek 2018). Near the surface secants take over.
+    Object frame, unit direction; accurate to 1e-8 mm unless the ray grazes. The function is a radius within which there
+    is no surface (sphere tracing: Hart 1996). A step may be longer than that, as long as the free balls of its two ends
+    touch; its length is guessed from the decrease of the function in the last step (relaxed sphere tracing: Keinert et
+    al. 2014; Bálint and Valasek 2018). Near the surface secants take over.
     """
     enter, leave = box_span(kind, ox, oy, oz, dx, dy, dz)
     if kind >= VARIED:
-        # A wave may lift the surface out of its box: by its amplitude, which an oblique ray meets some times as far off.
+        # A wave may lift the surface out of its box by its amplitude, which is longer along an oblique ray.
         enter, leave = enter - 4.0 * abs(sizes[SOFT]), leave + 4.0 * abs(sizes[SOFT])
     t, end = max(start, enter), min(stop, leave)
     if not t < end:
@@ -364,7 +364,7 @@ def march(
         # The free balls of the two ends touch where step = f + g; with g = f − fall · step: step = 2f / (1 + fall).
         step = max(f, f * STRETCH / max(1.0 + fall, 0.5))
         g = implicit(kind, sizes, ox + (t + step) * dx, oy + (t + step) * dy, oz + (t + step) * dz)
-        # They do not touch: something might lie between. Back to the safe step.
+        # They do not touch: a surface might lie between. Back to the safe step.
         if step > f + g:
             step = f
             g = implicit(kind, sizes, ox + (t + step) * dx, oy + (t + step) * dy, oz + (t + step) * dz)
@@ -382,25 +382,27 @@ def _crossing(
     kind: int, sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float,
     outside: float, f: float, inside: float, g: float,
 ) -> float:  # fmt: skip
-    """Return the length along a ray at which the function passes zero, between ``outside`` (value f > 0) and ``inside``
-    (value g < 0): false position, Illinois variant (Dowell and Jarratt 1971)."""
-    at, last = outside, 0.0
+    """Return the length of a ray at which the function is zero, between ``outside`` and ``inside``.
+
+    Their values are f > 0 and g < 0. False position, Illinois variant (Dowell and Jarratt 1971).
+    """
+    length, last = outside, 0.0
     for _ in range(60):
-        at = (outside * g - inside * f) / (g - f)
-        here = implicit(kind, sizes, ox + at * dx, oy + at * dy, oz + at * dz)
-        if abs(here) < 1e-3 * HIT_MM or inside - outside < 1e-10:
+        length = (outside * g - inside * f) / (g - f)
+        value = implicit(kind, sizes, ox + length * dx, oy + length * dy, oz + length * dz)
+        if abs(value) < 1e-3 * HIT_MM or inside - outside < 1e-10:
             break
-        if here < 0.0:
-            inside, g = at, here
-            # The same end moved twice: halve the other's value, or false position would creep.
+        if value < 0.0:
+            inside, g = length, value
+            # The same end moved twice: halve the value of the other one, or false position would creep.
             if last < 0.0:
                 f *= 0.5
         else:
-            outside, f = at, here
+            outside, f = length, value
             if last > 0.0:
                 g *= 0.5
-        last = here
-    return at
+        last = value
+    return length
 
 
 @numba.njit(nogil=True, cache=True)
@@ -420,11 +422,11 @@ def values(kind: int, sizes: Array, points: Array, out: Array) -> None:
 
 @numba.njit(nogil=True, cache=True)
 def distances(kind: int, sizes: Array, points: Array, out: Array) -> None:
-    """Fill ``out`` (n,) with the signed distances, mm, of points (n, 3) in the object frame from the surface, outside positive.
+    """Fill ``out`` (n,) with the signed distances, mm, of points (n, 3) from the surface, outside > 0.
 
-    The foot point is dropped onto the surface along the gradient, then slid along the surface until the point stands
-    perpendicularly above it. Exact near the surface, whatever the function's slope; beside an edge the foot is on one
-    of the faces that meet there.
+    Object frame. The foot point is dropped onto the surface along the gradient, then slid along the surface until the
+    point stands perpendicularly above it. Exact near the surface, for any slope of the function; beside an edge the
+    foot is on one of the faces that meet there.
     """
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -449,7 +451,7 @@ def distances(kind: int, sizes: Array, points: Array, out: Array) -> None:
             if not away < best - 1e-9:
                 break
             best = away
-            # The part of the way back to the point that lies along the surface.
+            # The component along the surface of the vector back to the point.
             g2 = gx * gx + gy * gy + gz * gz + 1e-30
             normal = (rx * gx + ry * gy + rz * gz) / g2
             fx += rx - normal * gx

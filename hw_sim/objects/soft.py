@@ -1,4 +1,4 @@
-"""Owns the soft object of the world ``outside``: a wave runs through what every scan believes to be rigid."""
+"""The soft object of the world ``outside``: a wave runs through an object that scans take as rigid."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RANGES = {
     "length_mm": Range(90.0, 250.0, "estimate: a third of a blade or more at a time"),
     "wave_hz": Range(0.3, 1.5, "estimate: surge and chop, as for the hands"),
 }
-"""Ranges of the family ``soft``, which is no part of the set: one scene of ten has it."""
+"""Ranges of the family ``soft``, which is not in the set ``ALL``: one scene of ten has it."""
 ONE_IN = 10
 
 
@@ -32,10 +32,10 @@ class SoftBody:
     phase_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, least, most in (("wave_mm", 0.0, 5.0), ("length_mm", 60.0, 1000.0), ("wave_hz", 0.01, 10.0)):
+        for name, lowest, highest in (("wave_mm", 0.0, 5.0), ("length_mm", 60.0, 1000.0), ("wave_hz", 0.01, 10.0)):
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"soft: {name} = {value}; allowed are {least:g}..{most:g}")
+            if not lowest <= value <= highest:
+                raise ValueError(f"soft: {name} = {value}; allowed are {lowest:g}..{highest:g}")
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> SoftBody:
@@ -44,7 +44,7 @@ class SoftBody:
         return cls(values["wave_mm"], values["length_mm"], values["wave_hz"], float(rng.uniform(0.0, 2.0 * math.pi)))
 
     def waving(self, sizes: Array, time_s: float) -> Array:
-        """Return ``sizes`` of ``objects.shapes`` with the wave as it stands at ``time_s``."""
+        """Return ``sizes`` of ``objects.shapes`` with the wave at ``time_s``."""
         out = np.zeros(SIZES_OUTSIDE)
         out[: sizes.size] = sizes
         assert sizes.size in (SIZES, SIZES_OUTSIDE)
@@ -54,5 +54,5 @@ class SoftBody:
 
 
 def is_soft(seed: int) -> bool:
-    """Return whether the scene of this seed has a soft object: one in ``ONE_IN``, drawn."""
+    """Return True if the scene of this seed has a soft object: one in ``ONE_IN``, drawn."""
     return bool(np.random.default_rng([seed, 0x50F7]).integers(ONE_IN) == 0)

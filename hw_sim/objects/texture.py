@@ -1,8 +1,8 @@
-"""Owns albedo: how light or dark an object is at each of its points, fixed to the object."""
+"""Albedo and texture of the objects, fixed to the object."""
 
 # Symbols:
 #   i, j, k   cell of the lattice, modulo 64; s, t, r place within it, 0..1, eased
-#   u, v, w   the object's point in turned axes, mm
+#   u, v, w   the object's point in rotated axes, mm
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ NONE, SLIGHT, STRONG, CHECKER, LABELS = range(5)
 NAMES = {"none": NONE, "slight": SLIGHT, "strong": STRONG, "checker": CHECKER, "labels": LABELS}
 MEAN_ALBEDO = 0.6
 CHECKER_MM, CHECKER_BORDER_MM = 10.0, 0.15
-"""Side of a printed square, and how wide its border is: one pixel of 1600, which is what samples can still carry."""
+"""Side of a printed square, and the width of its border: one pixel of 1600, the limit of the sampling."""
 CHECKER_ALBEDOS = (0.15, 0.70)
 LABELS_ALBEDOS = (0.03, 0.85)
-"""White labels on black rubber, of the checker's size: more than one exposure holds."""
+"""White labels on black rubber, of the checker's size: a range beyond one exposure."""
 LATTICE = 64
-"""The noise repeats after so many cells."""
+"""Period of the noise in cells."""
 
 
 def noise_lattice() -> NDArray[np.float32]:
-    """Return random values −1..1 at the lattice points of ``albedo``: (LATTICE,)*3 float32; the same for everybody, always."""
+    """Return constant random values −1..1 at the lattice points of ``albedo``: (LATTICE,)*3 float32."""
     return np.random.default_rng(64).uniform(-1.0, 1.0, (LATTICE, LATTICE, LATTICE)).astype(np.float32)
 
 
@@ -49,7 +49,7 @@ def _noise(lattice: NDArray[np.float32], x: float, y: float, z: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _stripe(x: float) -> float:
-    """Return 1 and −1 in turn, CHECKER_MM each, with a straight border between them."""
+    """Return 1 and −1 alternately, CHECKER_MM each, with a straight border between them."""
     to_border = (
         0.5 * CHECKER_MM - abs((x / (2.0 * CHECKER_MM) - math.floor(x / (2.0 * CHECKER_MM))) * 2.0 - 1.0) * CHECKER_MM
     )
@@ -64,7 +64,7 @@ def albedo(texture: int, lattice: NDArray[np.float32], x: float, y: float, z: fl
     if texture in (CHECKER, LABELS):
         dark, bright = CHECKER_ALBEDOS if texture == CHECKER else LABELS_ALBEDOS
         return dark + (bright - dark) * (0.5 + 0.5 * _stripe(x) * _stripe(y))
-    # Clouds of 23 mm, stains of 7 mm, grain of 2 mm; the axes are turned so that no face shows the lattice.
+    # Clouds of 23 mm, stains of 7 mm, grain of 2 mm; the axes are rotated so that no face shows the lattice.
     u, v, w = 0.80 * x + 0.36 * y + 0.48 * z, -0.60 * x + 0.48 * y + 0.64 * z, -0.80 * y + 0.60 * z
     clouds = _noise(lattice, u / 23.0, v / 23.0, w / 23.0)
     stains = _noise(lattice, v / 7.0 + 11.0, w / 7.0, u / 7.0)

@@ -1,1 +1,1 @@
-"""The simulator's own optics: exact vector Snell through tilted, wedged slabs. Shares nothing with the product."""
+"""The simulator's optics: exact vector Snell through tilted, wedged slabs; no code of the product."""

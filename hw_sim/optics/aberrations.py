@@ -1,7 +1,7 @@
-"""Owns what lens and window of one eye do that neither Brown's five coefficients nor two flat faces can say.
+"""Flaws of lens and port of one eye beyond five distortion coefficients and two plane faces.
 
-A field of cosines up to order 11 with a falling spectrum, a dent and a stria of the window, and an entrance pupil that moves
-along the axis with the field angle. Where rays go with all that is the matter of ``optics.trace``.
+They are a field of cosines up to order 11 with a falling spectrum, a dent and a stria of the port, and an entrance
+pupil that moves along the axis with the field angle. ``optics.trace`` traces rays with them.
 """
 
 # Symbols:
@@ -22,7 +22,7 @@ from hw_sim.ranges import Range, drawn_strengths
 Array = NDArray[np.float64]
 
 ORDERS = 12
-"""Orders 0 to 11 of the cosines, each way."""
+"""Number of orders of the cosines in each direction: 0 to 11."""
 
 RANGES = {
     "field_px": Range(
@@ -60,30 +60,30 @@ RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class LensFlaws:
-    """The strengths of lens and window flaws, the same for each eye; zero is none. Raises ValueError for impossible numbers."""
+    """The strengths of the flaws, the same for each eye; zero is none. ValueError for wrong numbers."""
 
     field_px: float = 0.0
     """Root mean square of each component of the field, px of 1600."""
     fall: float = 1.0
     """Exponent of the spectrum: a coefficient's standard deviation is (1 + i + j)^−fall."""
     dent_px: float = 0.0
-    """Largest displacement by a dent of the window, px of 1600; each eye has between a half and all of it."""
+    """Largest displacement by a dent of the port, px of 1600; each eye has between a half and all of it."""
     dent_width_px: float = 120.0
-    """Distance from the dent's middle at which it displaces most, px of 1600."""
+    """Distance of the largest displacement from the dent's middle, px of 1600."""
     stria_px: float = 0.0
     """Largest displacement across a stria, px of 1600; each eye has between a half and all of it."""
     stria_width_px: float = 100.0
     pupil_mm: float = 0.0
-    """The entrance pupil lies this far before its place on the axis, times the squared tangent of the angle in air."""
+    """Displacement of the entrance pupil along the axis over the squared tangent of the angle in air."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        for name, lowest, highest in (
             ("field_px", 0.0, 5.0), ("fall", 0.0, 8.0), ("dent_px", 0.0, 5.0), ("dent_width_px", 80.0, 800.0),
             ("stria_px", 0.0, 5.0), ("stria_width_px", 60.0, 800.0), ("pupil_mm", -5.0, 5.0),
         ):  # fmt: skip
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"lens: {name} = {value}; allowed are {least:g}..{most:g}")
+            if not lowest <= value <= highest:
+                raise ValueError(f"lens: {name} = {value}; allowed are {lowest:g}..{highest:g}")
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> LensFlaws:
@@ -93,7 +93,7 @@ class LensFlaws:
 
 @dataclass(frozen=True, slots=True)
 class Aberrations:
-    """The flaws of one eye, in its own px; all that ``optics.trace`` reads."""
+    """The flaws of one eye, in its own px, for ``optics.trace``."""
 
     field_px: tuple[float, ...] = (0.0,) * (2 * ORDERS * ORDERS)
     """Coefficients for u (row = order down the picture), then for v."""
@@ -103,14 +103,14 @@ class Aberrations:
     """A point u, v of its line, direction of its normal in radians, width and largest displacement, px."""
     pupil_mm: float = 0.0
     window_bend_per_mm: float = 0.0
-    """Curvature of both faces, 1/mm, positive where the middle stands towards the lens: the window is a meniscus under pressure."""
+    """Curvature of both faces under pressure, 1/mm, positive if the middle is nearer to the lens."""
 
     def packed(self) -> Array:
-        """Return the numbers in the order in which ``optics.trace`` looks for them."""
+        """Return the numbers in the order that ``optics.trace`` uses."""
         return np.array([*self.field_px, *self.dent, *self.stria, self.pupil_mm, self.window_bend_per_mm])
 
     def without_window(self) -> Aberrations:
-        """Return what the lens alone does."""
+        """Return the flaws of the lens alone."""
         return Aberrations(self.field_px, pupil_mm=self.pupil_mm)
 
     def as_dict(self) -> dict[str, Any]:
@@ -127,7 +127,7 @@ class Aberrations:
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Aberrations:
-        """Return the flaws that ``as_dict`` wrote. Raises KeyError for what is missing."""
+        """Return the flaws of a table by ``as_dict``. Raises KeyError for a missing key."""
         return cls(
             tuple(float(x) for x in np.ravel([table["u_px"], table["v_px"]])),
             tuple(table["dent"]),
@@ -140,23 +140,28 @@ class Aberrations:
 def flawed(
     strengths: LensFlaws, rng: np.random.Generator, width_px: int, height_px: int, px_per_1600: float
 ) -> Aberrations:
-    """Return the flaws of one eye drawn to these strengths; ``px_per_1600`` is one px of 1600 in px of the eye."""
+    """Return random flaws of one eye with these strengths; ``px_per_1600``: px of the eye per px of 1600."""
     orders = np.add.outer(np.arange(ORDERS), np.arange(ORDERS))
     field = rng.standard_normal((2, ORDERS, ORDERS)) * (1.0 + orders) ** -strengths.fall
-    # Shift and the two tilts of lowest order are matters of the principal point and the focal length.
+    # The constant and the two lowest orders belong to principal point and focal length.
     field[:, 0, 0] = field[:, 0, 1] = field[:, 1, 0] = 0.0
     # Mean square of a cosine over the picture: ½, or 1 for order 0.
     power = np.where(np.arange(ORDERS) == 0, 1.0, 0.5)
     square = np.einsum("cji,j,i->c", field**2, power, power)
     field *= strengths.field_px * px_per_1600 / np.sqrt(square)[:, None, None]
-    at = rng.uniform(0.2, 0.8, (2, 2)) * (width_px, height_px)
+    centres_px = rng.uniform(0.2, 0.8, (2, 2)) * (width_px, height_px)
     share = rng.uniform(0.5, 1.0, 2) * rng.choice([-1.0, 1.0], 2) * px_per_1600
     normal_rad = rng.uniform(0.0, math.pi)
     return Aberrations(
         tuple(float(x) for x in field.ravel()),
-        (float(at[0, 0]), float(at[0, 1]), strengths.dent_width_px * px_per_1600, strengths.dent_px * float(share[0])),
         (
-            *(float(at[1, 0]), float(at[1, 1]), normal_rad),
+            float(centres_px[0, 0]),
+            float(centres_px[0, 1]),
+            strengths.dent_width_px * px_per_1600,
+            strengths.dent_px * float(share[0]),
+        ),
+        (
+            *(float(centres_px[1, 0]), float(centres_px[1, 1]), normal_rad),
             *(strengths.stria_width_px * px_per_1600, strengths.stria_px * float(share[1])),
         ),
         strengths.pupil_mm,

@@ -1,15 +1,15 @@
-"""Owns the electronics of a real projector: which channel of the signal lights when, how late, in which bit planes, on which raster.
+"""The electronics of a real projector: channels, latency, bit planes and raster.
 
-The ordinary projector of the world lights a frame evenly with its green codes from the blank at which they were flipped. Real
-ones differ by kind (``KINDS``). A frame is a row of *windows*: in each, one LED shows one channel of the signal, bit plane by bit
-plane; between windows it is dark. While its LED is on, white is as bright as the ordinary projector's, so that a kind with dark
-times gives less light in a frame. ``light_engine`` has the sources of bit planes as such.
+The ordinary projector of the world shows the green codes of a frame evenly from the blank of their flip. Real ones
+differ by kind (``KINDS``). A frame is a row of *windows*: in each, one LED shows one channel of the signal, bit plane
+by bit plane; between windows it is dark. While its LED is on, white is as bright as the ordinary projector's, so that a
+kind with dark times gives less light in a frame. ``light_engine`` has the sources for bit planes in general.
 """
 
 # Symbols:
 #   window    channel (0 red, 1 green, 2 blue of the signal), begin and end as shares of a frame, brightness of its LED
-#   planes    of a window: the bit of each flash, in order, and where it ends as a share of the window
-#   begin_s   time since the frame began to light: its blank, `latency_blanks` later, and `late_us` after that
+#   planes    of a window: the bit of each flash, in order, and its end as a share of the window
+#   begin_s   time since the first light of the frame: its blank, `latency_blanks` later, and `late_us` after that
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hw_sim.optics.projector import BLACK, Light, LightSlice
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
 Signal = tuple[Codes, Codes, Codes]
-"""Red, green and blue as they leave the cable, (768, 1024) uint8 each; one array stands for all that are equal."""
+"""Red, green and blue on the cable, (768, 1024) uint8 each; equal channels share an array."""
 
 CHANNELS = "RGB"
 GREEN = 1
@@ -48,7 +48,7 @@ VIDEO_BITS = 10
 SPLIT_BITS = 6
 """Bits above this one, in video, are split into pieces as long as it, so that no colour flickers (Hornbeck, as in ``light_engine``)."""
 LINEAR = 0.01
-"""Worst distance of the light from a straight line in the code, and share of light of other pictures, of what counts as linear."""
+"""Largest distance of the light from a straight line in the code, and largest share of other images, that is linear."""
 
 
 class Window(NamedTuple):
@@ -60,12 +60,12 @@ class Window(NamedTuple):
     end: float
     """Shares of a frame."""
     brightness: float
-    """The LED's, as the cameras see it, against green."""
+    """Brightness of the LED to the cameras, relative to green."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """The properties of a kind of projector where nothing is said."""
+    """The default properties of a kind of projector."""
 
     order: str
     latency_blanks: int = 1
@@ -89,21 +89,21 @@ one channel each, all by the green LED (DLPC3478, DLPC3479). ``repeats``: green 
 
 @dataclass(frozen=True, slots=True)
 class Beamer:
-    """A projector: its kind and what is peculiar about it. Raises ValueError for what it cannot be."""
+    """A projector: its kind and its settings. Raises ValueError for impossible ones."""
 
     kind: str = "ideal"
     latency_blanks: int | None = None
-    """Blanks from the one at which a picture is flipped to the one at which it begins to light; ``None``: the kind's own."""
+    """Number of blanks from the flip of an image to its first light; ``None``: that of the kind."""
     late_us: float | None = None
-    """Time from that blank to the first light; ``None``: the kind's own."""
+    """Time from that blank to the first light; ``None``: that of the kind."""
     order: str | None = None
-    """Channels of the windows in turn; ``None``: the kind's own."""
+    """Channels of the windows in order; ``None``: that of the kind."""
     planes_seed: int = 1
     """Draws the order of the bit planes, which controllers do not publish."""
     gamma: float | None = None
-    """Light is the code to this power; ``None``: as ``imaging.response`` says where the kind is ``ideal``, else proportional."""
+    """Light is the code to this power; ``None``: ``imaging.response`` if the kind is ``ideal``, else linear."""
     scaled: tuple[int, int] | None = None
-    """Columns and rows of a chip with another raster than the signal's, to which the picture is resampled; ``None``: the same."""
+    """Columns and rows of a chip to which the image is resampled; ``None``: the signal's raster."""
     mirrored: bool = False
     """A pixel drawn at column u lights at 1023 − u."""
     upside_down: bool = False
@@ -114,13 +114,14 @@ class Beamer:
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise ValueError(f"kind = {self.kind!r:.80}; allowed are {', '.join(KINDS)}; choose one of them")
-        for name, least, most, what in _NUMBERS:
+        for name, lowest, highest, unit in _NUMBERS:
             value = getattr(self, name)
-            whole = what == "whole numbers"
-            number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
-            if value is not None and not (number and least <= value <= most):
+            is_integer = unit == "whole numbers"
+            number = isinstance(value, int if is_integer else (int, float)) and not isinstance(value, bool)
+            if value is not None and not (number and lowest <= value <= highest):
                 raise ValueError(
-                    f"{name} = {value!r:.80}; allowed are {what} {least:g}..{most:g}; leave it out for the usual one"
+                    f"{name} = {value!r:.80}; allowed are {unit} {lowest:g}..{highest:g}; "
+                    "leave it out for the usual one"
                 )
         for name in ("mirrored", "upside_down"):
             if not isinstance(getattr(self, name), bool):
@@ -158,8 +159,8 @@ class Beamer:
         raster = self.scaled
         if raster is None:
             return
-        whole = isinstance(raster, tuple) and all(isinstance(n, int) and not isinstance(n, bool) for n in raster)
-        if not whole or len(raster) != 2 or not all(240 <= n <= 4096 for n in raster):
+        are_integers = isinstance(raster, tuple) and all(isinstance(n, int) and not isinstance(n, bool) for n in raster)
+        if not are_integers or len(raster) != 2 or not all(240 <= n <= 4096 for n in raster):
             raise ValueError(
                 f"scaled = {raster!r:.80}; allowed are two whole numbers 240..4096, columns and rows of the chip, "
                 "for example [912, 1140]; leave it out for the signal's own"
@@ -167,13 +168,13 @@ class Beamer:
 
     @property
     def usual(self) -> bool:
-        """Nothing is peculiar: this is the projector of the ordinary world."""
+        """True for the projector of the ordinary world."""
         same_time = self.kind == "ideal" and self.latency == 0 and self.late_s == 0.0
         return same_time and self.gamma is None and self.scaled is None and not (self.mirrored or self.upside_down)
 
     @property
     def latency(self) -> int:
-        """Blanks from flip to light."""
+        """Number of blanks from flip to light."""
         return KINDS[self.kind].latency_blanks if self.latency_blanks is None else self.latency_blanks
 
     @property
@@ -196,11 +197,11 @@ class Beamer:
             )
         parts = {"R": RED_PART, "G": GREEN_PART, "B": BLUE_PART}
         dark = (1.0 - sum(parts.values())) / len(order)
-        at, windows = 0.0, []
+        begin, windows = 0.0, []
         for letter in order:
             channel, length = CHANNELS.index(letter), parts[letter] / order.count(letter)
-            windows.append(Window(channel, at, at + length, self.colour_weights[channel]))
-            at += length + dark
+            windows.append(Window(channel, begin, begin + length, self.colour_weights[channel]))
+            begin += length + dark
         return tuple(windows)
 
     @property
@@ -209,7 +210,7 @@ class Beamer:
         return VIDEO_BITS if self.kind == "video" else np.iinfo(np.uint8).bits
 
     def pieces(self) -> tuple[NDArray[np.int64], Array]:
-        """Return the bit of each flash of a window, in order, and when it ends, as a share of the window."""
+        """Return the bit of each flash of a window, in order, and its end as a share of the window."""
         split = SPLIT_BITS if self.kind == "video" else self.planes
         bits = np.concatenate([np.full(max(1, 2 ** (b - split)), b) for b in range(self.planes)])
         bits = np.random.default_rng([self.planes_seed, 41]).permutation(bits)
@@ -219,8 +220,11 @@ class Beamer:
     def tables_s(
         self, begin_s: float, end_s: float, frame_s: float, response: Light, engine: LightEngine
     ) -> list[Light]:
-        """Return the light of each code of red, green and blue, (256,) float32 each in seconds of white, between two times since
-        their frame began to light, 0..``frame_s``. ``response`` and the times of ``engine`` matter where the kind is ``ideal``."""
+        """Return the light of each code of red, green and blue between two times, (256,) float32 each.
+
+        It is in seconds of white. The times count from the first light of the frame, 0..``frame_s``. ``response`` and
+        ``engine`` matter only for the kind ``ideal``.
+        """
         tables = [np.zeros(256, np.float32) for _ in CHANNELS]
         if self.kind == "ideal":
             tables[GREEN] = engine.table_s(self._response(response), begin_s, end_s, frame_s)
@@ -232,9 +236,9 @@ class Beamer:
         for window in self.windows:
             first_s, length_s = window.begin * frame_s, (window.end - window.begin) * frame_s
             seconds = np.minimum(end_s, first_s + ends * length_s) - np.maximum(begin_s, first_s + starts * length_s)
-            lit = np.bincount(bits, np.maximum(seconds, 0.0), self.planes)
-            # What a mirror that is off lets through, it lets through while the LED is on.
-            light = (1.0 - BLACK) * (on @ lit) + BLACK * lit.sum()
+            plane_s = np.bincount(bits, np.maximum(seconds, 0.0), self.planes)
+            # The light of a mirror that is off also needs the LED to be on.
+            light = (1.0 - BLACK) * (on @ plane_s) + BLACK * plane_s.sum()
             tables[window.channel] += (window.brightness * light).astype(np.float32)
         return tables
 
@@ -249,7 +253,7 @@ class Beamer:
     # ------------------------------------------------------------------------------------------ space
 
     def on_chip(self, codes: Codes) -> Codes:
-        """Return a channel's codes on the chip: turned as the projector hangs, and on its own raster, (rows, columns) uint8."""
+        """Return a channel's codes (rows, columns) uint8 on the chip's raster, mirrored as it is mounted."""
         turned = codes[:: -1 if self.upside_down else 1, :: -1 if self.mirrored else 1]
         if self.scaled is None:
             return np.ascontiguousarray(turned)
@@ -258,13 +262,13 @@ class Beamer:
         )
 
     def on_raster(self, light: NDArray[np.float32], shape: tuple[int, ...]) -> Light:
-        """Return light of the chip (rows, columns) on the signal's raster of that shape: each pixel gets what falls on it."""
+        """Return the light (rows, columns) of the chip on the signal's raster of that shape, by area."""
         if light.shape == shape:
             return light
         return np.asarray(cv2.resize(light, (shape[1], shape[0]), interpolation=cv2.INTER_AREA), np.float32)
 
     def lights(self, signal: Signal) -> Codes:
-        """Return the green codes (768, 1024) uint8 of a signal where they light the scene."""
+        """Return the green codes (768, 1024) uint8 of a signal at their places in the scene."""
         chip = self.on_chip(signal[GREEN])
         return np.rint(self.on_raster(chip.astype(np.float32), signal[GREEN].shape)).astype(np.uint8)
 
@@ -282,7 +286,10 @@ _NUMBERS = (
 
 @dataclass(frozen=True, slots=True)
 class BeamerSlice(LightSlice):
-    """One frame of a ``Beamer``, and for how long of an exposure. ``image`` is its green; ``since_blank_s`` counts from its first light."""
+    """One frame of a ``Beamer`` during a part of an exposure.
+
+    ``image`` is its green; ``since_blank_s`` counts from its first light.
+    """
 
     beamer: Beamer = Beamer()
     red: Codes | None = None
@@ -290,7 +297,7 @@ class BeamerSlice(LightSlice):
     """The other channels' codes, like ``image``; ``None``: equal to it."""
 
     def key(self) -> tuple[Hashable, ...]:
-        """Return what is equal where the light is: here the place in the frame matters, and each channel."""
+        """Return a key that is equal for equal light: the time in the frame and each channel matter."""
         colours = tuple(
             None if part is None else zlib.crc32(part.tobytes()) for part in (self.red, self.image, self.blue)
         )
@@ -308,29 +315,32 @@ class BeamerSlice(LightSlice):
 
 @dataclass(frozen=True, slots=True)
 class ShownFrame:
-    """A picture that was scanned out from one blank on."""
+    """An image that is scanned out from one blank on."""
 
     begin_ns: int
     signal: Signal
     dark: bool = False
-    """The LEDs did not burn from this blank to the next."""
+    """The LEDs were off from this blank to the next."""
 
 
 def slices_of(
     beamer: Beamer, frames: Sequence[ShownFrame], start_ns: int, end_ns: int, frame_s: float
 ) -> list[BeamerSlice]:
-    """Return the slices of an exposure, from its start on. ``frames`` are those of successive blanks; what came before the first is dark."""
+    """Return the slices of an exposure, from its start on.
+
+    ``frames`` are those of successive blanks; it is dark before the first.
+    """
     black = np.zeros_like(frames[-1].signal[GREEN])
     slices, until_ns, late_ns = [], end_ns, round(beamer.late_s * 1e9)
     for number in range(len(frames) - 1, -1, -1):
-        lit = frames[number]
-        begin_ns = max(lit.begin_ns + late_ns, start_ns)
+        frame = frames[number]
+        begin_ns = max(frame.begin_ns + late_ns, start_ns)
         if until_ns > begin_ns:
             shown = number - beamer.latency
-            red, green, blue = (black, black, black) if shown < 0 or lit.dark else frames[shown].signal
-            since_s = (begin_ns - lit.begin_ns - late_ns) / 1e9
-            others = (None if red is green else red, None if blue is green else blue)
-            slices.append(BeamerSlice(green, (until_ns - begin_ns) / 1e9, since_s, frame_s, beamer, *others))
+            red, green, blue = (black, black, black) if shown < 0 or frame.dark else frames[shown].signal
+            since_s = (begin_ns - frame.begin_ns - late_ns) / 1e9
+            red_blue = (None if red is green else red, None if blue is green else blue)
+            slices.append(BeamerSlice(green, (until_ns - begin_ns) / 1e9, since_s, frame_s, beamer, *red_blue))
             until_ns = begin_ns
     if until_ns > start_ns:
         slices.append(BeamerSlice(black, (until_ns - start_ns) / 1e9, 0.0, frame_s, beamer))
@@ -345,8 +355,10 @@ def beamed_between(
     engine: LightEngine,
     brightness: Callable[[int, float], float],
 ) -> Light | None:
-    """Return what ``projector.light_between`` does, of a ``Beamer``. ``brightness``: of the slice of that number, so long after
-    the exposure began, as a factor."""
+    """Return the same as ``projector.light_between``, of a ``Beamer``.
+
+    ``brightness``: factor of the slice of that number, at that time after the start of the exposure.
+    """
     total: Light | None = None
     at_s = 0.0
     for number, part in enumerate(slices):
@@ -361,7 +373,7 @@ def beamed_between(
 
 
 def _light(part: BeamerSlice, tables: list[Light], brightness: float) -> Light:
-    # Equal channels need one look at the picture, and a channel whose LED was not seen to burn none.
+    # Equal channels are looked up once, and a channel whose LED was off not at all.
     together: dict[int, Light] = {}
     signal = part.signal
     for channel, table in zip(signal, tables, strict=True):
@@ -378,7 +390,7 @@ def _light(part: BeamerSlice, tables: list[Light], brightness: float) -> Light:
 
 
 class TrueWindow(NamedTuple):
-    """Light of one channel (``R``, ``G`` or ``B`` of the signal), µs since the blank at which its frame begins to light."""
+    """Light of one channel (``R``, ``G`` or ``B`` of the signal), µs since the blank of the first light."""
 
     channel: str
     begin_us: float
@@ -387,22 +399,24 @@ class TrueWindow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ProjectorTruth:
-    """The values that measuring a world's projector would have to find."""
+    """The true values for a measurement of a world's projector."""
 
     beamer: Beamer
     frame_us: float
     response: Light
-    """Light of each code, where the kind is ``ideal`` and no gamma was given."""
+    """Light of each code, for the kind ``ideal`` without gamma."""
 
     @property
     def latency_blanks(self) -> int:
-        """Blanks from the one at which a picture is flipped to the one at which it begins to light. A delay, here and
-        in the other methods, counts from the latter."""
+        """Number of blanks from the flip of an image to its first light.
+
+        A delay, here and in the other methods, counts from the latter.
+        """
         return self.beamer.latency
 
     @property
     def windows_us(self) -> tuple[TrueWindow, ...]:
-        """The times at which a frame lights, in order."""
+        """The times of light in a frame, in order."""
         late_us = self.beamer.late_s * 1e6
         return tuple(
             TrueWindow(CHANNELS[w.channel], late_us + w.begin * self.frame_us, late_us + w.end * self.frame_us)
@@ -410,10 +424,14 @@ class ProjectorTruth:
         )
 
     def light_of_codes(self, delay_us: float, exposure_us: float, channels: str = "RGB") -> Array:
-        """Return the light (256,) of a picture of each code in ``channels``, 0 in the others, in µs of white, as an exposure sees it that
-        begins ``delay_us`` after the blank. Pictures before and after are not counted."""
+        """Return the light (256,) of an image of each code in ``channels``, 0 in the others, in µs of white.
+
+        It is that of an exposure that begins ``delay_us`` after the blank. Images before and after are not counted.
+        """
         late_us = self.beamer.late_s * 1e6
-        begin_us, end_us = (min(max(at - late_us, 0.0), self.frame_us) for at in (delay_us, delay_us + exposure_us))
+        begin_us, end_us = (
+            min(max(time_us - late_us, 0.0), self.frame_us) for time_us in (delay_us, delay_us + exposure_us)
+        )
         if end_us <= begin_us:
             return np.zeros(256)
         times = (begin_us / 1e6, end_us / 1e6, self.frame_us / 1e6)
@@ -424,8 +442,10 @@ class ProjectorTruth:
         return light
 
     def residual(self, delay_us: float, exposure_us: float, channels: str = "RGB") -> float:
-        """Return the worst distance of that light from its straight line by least squares in the code, as a share of the light
-        of white; infinite where the code makes no difference."""
+        """Return the largest residual of that light from its best-fit line in the code, relative to white.
+
+        It is infinite if the light does not depend on the code.
+        """
         codes, light = np.arange(256.0), self.light_of_codes(delay_us, exposure_us, channels)
         slope, offset = np.polyfit(codes, light, 1)
         if slope <= 1e-6:
@@ -433,17 +453,19 @@ class ProjectorTruth:
         return float(np.abs(light - offset - slope * codes).max() / light[255])
 
     def foreign(self, delay_us: float, exposure_us: float, channels: str = "RGB") -> float:
-        """Return which share of an exposure's light is of pictures before and after, when all of them are white."""
-        own = self.light_of_codes(delay_us, exposure_us, channels)[255]
-        others = 0.0
+        """Return the share of an exposure's light by the images before and after, if all of them are white."""
+        own_light = self.light_of_codes(delay_us, exposure_us, channels)[255]
+        other_light = 0.0
         frames = math.ceil((delay_us + exposure_us) / self.frame_us) + 1
         for number in range(-2, frames):
             if number:
-                others += self.light_of_codes(delay_us - number * self.frame_us, exposure_us, channels)[255]
-        return float(others / (own + others)) if own + others > 0.0 else 0.0
+                other_light += self.light_of_codes(delay_us - number * self.frame_us, exposure_us, channels)[255]
+        return float(other_light / (own_light + other_light)) if own_light + other_light > 0.0 else 0.0
 
     def linear(self, delay_us: float, exposure_us: float, channels: str = "RGB") -> bool:
-        """Return whether that exposure sees light that is linear in the code within 1 %, and 1 % of other pictures at most.
-        ``channels``: those that are drawn into, such as ``"G"``."""
+        """Return True if the light of that exposure is linear in the code and nearly free of other images.
+
+        Both limits are 1 %. ``channels``: those with the image, such as ``"G"``.
+        """
         arguments = (delay_us, exposure_us, channels)
         return self.residual(*arguments) <= LINEAR and self.foreign(*arguments) <= LINEAR

@@ -1,8 +1,7 @@
-"""Owns light that goes from one place of the object to another before a camera sees it, once: corners of the world ``outside``
-are brighter than the projector alone makes them.
+"""Interreflection, once: corners in the world ``outside`` are brighter than by the projector alone.
 
-The lit surface is cut into patches of the pattern; each throws back what falls on it by Lambert's law, and each other one that
-faces it, with nothing between, takes it up (radiosity, one bounce: C. M. Goral et al., SIGGRAPH 1984).
+The illuminated surface is cut into patches of the pattern. Each reflects its light by Lambert's law to every other
+patch that faces it without an obstacle (radiosity, one bounce: C. M. Goral et al., SIGGRAPH 1984).
 """
 
 # Symbols in the kernel:
@@ -29,16 +28,16 @@ from hw_sim.optics.trace import FOCAL, HEIGHT, WATER, WIDTH
 Array = NDArray[np.float64]
 
 PATCH_PX = 16
-"""Side of a patch in projector px, 4 mm: fringes finer than that reach other places as their mean."""
+"""Side of a patch in projector px, 4 mm: finer fringes reach other places as their mean."""
 LEAST = 3e-6
-"""Patches that receive less of another's white than this are not looked at: of 3000, that is a hundredth."""
+"""Least share of another patch's white that counts: of 3000 patches, that is a hundredth."""
 
 LIFT_MM = 0.3
-"""Height above a patch up to which something may lie between: nearer, the patch's own surface would be in the way."""
+"""Height above a patch at which shadow rays start, so that its own surface is no obstacle."""
 
 
 class Bounce:
-    """The light that an object at one pose throws upon itself."""
+    """The light that an object at one pose reflects onto itself."""
 
     def __init__(
         self, pose: Pose, lamp: Lamp, first: NDArray[np.float32], texture: int, lattice: NDArray[np.float32],
@@ -47,7 +46,7 @@ class Bounce:
         """``first``: the pose's shadows (``geometry.shadows``); ``whiter``: factor of all albedos."""
         self._size = int(lamp.eye[WIDTH]) // PATCH_PX, int(lamp.eye[HEIGHT]) // PATCH_PX
         width, height = self._size
-        # The middle of a patch is at 7.5 px: the lamp's ray next to it.
+        # The middle of a patch is at 7.5 px: the nearest ray of the lamp is used.
         middle = (PATCH_PX // 2 + MARGIN_PX) // STEP_PX
         every = PATCH_PX // STEP_PX
         rays = np.ascontiguousarray(lamp.map_rays[middle::every, middle::every][:height, :width].reshape(-1, 6))
@@ -62,22 +61,30 @@ class Bounce:
         self._factors = scipy.sparse.csr_matrix(factors)
 
     def irradiance(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what falls on each patch (rows, columns) float32 from the others, of the projected ``light`` (768, 1024), in units of
-        the light's on a white surface facing the rig in the middle of the volume."""
+        """Return the light on each patch (rows, columns) float32 from the other patches.
+
+        ``light`` (768, 1024) is projected. The unit is that of ``light`` on a white surface facing the rig in the
+        middle of the volume.
+        """
         patches = cv2.resize(light, self._size, interpolation=cv2.INTER_AREA)
         fallen = self._factors @ np.asarray(patches, np.float32).reshape(-1)
         return np.asarray(fallen, np.float32).reshape(self._size[::-1])
 
     def seen(self, light: NDArray[np.float32], geometry: Geometry) -> NDArray[np.float32]:
-        """Return what a camera sees of it (h, w) float32, in the units of ``geometry``'s LIT times light."""
+        """Return the interreflection in a camera's image (h, w) float32, in the units of LIT × light."""
         fallen = self.irradiance(light)
         # Patch centres lie at 7.5 px, 23.5 px, …
-        at = (geometry.pixels[..., [P, Q]] + np.float32(0.5)) / np.float32(PATCH_PX) - np.float32(0.5)
-        at = np.ascontiguousarray(np.clip(at, -4.0, 1e3))
-        here = cv2.remap(
-            fallen, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0
-        )  # fmt: skip
-        return np.asarray(here * geometry.pixels[..., GREY], np.float32)
+        positions = (geometry.pixels[..., [P, Q]] + np.float32(0.5)) / np.float32(PATCH_PX) - np.float32(0.5)
+        positions = np.ascontiguousarray(np.clip(positions, -4.0, 1e3))
+        fallen_px = cv2.remap(
+            fallen,
+            positions[..., 0],
+            positions[..., 1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0.0,
+        )
+        return np.asarray(fallen_px * geometry.pixels[..., GREY], np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -86,17 +93,17 @@ def _exchange(
     depth_mm: float, texture: int, lattice: NDArray[np.float32], whiter: float, per_mm: float,
     out: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Fill ``out`` (patches, patches): row i, what each patch of white light sends there."""
+    """Fill ``out`` (patches, patches): row i is the light from each patch of white light to patch i."""
     count = ways.size
     places, normals = np.zeros((count, 3)), np.zeros((count, 3))
     sent, area = np.zeros(count), np.zeros(count)
     for j in range(count):
         if math.isnan(ways[j]):
             continue
-        ray, way = rays[j], ways[j]
+        ray, length_mm = rays[j], ways[j]
         ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
         dx, dy, dz = into(R, ray[3], ray[4], ray[5])
-        hx, hy, hz = ox + way * dx, oy + way * dy, oz + way * dz
+        hx, hy, hz = ox + length_mm * dx, oy + length_mm * dy, oz + length_mm * dz
         nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
         norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
         places[j, 0], places[j, 1], places[j, 2] = hx, hy, hz
@@ -105,9 +112,9 @@ def _exchange(
         if facing <= 0.02:
             continue
         # Irradiance as in ``geometry``; the patch is as large as its angle, and larger where it leans.
-        spread = (MIDDLE_MM + depth_mm) / (way + depth_mm)
-        area[j] = ((way + depth_mm) * angle) ** 2 / facing
-        light = facing * spread * spread * bright[j] * math.exp(-per_mm * way)
+        spread = (MIDDLE_MM + depth_mm) / (length_mm + depth_mm)
+        area[j] = ((length_mm + depth_mm) * angle) ** 2 / facing
+        light = facing * spread * spread * bright[j] * math.exp(-per_mm * length_mm)
         sent[j] = whiter * albedo(texture, lattice, hx, hy, hz) * light * area[j]
     for i in range(count):
         if area[i] == 0.0:
@@ -120,7 +127,7 @@ def _exchange(
             b = -(x * normals[j, 0] + y * normals[j, 1] + z * normals[j, 2])
             if a <= 0.0 or b <= 0.0:
                 continue
-            # A patch next to another is no point: a disc of its area bounds the kernel.
+            # A patch next to another is not a point: a disc of its area bounds the kernel.
             square = x * x + y * y + z * z
             value = sent[j] * a * b / (square * (math.pi * square + area[j])) * math.exp(-per_mm * math.sqrt(square))
             if value < LEAST:

@@ -1,12 +1,12 @@
-"""Owns what the cameras of the world ``outside`` are like: not the one sensor and the perfect lens of the ordinary world.
+"""The cameras of the world ``outside``: sensors and lenses that differ from those of the ordinary world.
 
-The strengths of sensor, lens and window, and what lens and window do to a picture before it is read out: vignetting and veiling
-glare. How the sensor reads it out is the matter of ``rendering.sensor_of_traits``.
+The strengths of sensor, lens and port, and the effects of lens and port on an image before readout: vignetting and
+veiling glare. Readout is in ``rendering.sensor_of_traits``.
 """
 
 # Symbols:
 #   ρ         distance from the middle of the picture, in half diagonals
-#   g         veiling glare: share of the light that window and lens throw all over the picture
+#   g         veiling glare: share of the light that port and lens scatter over the whole image
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from hw_sim.ranges import Range, drawn_strengths
 Picture = NDArray[np.float32]
 
 NEAR_GLARE_PX = 160.0
-"""Gaussian sigma, px of 1600, of the half of the glare that stays around its source: two reflections in a window 30 mm off."""
+"""Gaussian sigma, px of 1600, of the half of the glare around its source: two reflections in a port 30 mm away."""
 SHRINK = 8
-"""That glare is so smooth that it is computed on a smaller picture."""
+"""Factor by which the image is reduced to compute the smooth glare."""
 
 RANGES = {
     "full_well_e": Range(
@@ -61,8 +61,11 @@ _MOST = {
 
 @dataclass(frozen=True, slots=True)
 class CameraTraits:
-    """The strengths of both cameras; each has a fixed pattern of its own. A sensor must have some well and noise: what is not given
-    is that of a common one, which is not the ordinary world's. Raises ValueError for impossible numbers."""
+    """The strengths of both cameras; each has a fixed pattern of its own.
+
+    A sensor always has a full well and noise: the defaults are those of a common one, not of the ordinary world's.
+    Raises ValueError for impossible numbers.
+    """
 
     full_well_e: float = 11_000.0
     """Electrons at 255 DN and 0 dB."""
@@ -72,22 +75,22 @@ class CameraTraits:
     """Standard deviation of a pixel's sensitivity, relative."""
     dsnu_e: float = 5.0
     nonlinearity: float = 0.0
-    """Largest deviation of the response from the line through nothing and the full well, in full wells: at half of it."""
+    """Largest deviation of the response from the line through zero and the full well, in full wells: at half of it."""
     corner_loss: float = 0.0
-    """Share of the light that a corner lacks: 1 − loss · ρ²."""
+    """Relative loss of light in a corner: 1 − loss · ρ²."""
     row_noise_e: float = 0.0
-    """Standard deviation of what a whole row is off by, anew in each frame."""
+    """Standard deviation of the offset of a row, new in each frame."""
     hot_per_million: float = 0.0
     """Pixels with a dark current of 1e3 to 1e6 electrons per second."""
     glare: float = 0.0
-    """Share of the light that is thrown over the picture: half of it everywhere, half around its source."""
+    """Share of the light that is scattered over the image: half of it everywhere, half around its source."""
 
     def __post_init__(self) -> None:
-        for name, most in _MOST.items():
+        for name, highest in _MOST.items():
             value = getattr(self, name)
-            least = {"full_well_e": 100.0, "nonlinearity": -most}.get(name, 0.0)
-            if not least <= value <= most:
-                raise ValueError(f"cameras: {name} = {value}; allowed are {least:g}..{most:g}")
+            lowest = {"full_well_e": 100.0, "nonlinearity": -highest}.get(name, 0.0)
+            if not lowest <= value <= highest:
+                raise ValueError(f"cameras: {name} = {value}; allowed are {lowest:g}..{highest:g}")
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> CameraTraits:
@@ -97,8 +100,7 @@ class CameraTraits:
         return cls(**values)
 
     def through_lens(self, picture: Picture) -> Picture:
-        """Return the picture (h, w) float32, electrons, as lens and window let it through; what the glare throws aside comes
-        down elsewhere in the picture."""
+        """Return the image (h, w) float32, electrons, after lens and port; glare is added where it arrives."""
         h, w = picture.shape
         if self.corner_loss > 0.0:
             v, u = np.ogrid[:h, :w]

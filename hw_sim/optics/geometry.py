@@ -1,12 +1,12 @@
-"""Owns where light goes in a scene at one pose: every camera pixel's exact ray is followed to the object, and the point it
-meets is projected into the projector.
+"""The geometry of a scene at one pose: each camera pixel's ray, point and pattern coordinate.
 
-What depends on the pose alone is computed once (``Geometry``); a frame of a scene at rest then only samples light.
+Everything that depends on the pose alone is computed once (``Geometry``); a frame of a scene at rest then only samples
+light.
 """
 
 # Symbols in the kernels:
 #   o, d      a camera ray in the object's frame; far its length to the surface, h the point met there, w the same in the rig's
-#   n         unit normal at h; s where the projector's light leaves its window, v = s − h, length = |v|
+#   n         unit normal at h; s where the projector's light leaves its port, v = s − h, length = |v|
 #   u, v      pattern coordinate at which the projector sees w
 #   per_mm    attenuation of the water; grey albedo times what the water leaves on the way to the camera
 
@@ -31,12 +31,12 @@ from hw_sim.optics.trace import DISTANCE, FOCUS, GLASS, HEIGHT, INNER, ROTATION,
 Array = NDArray[np.float64]
 
 P, Q, LIT, SOFT, GREY, CHANNELS = 0, 1, 2, 3, 4, 5
-"""Channels of ``Geometry.pixels``: pattern coordinate; what reaches the camera of white projector light (albedo, angle,
-distance, window, water on both ways; 1 for a white surface facing the rig in the middle of a volume of perfectly clear
-water); softness 0..1 of the projected light; and what reaches it of ambient light (albedo, water on the way back)."""
+"""Channels of ``Geometry.pixels``: pattern coordinate; share of white projector light that reaches the camera (albedo,
+angle, distance, port, water on both paths; 1 for a white surface facing the rig in the middle of a volume of perfectly
+clear water); softness 0..1 of the projected light; and the share of ambient light (albedo, water on the way back)."""
 
 MIDDLE_MM = 487.5
-"""Path in water from a window to the middle of the volume."""
+"""Path in water from a port to the middle of the volume."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Pose:
 
     @property
     def key(self) -> bytes:
-        """Equal for equal geometry."""
+        """A key that is equal for equal geometry."""
         return bytes([self.kind]) + self.sizes.tobytes() + self.R.tobytes() + self.t.tobytes()
 
 
@@ -64,10 +64,10 @@ class Lamp:
     map_rays: Array
     """Rays (rows, columns, 6) of the shadow map."""
     window: NDArray[np.float32]
-    """(rows, columns, 4): where these rays leave the window (rig frame, mm; 0.02 mm apart per pixel), and how bright they
-    are (vignetting)."""
+    """(rows, columns, 4): where these rays leave the port (rig frame, mm; 0.02 mm apart per pixel), and their
+    brightness (vignetting)."""
     depth_mm: float
-    """The light seems to start this far behind the outer face of the window, seen from the water."""
+    """Distance of the apparent source, seen from the water, behind the outer face of the port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,32 +75,32 @@ class Geometry:
     """One camera's view of one pose."""
 
     distance_mm: Array
-    """(h, w) from the window along the ray to the surface; NaN where there is none."""
+    """(h, w) from the port along the ray to the surface; NaN without a surface."""
     pixels: NDArray[np.float32]
     """(h, w, CHANNELS)."""
 
 
 def lamp_of(eye: Array, engine: LightEngine | None = None) -> Lamp:
-    """Return the projector, from its eye packed as in ``optics.trace``; an ``engine`` has a field of light of its own."""
-    at = map_pixels(int(eye[WIDTH]), int(eye[HEIGHT]))
-    map_rays = np.empty((*at.shape[:2], 6))
-    rays_of(eye, at.reshape(-1, 2), map_rays.reshape(-1, 6))
+    """Return the projector, from its eye packed as in ``optics.trace``; ``engine``: with its field of light."""
+    map_uv = map_pixels(int(eye[WIDTH]), int(eye[HEIGHT]))
+    map_rays = np.empty((*map_uv.shape[:2], 6))
+    rays_of(eye, map_uv.reshape(-1, 2), map_rays.reshape(-1, 6))
     # Vignetting by the cos⁴ law, against the projector's optical axis.
     axis = eye[ROTATION : ROTATION + 9].reshape(3, 3)[:, 2]
     bright = (map_rays[..., 3:] @ axis)[..., None] ** 4
     if engine is not None and engine.hot_spot > 0.0:
-        bright = engine.field(at, eye[WIDTH], eye[HEIGHT])[..., None]
+        bright = engine.field(map_uv, eye[WIDTH], eye[HEIGHT])[..., None]
     # Rays near the axis diverge from a point this far behind the outer face: depths count by the ratio of the indices.
     n_water, distance_mm, thickness_mm, glass = eye[WATER], eye[DISTANCE], eye[THICKNESS], eye[GLASS]
     depth_mm = n_water * (distance_mm + thickness_mm / glass) * float(eye[INNER + 2])
-    # A lamp that is focused nearer is as much weaker: white is as bright in the middle of any volume.
+    # A lamp with a nearer focus is weaker, so that white is equally bright in the middle of any volume.
     nearer = (MIDDLE_MM * float(eye[FOCUS]) / FOCUS_MM + depth_mm) / (MIDDLE_MM + depth_mm)
     window = np.concatenate([map_rays[..., :3], nearer * nearer * bright], -1).astype(np.float32)
     return Lamp(eye, fit_table(eye), map_rays, window, depth_mm)
 
 
 def shadows(pose: Pose, lamp: Lamp) -> NDArray[np.float32]:
-    """Return the map (rows, columns) float32 of how far, mm, the projector's light goes at this pose (see ``shadow``)."""
+    """Return the map (rows, columns) float32 of the lengths, mm, of the projector's light (see ``shadow``)."""
     first = np.empty(lamp.map_rays.shape[:2], np.float32)
     shadow_map(pose.kind, pose.sizes, pose.R, pose.t, lamp.map_rays, first)
     return first
@@ -116,15 +116,17 @@ def trace(
     ink: Ink,
     attenuation_per_m: float,
 ) -> Geometry:
-    """Follow the rays (h, w, 6) of a camera; ``first`` are the pose's shadows (``None``: the projector is dark, and only
-    distance and ambient light are wanted), ``lattice`` is the texture's, ``ink`` the print of the board, which has no
-    other texture."""
+    """Trace the rays (h, w, 6) of a camera.
+
+    ``first`` are the pose's shadows (``None``: the projector is dark, and only distance and ambient light are
+    computed), ``lattice`` is the texture's, ``ink`` the print of the board, which has no other texture.
+    """
     h, w = rays.shape[:2]
-    lit = first is not None
+    is_lit = first is not None
     shade = np.empty((0, 0), np.float32) if first is None else first
     geometry = Geometry(np.empty((h, w)), np.empty((h, w, CHANNELS), np.float32))
     _trace(
-        pose.kind, pose.sizes, pose.R, pose.t, lit, shade, texture, lattice, ink, attenuation_per_m / 1000.0, rays,
+        pose.kind, pose.sizes, pose.R, pose.t, is_lit, shade, texture, lattice, ink, attenuation_per_m / 1000.0, rays,
         lamp.eye, lamp.table, lamp.window, lamp.depth_mm, geometry.distance_mm, geometry.pixels,
     )  # fmt: skip
     return geometry
@@ -132,7 +134,7 @@ def trace(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _beside(R: Array, t: Array, sizes: Array, ray: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return how far, mm along x and y of the board, from a point a ray meets the plane that touches the front there."""
+    """Return the offset, mm along x and y of the board, of a ray's intersection with a tangent plane."""
     rise_x, rise_y = lean(sizes, x, y)
     ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
     dx, dy, dz = into(R, ray[3], ray[4], ray[5])
@@ -142,7 +144,7 @@ def _beside(R: Array, t: Array, sizes: Array, ray: Array, x: float, y: float, z:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _trace(
-    kind: int, sizes: Array, R: Array, t: Array, lit: bool, first: NDArray[np.float32], texture: int,
+    kind: int, sizes: Array, R: Array, t: Array, is_lit: bool, first: NDArray[np.float32], texture: int,
     lattice: NDArray[np.float32], ink: Ink, per_mm: float, rays: Array, lamp: Array, table: Array,
     window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
 ) -> None:  # fmt: skip
@@ -171,8 +173,8 @@ def _trace(
                     distance[y, x] = far
                     hx, hy, hz = ox + far * dx, oy + far * dy, oz + far * dz
                     if print_seen:
-                        # The pixel's footprint on the board is spanned by where its neighbours' rays meet the tangent
-                        # plane.
+                        # The pixel's footprint on the board is spanned by its neighbours' intersections with the
+                        # tangent plane.
                         beside = rays[y, x + 1 if x + 1 < columns else x - 1]
                         below = rays[y + 1 if y + 1 < rows else y - 1, x]
                         ax, ay = _beside(R, t, sizes, beside, hx, hy, hz)
@@ -183,11 +185,10 @@ def _trace(
                     # Beer and Lambert on the way to the camera.
                     grey *= math.exp(-per_mm * far)
                     out[GREY] = grey
-                    if not lit:
+                    if not is_lit:
                         continue
                     wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
-                    # Where the projector sees the point; outside of its picture (and a border for blur) no light comes
-                    # from it.
+                    # The point's pattern coordinate; outside of the pattern (and a border for blur) there is no light.
                     u, v = look_up(lamp, table, wx, wy, wz)
                     if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
                         continue
@@ -196,14 +197,14 @@ def _trace(
                     sx, sy, sz = into(R, origin[0] - t[0], origin[1] - t[1], origin[2] - t[2])
                     vx, vy, vz = sx - hx, sy - hy, sz - hz
                     length = math.sqrt(vx * vx + vy * vy + vz * vz)
-                    # Lambert: light falls as the cosine between the normal and the way to the projector's window.
+                    # Lambert: irradiance by the cosine between the normal and the direction to the projector's port.
                     nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
                     norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
                     nx, ny, nz = nx / norm, ny / norm, nz / norm
                     facing = (vx * nx + vy * ny + vz * nz) / length
                     if facing <= 0.0:
                         continue
-                    # The map answers for most points; where it cannot, the point's own ray towards the light is followed.
+                    # The map decides for most points; otherwise the point's ray towards the light is traced.
                     sure = by_map(first, u, v, length)
                     if sure < 0 or (sure == 0 and shaded(kind, sizes, hx, hy, hz, nx, ny, nz, sx, sy, sz)):
                         continue

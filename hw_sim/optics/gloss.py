@@ -1,7 +1,7 @@
-"""Owns the gloss of wet paint and shell in the world ``outside``: what a coat of facets throws from the projector into a camera.
+"""The gloss of wet paint and shell in the world ``outside``: projector light reflected into a camera.
 
-R. L. Cook and K. E. Torrance, ACM Trans. Graph. 1 (1982) 7: facets with Beckmann's distribution of slopes, Fresnel's reflection
-on each, and what they shade of each other.
+R. L. Cook and K. E. Torrance, ACM Trans. Graph. 1 (1982) 7: facets with Beckmann's distribution of slopes, Fresnel's
+reflection on each, and their mutual shadowing.
 """
 
 # Symbols:
@@ -31,14 +31,17 @@ def fresnel(cosine: float, index: float) -> float:
     # c = cos of incidence, g² = n² − 1 + c².
     g = math.sqrt(index * index - 1.0 + cosine * cosine)
     ratio = (g - cosine) / (g + cosine)
-    other = (cosine * (g + cosine) - 1.0) / (cosine * (g - cosine) + 1.0)
-    return 0.5 * ratio * ratio * (1.0 + other * other)
+    second_factor = (cosine * (g + cosine) - 1.0) / (cosine * (g - cosine) + 1.0)
+    return 0.5 * ratio * ratio * (1.0 + second_factor * second_factor)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def glossy(to_light: float, to_eye: float, half: float, apart: float, m: float, index: float) -> float:
-    """Return what a coat sends to the eye, 1/sr per irradiance: cosines of l and of e against the normal, of b against
-    the normal (``half``), and of b against l (``apart``)."""
+    """Return the reflected radiance towards the eye, 1/sr per irradiance.
+
+    The arguments are the cosines of l and of e against the normal, of b against the normal (``half``), and of b against
+    l (``apart``).
+    """
     if to_light <= 0.0 or to_eye <= 0.0 or half <= 0.0:
         return 0.0
     square = half * half
@@ -49,7 +52,7 @@ def glossy(to_light: float, to_eye: float, half: float, apart: float, m: float, 
 
 
 def finish(geometry: Geometry, rays: Array, pose: Pose, lamp: Lamp, coat: Finish, attenuation_per_m: float) -> None:
-    """Change what each pixel of ``geometry`` sends back to what a surface of that finish does: its white, and its gloss."""
+    """Apply a finish to the reflected light of each pixel of ``geometry``: its white, and its gloss."""
     geometry.pixels[..., [LIT, GREY]] *= np.float32(coat.whiter)
     if coat.gloss_index > 1.0:
         _shine(

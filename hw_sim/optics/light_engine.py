@@ -1,13 +1,13 @@
-"""Owns the projector of the world ``outside`` in time, space and colour: mirrors that flash bit planes, an LED that fades and
-shifts as it warms, light that is brighter in one place, and a picture that is sharp on a bent surface only.
+"""The projector of the world ``outside``: bit planes, an LED that warms, a hot spot, and a curved focus.
 
-A digital micromirror device shows a grey as a row of flashes: each bit of the linear level is lit for a time in proportion to
-its weight, long bits are split and spread over the frame, and the whole is repeated within it (L. J. Hornbeck, Digital Light
-Processing for high-brightness, high-resolution applications, Proc. SPIE 3013 (1997) 27). An exposure that sees a part of a frame sees some bits more than others.
+A digital micromirror device shows a grey as a row of flashes: each bit of the linear level is lit for a time in
+proportion to its weight, long bits are split and spread over the frame, and the whole is repeated within it (L. J.
+Hornbeck, Digital Light Processing for high-brightness, high-resolution applications, Proc. SPIE 3013 (1997) 27). An
+exposure of a part of a frame contains some bits more than others.
 """
 
 # Symbols:
-#   level     0..1023, the linear light of a code in PLANES bits; lit_s (PLANES,) how long an exposure saw each bit's mirror on
+#   level     0..1023, the linear light of a code in PLANES bits; lit_s (PLANES,) time of each bit in an exposure
 #   x, y      place in the pattern against its middle, in widths of it
 #   σ         Gaussian sigma of defocus, projector px
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 PLANES = 10
 PIECE_BITS = 6
-"""Bits above this one are split into pieces as long as it."""
+"""Bits above this one are split into pieces of its length."""
 FRAME_S = 1.0 / 60.0
 SOFTEST_PX = 2.0 * SPREAD_FAR_PX
 """The sigma of the softest light that ``soften`` mixes in; softness counts its square as 1."""
@@ -36,7 +36,7 @@ REFERENCE_NM, REFERENCE_C = 530.0, 25.0
 WATER_PER_NM = 4.1e-5
 """Dispersion of water in the green, fall of the index per nm: X. Quan, E. S. Fry, Appl. Opt. 34 (1995) 3477."""
 LAMP_RISE_K = 21.0
-"""The lit projector's board stands so far above the water when all has settled: 34 W through its way to the shell."""
+"""Steady temperature of the lit projector's board above the water: 34 W through its conductance to the shell."""
 RANGES = {
     "cycles": Range(1.0, 4.0, "estimate: colour or grey cycles in a frame of 60 Hz; the DLPC350's guide (TI DLPU010) describes pattern and video modes"),
     "order": Range(0.0, 1e6, "the controller's own and not published: any permutation"),
@@ -60,10 +60,10 @@ RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class LightEngine:
-    """The strengths of what a projector does in time, space and colour. Raises ValueError for impossible numbers."""
+    """The strengths of projector effects in time, space and colour. Raises ValueError for wrong numbers."""
 
     cycles: int = 0
-    """Times that all bit planes are shown in a frame; 0: the light is constant during a frame."""
+    """Number of times that all bit planes are shown in a frame; 0: the light is constant during a frame."""
     order: int = 0
     """Seed of the order of the pieces."""
     dark_part: float = 0.0
@@ -71,21 +71,21 @@ class LightEngine:
     frame_rms: float = 0.0
     """Standard deviation of a frame's brightness, as a share."""
     droop: float = 0.0
-    """Share of brightness that is lost as the LED warms in a sequence."""
+    """Relative loss of brightness as the LED warms in a sequence."""
     droop_s: float = 1.0
-    """Time in which all but 1/e of that is lost."""
+    """Time constant of that loss."""
     hot_spot: float = 0.0
-    """The light far from the brightest place is less by this share. 0: the law of cos⁴ of the ordinary world."""
+    """Relative loss of light far from the brightest place. 0: the cos⁴ law of the ordinary world."""
     hot_x: float = 0.0
     hot_y: float = 0.0
     """The brightest place, in widths of the pattern from its middle."""
     hot_width: float = 0.3
     """Gaussian sigma of the spot, in widths."""
     focus_bend_mm: float = 0.0
-    """The focus lies so much farther in the corners than in the middle; it grows with the square of the distance."""
+    """Distance of the focus in the corners beyond that in the middle; it grows with the square of the field."""
     focus_tilt_x_mm: float = 0.0
     focus_tilt_y_mm: float = 0.0
-    """The focus lies so much farther at the right, or lower, edge than in the middle, and nearer at the other."""
+    """Distance of the focus at the right, or lower, edge beyond that in the middle."""
     led_shift_nm: float = 0.0
     """Peak of the LED on a board of ``REFERENCE_C``, against ``REFERENCE_NM``."""
     led_width_nm: float = 0.0
@@ -94,10 +94,10 @@ class LightEngine:
     """Shift of the peak as the board warms."""
 
     def __post_init__(self) -> None:
-        for name, (least, most) in _LIMITS.items():
+        for name, (lowest, highest) in _LIMITS.items():
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"projector: {name} = {value}; allowed are {least:g}..{most:g}")
+            if not lowest <= value <= highest:
+                raise ValueError(f"projector: {name} = {value}; allowed are {lowest:g}..{highest:g}")
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> LightEngine:
@@ -109,7 +109,7 @@ class LightEngine:
     # ------------------------------------------------------------------------------------------ time
 
     def pieces(self) -> tuple[NDArray[np.int64], Array]:
-        """Return the bit of each flash of a cycle, in order, and when it ends, as a share of the cycle's light time."""
+        """Return the bit of each flash of a cycle, in order, and its end as a share of the cycle's light time."""
         bits = np.concatenate([np.full(max(1, 2 ** (b - PIECE_BITS)), b) for b in range(PLANES)])
         bits = np.random.default_rng([self.order, 3]).permutation(bits)
         lengths = np.minimum(2.0**bits, 2.0**PIECE_BITS)
@@ -117,17 +117,17 @@ class LightEngine:
         return bits, ends / ends[-1]
 
     def lit_s(self, begin_s: float, end_s: float, frame_s: float = FRAME_S) -> Array:
-        """Return how long, (PLANES,) s, the mirrors of each bit are on between two times after a vertical blank."""
+        """Return the time (PLANES,), s, of the mirrors of each bit between two times after a vertical blank."""
         bits, ends = self.pieces()
         starts = np.concatenate([[0.0], ends[:-1]])
         cycle_s = frame_s * (1.0 - self.dark_part) / self.cycles
-        lit = np.zeros(PLANES)
+        plane_s = np.zeros(PLANES)
         for frame in range(math.floor(begin_s / frame_s), math.ceil(end_s / frame_s)):
             for cycle in range(self.cycles):
                 at_s = frame * frame_s + cycle * cycle_s
                 seconds = np.minimum(end_s, at_s + ends * cycle_s) - np.maximum(begin_s, at_s + starts * cycle_s)
-                lit += np.bincount(bits, np.maximum(seconds, 0.0), PLANES)
-        return lit
+                plane_s += np.bincount(bits, np.maximum(seconds, 0.0), PLANES)
+        return plane_s
 
     def table_s(self, response: Light, begin_s: float, end_s: float, frame_s: float = FRAME_S) -> Light:
         """Return the light of each code, (256,) float32 in seconds of white, between two times after a vertical blank.
@@ -138,12 +138,12 @@ class LightEngine:
             return np.asarray(response * np.float32(end_s - begin_s), np.float32)
         levels = np.rint((response.astype(np.float64) - BLACK) / (1.0 - BLACK) * (2**PLANES - 1)).astype(np.int64)
         on = (levels[:, None] >> np.arange(PLANES)) & 1
-        # While it is on, the LED is brighter by what it is off: a frame of white is a frame of white.
+        # While it is on, the LED is brighter by its off time, so that a frame of white does not change.
         light = (1.0 - BLACK) / (1.0 - self.dark_part) * (on @ self.lit_s(begin_s, end_s, frame_s))
         return np.asarray(light + BLACK * (end_s - begin_s), np.float32)
 
     def brightness(self, frame: int, lit_for_s: float, seed: int) -> float:
-        """Return how bright a frame of that number is, ``lit_for_s`` after the lamp was switched on for the sequence."""
+        """Return the relative brightness of a frame, ``lit_for_s`` after the lamp was switched on."""
         deviate = float(np.random.default_rng([seed, 33, frame % 2**31]).standard_normal()) if self.frame_rms else 0.0
         warmed = 1.0 - math.exp(-max(lit_for_s, 0.0) / self.droop_s)
         return (1.0 + self.frame_rms * deviate) * (1.0 - self.droop * warmed)
@@ -151,7 +151,7 @@ class LightEngine:
     # ------------------------------------------------------------------------------------------ space
 
     def field(self, uv_px: Array, width_px: float, height_px: float) -> Array:
-        """Return how bright the light of pattern coordinates (..., 2) is; 1 in the middle of the pattern."""
+        """Return the relative brightness at pattern coordinates (..., 2); 1 in the middle of the pattern."""
         x, y = (uv_px[..., 0] - 0.5 * (width_px - 1.0)) / width_px, (uv_px[..., 1] - 0.5 * (height_px - 1.0)) / width_px
 
         def bright(x: Array, y: Array) -> Array:
@@ -163,8 +163,11 @@ class LightEngine:
     def softness(
         self, uv_px: Array, way_mm: Array, depth_mm: float, size_px: tuple[float, float], spread: float
     ) -> Array:
-        """Return the softness 0..1 of light at pattern coordinates (n, 2) after ways (n,) mm: the variance of its defocus by a thin
-        lens, against ``SOFTEST_PX`` squared. ``spread``: dn/n of the LED's spectrum, one standard deviation."""
+        """Return the softness 0..1 of light at pattern coordinates (n, 2) after paths (n,) mm.
+
+        It is the variance of the defocus by a thin lens, over ``SOFTEST_PX`` squared. ``spread``: dn/n of the LED's
+        spectrum, one standard deviation.
+        """
         width, height = size_px
         x, y = (
             (uv_px[:, 0] - 0.5 * (width - 1.0)) / (0.5 * width),
@@ -174,7 +177,7 @@ class LightEngine:
         bend = self.focus_bend_mm * (x**2 + (height / width * y) ** 2) / corner
         focus = FOCUS_WAY_MM + bend + self.focus_tilt_x_mm * x + self.focus_tilt_y_mm * y
         blur_px = defocus_px(way_mm, depth_mm, focus)
-        # Each colour leaves the window at an angle of its own: δu = r δn/n for the way in water.
+        # Each colour leaves the port at another angle: δu = r δn/n for the path in water.
         colour_px = spread * 0.5 * width * np.hypot(x, height / width * y) * way_mm / (way_mm + depth_mm)
         return np.asarray(np.minimum((blur_px**2 + colour_px**2) / SOFTEST_PX**2, 1.0))
 
@@ -201,8 +204,11 @@ _LIMITS = {
 
 
 def sapphire_index(wavelength_nm: float) -> float:
-    """Return the ordinary index of sapphire: three terms of Sellmeier of I. H. Malitson and M. J. Dodge, J. Opt. Soc. Am. 62 (1972)
-    1405, as printed by M. J. Dodge, Handbook of Laser Science and Technology IV (CRC, 1986) 30."""
+    """Return the ordinary index of sapphire by three Sellmeier terms.
+
+    I. H. Malitson and M. J. Dodge, J. Opt. Soc. Am. 62 (1972) 1405, as printed by M. J. Dodge, Handbook of Laser
+    Science and Technology IV (CRC, 1986) 30.
+    """
     square = (wavelength_nm / 1000.0) ** 2
     # n² − 1 = Σ A λ² / (λ² − B²), λ in µm.
     terms = ((1.4313493, 0.0726631), (0.65054713, 0.1193242), (5.3414021, 18.028251))
@@ -219,8 +225,10 @@ def flashed_between(
     lit_for_s: float,
     seed: int,
 ) -> Light | None:
-    """Return what ``projector.light_between`` does, of mirrors that flash: ``frame`` numbers the first slice's frame, which
-    began ``lit_for_s`` after the lamp was switched on."""
+    """Return the same as ``projector.light_between``, of flashing mirrors.
+
+    ``frame``: number of the first slice's frame, which began ``lit_for_s`` after the lamp was switched on.
+    """
     total: Light | None = None
     at_s = 0.0
     for number, part in enumerate(slices):

@@ -1,6 +1,6 @@
-"""Owns how far the mounts of the world ``outside`` give way to heat, and the windows to depth.
+"""Deformation of the mounts of the world ``outside`` by heat, and of the ports by pressure.
 
-What that does to the true rig is the matter of ``hw_sim.in_dive``.
+``hw_sim.in_dive`` applies it to the true rig.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Vector = tuple[float, float, float]
 PA_PER_M = 1025.0 * 9.81
 """Pressure per metre of sea water (density times gravity)."""
 SAPPHIRE_PA, SAPPHIRE_POISSON = 4.0e11, 0.27
-"""Young's modulus and Poisson's ratio of sapphire, a round mean of its directions (handbook values, not looked up again)."""
+"""Young's modulus and Poisson's ratio of sapphire, a rounded mean of its directions (handbook values, not verified)."""
 EYES = ("left", "right", "projector")
 
 RANGES = {
@@ -35,15 +35,15 @@ RANGES = {
         22.0, 32.0, "estimate: free radius that a beam of ±22° needs 30 mm behind the face, with its seal"
     ),
 }
-"""Ranges of the family ``mounts``; each eye turns in a direction of its own."""
+"""Ranges of the family ``mounts``; each eye rotates in a random direction."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mounts:
-    """The strengths of heat and depth; zero is nothing. Raises ValueError for impossible numbers."""
+    """The strengths of heat and depth; zero is no effect. Raises ValueError for impossible numbers."""
 
     left_deg_per_k: Vector = (0.0, 0.0, 0.0)
-    """Rotation vector of the left camera with its window per kelvin of the case, in its own frame."""
+    """Rotation vector of the left camera with its port per kelvin of the case, in its own frame."""
     right_deg_per_k: Vector = (0.0, 0.0, 0.0)
     projector_deg_per_k: Vector = (0.0, 0.0, 0.0)
     focal_per_k: float = 0.0
@@ -56,12 +56,12 @@ class Mounts:
             value = self.turn_of(eye)
             if len(value) != 3 or not all(abs(part) <= 0.1 for part in value):
                 raise ValueError(f"mounts: {eye}_deg_per_k = {value}; give three numbers, each within -0.1..0.1")
-        for name, least, most in (
+        for name, lowest, highest in (
             ("focal_per_k", -1e-3, 1e-3), ("depth_m", 0.0, 300.0), ("window_radius_mm", 5.0, 60.0),
         ):  # fmt: skip
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"mounts: {name} = {value}; allowed are {least:g}..{most:g}")
+            if not lowest <= value <= highest:
+                raise ValueError(f"mounts: {name} = {value}; allowed are {lowest:g}..{highest:g}")
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Mounts:
@@ -77,10 +77,10 @@ class Mounts:
         return {"left": self.left_deg_per_k, "right": self.right_deg_per_k, "projector": self.projector_deg_per_k}[eye]
 
     def window_bend_per_mm(self, thickness_mm: float) -> float:
-        """Return the curvature, 1/mm, in the middle of a simply supported round window under the pressure of the depth.
+        """Return the curvature, 1/mm, in the middle of a simply supported round port under pressure.
 
-        Timoshenko, Woinowsky-Krieger, Theory of Plates and Shells (1959), article 16: the moment there is p a² (3 + ν) / 16,
-        the curvature that over D (1 + ν), with D = E t³ / 12 (1 − ν²).
+        Timoshenko, Woinowsky-Krieger, Theory of Plates and Shells (1959), article 16: the moment there is p a² (3 + ν)
+        / 16, the curvature that over D (1 + ν), with D = E t³ / 12 (1 − ν²).
         """
         nu, radius_m, thickness_m = SAPPHIRE_POISSON, self.window_radius_mm / 1000.0, thickness_mm / 1000.0
         stiffness = SAPPHIRE_PA * thickness_m**3 / (12.0 * (1.0 - nu * nu))

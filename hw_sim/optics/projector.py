@@ -1,12 +1,13 @@
-"""Owns what the projector makes of 8-bit codes: nonlinear light, black level, pixels, and blur away from the focus.
+"""The projector's light for 8-bit codes: response, black level, pixels, and blur away from the focus.
 
-A pixel is a square of light seen through a lens. Square and lens in focus together are, to a percent, the cubic B-spline
-(variance 1/3 px²: 1/12 of the square, 1/4 of a lens blur of half a pixel), which is how the light is sampled.
-Away from the focus the light spreads further, like heat: in proportion to the square of the distance.
+A pixel is a square of light through a lens. Square and lens in focus together are, to a percent, the cubic B-spline
+(variance 1/3 px²: 1/12 of the square, 1/4 of a lens blur of half a pixel), by which the light is sampled.
+Away from the focus the light spreads further, in proportion to the square of the distance.
 """
 
 # Symbols in collect:
-#   p, q      pattern coordinate of a camera pixel, shifted by PAD; i, j its whole part, s, t the rest, r = 1 − s, e = 1 − t
+#   p, q      pattern coordinate of a camera pixel, shifted by PAD; i, j its integer, s, t its fractional part
+#   r, e      1 − s, 1 − t
 #   a0..a3    weights of the cubic B-spline along x at the nodes i − 1 .. i + 2; b0..b3 the same along y
 #   near, far light in focus and at FAR_MM from it, between which the pixel's softness 0..1 interpolates
 
@@ -25,11 +26,11 @@ from numpy.typing import ArrayLike, NDArray
 
 FOCUS_MM = 522.5
 FAR_MM = 120.0
-"""Distance from the focus at which the light is as soft as it gets here."""
+"""Distance from the focus with the softest light."""
 SPREAD_FAR_PX = 1.1
 """Gaussian sigma in projector px that is added at ``FAR_MM``."""
 BLACK = 0.0025
-"""Light of code 0 against code 255: contrast 400."""
+"""Light of code 0 over code 255: contrast 400."""
 
 FOCUS_WAY_MM = 487.5
 """Path in water to the focus, which is in the middle of the volume."""
@@ -56,24 +57,26 @@ def response(kind: str = "measured") -> Light:
 
 @dataclass(frozen=True, slots=True)
 class LightSlice:
-    """One image that the projector showed, and for how long of an exposure."""
+    """One image of the projector during a part of an exposure."""
 
     image: NDArray[np.uint8]
     """(768, 1024) green codes as scanned out."""
     duration_s: float
     since_blank_s: float = 0.0
-    """Time from its vertical blank to the beginning of this slice; matters to ``light_engine`` alone."""
+    """Time from its vertical blank to the beginning of this slice, for ``light_engine``."""
     frame_s: float = 1.0 / 60.0
     """Time from one vertical blank to the next."""
 
     def key(self) -> tuple[Hashable, ...]:
-        """Return what is equal where the light is."""
+        """Return a key that is equal for equal light."""
         return zlib.crc32(self.image.tobytes()), round(self.duration_s, 6)
 
 
 def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, table: Light) -> Light | None:
-    """Return light times seconds per pixel, (768, 1024) float32, of successive ``slices`` from ``begin_s`` to ``end_s`` after
-    the first began; ``None`` when none of them overlaps."""
+    """Return light times seconds per pixel, (768, 1024) float32, of successive ``slices`` between two times.
+
+    The times count from the start of the first slice. ``None``: no slice overlaps.
+    """
     total: Light | None = None
     at_s = 0.0
     for part in slices:
@@ -87,16 +90,15 @@ def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, 
 
 
 def soften(light: Light, water_blur_px: float, spread_far_px: float = SPREAD_FAR_PX) -> Light:
-    """Return the light (h, w) as spline coefficients in focus and ``FAR_MM`` from it, with ``PAD`` dark px around:
-    (h + 2 PAD, w + 2 PAD, 2) float32.
+    """Return the light (h, w) as spline coefficients in focus and ``FAR_MM`` from it.
 
-    ``water_blur_px`` is the sigma by which the water spreads the light on its way, in projector px; ``spread_far_px``
-    what the lens adds at ``FAR_MM`` (0: it has no focus to lose).
+    (h + 2 PAD, w + 2 PAD, 2) float32, with ``PAD`` dark px around. ``water_blur_px`` is the sigma by the water on the
+    way, in projector px; ``spread_far_px`` that of the lens at ``FAR_MM`` (0: no defocus).
     """
-    least, most, _, _ = cv2.minMaxLoc(light)
-    if least == most:
-        # Blur is linear: a flat picture of any light is that of one, which most of what a measurement shows is.
-        return np.asarray(_soft_flat(light.shape, water_blur_px, spread_far_px) * np.float32(most), np.float32)
+    lowest, highest, _, _ = cv2.minMaxLoc(light)
+    if lowest == highest:
+        # Blur is linear, so a uniform image is scaled from that of 1. Most images of a measurement are uniform.
+        return np.asarray(_soft_flat(light.shape, water_blur_px, spread_far_px) * np.float32(highest), np.float32)
     return _softened(light, water_blur_px, spread_far_px)
 
 
@@ -117,12 +119,15 @@ def _softened(light: Light, water_blur_px: float, spread_far_px: float) -> Light
 
 
 def defocus_px(way_mm: ArrayLike, depth_mm: float, focus_mm: ArrayLike = FOCUS_WAY_MM) -> NDArray[np.float64]:
-    """Return the Gaussian sigma, projector px, by which a thin lens is out of focus ``way_mm`` behind the window: as soft as
-    ``SPREAD_FAR_PX`` at ``FAR_MM`` behind the middle. ``depth_mm``: see ``geometry.Lamp``; ``focus_mm``: way to the focus."""
+    """Return the Gaussian sigma, projector px, of a thin lens's defocus ``way_mm`` behind the port.
+
+    It is ``SPREAD_FAR_PX`` at ``FAR_MM`` behind the middle. ``depth_mm``: see ``geometry.Lamp``; ``focus_mm``: path to
+    the focus.
+    """
     # The disc's angle is the aperture times the difference of the reciprocal distances.
-    in_focus, way = 1.0 / (np.asarray(focus_mm, np.float64) + depth_mm), np.asarray(way_mm, np.float64)
+    in_focus, path_mm = 1.0 / (np.asarray(focus_mm, np.float64) + depth_mm), np.asarray(way_mm, np.float64)
     scale = 1.0 / (FOCUS_WAY_MM + depth_mm) - 1.0 / (FOCUS_WAY_MM + FAR_MM + depth_mm)
-    return np.asarray(SPREAD_FAR_PX * np.abs(1.0 / (way + depth_mm) - in_focus) / scale)
+    return np.asarray(SPREAD_FAR_PX * np.abs(1.0 / (path_mm + depth_mm) - in_focus) / scale)
 
 
 def _blur(light: Light, sigma_px: float) -> Light:
@@ -139,20 +144,20 @@ def collect(
     ``pixels`` (h, w, 5) are (p, q, lit, softness, grey) as in ``geometry``; ``light`` is what ``soften`` gives, sampled
     by the cubic B-spline; p and q lie within PAD − 2 px of the pattern wherever ``lit`` is not zero.
     """
-    one, half, third, sixth = np.float32(1.0), np.float32(0.5), np.float32(2.0 / 3.0), np.float32(1.0 / 6.0)
+    unity, half, third, sixth = np.float32(1.0), np.float32(0.5), np.float32(2.0 / 3.0), np.float32(1.0 / 6.0)
     for y in range(pixels.shape[0]):
         for x in range(pixels.shape[1]):
             value = ambient * pixels[y, x, 4] + backscatter[y, x]
-            lit = pixels[y, x, 2]
-            if lit > np.float32(0.0):
+            share = pixels[y, x, 2]
+            if share > np.float32(0.0):
                 p, q = pixels[y, x, 0] + np.float32(PAD), pixels[y, x, 1] + np.float32(PAD)
                 i, j = int(p), int(q)
                 s, t = p - np.float32(i), q - np.float32(j)
-                r, e = one - s, one - t
-                # Cubic B-spline: (1 − s)³/6, 2/3 − s² + s³/2, the rest, s³/6; they sum to 1.
-                a0, a3, a1 = r * r * r * sixth, s * s * s * sixth, third - s * s * (one - half * s)
-                b0, b3, b1 = e * e * e * sixth, t * t * t * sixth, third - t * t * (one - half * t)
-                a2, b2 = one - a0 - a1 - a3, one - b0 - b1 - b3
+                r, e = unity - s, unity - t
+                # Cubic B-spline: (1 − s)³/6, 2/3 − s² + s³/2, the remainder, s³/6; they sum to 1.
+                a0, a3, a1 = r * r * r * sixth, s * s * s * sixth, third - s * s * (unity - half * s)
+                b0, b3, b1 = e * e * e * sixth, t * t * t * sixth, third - t * t * (unity - half * t)
+                a2, b2 = unity - a0 - a1 - a3, unity - b0 - b1 - b3
                 near, far = np.float32(0.0), np.float32(0.0)
                 for m in range(4):
                     k = b0 if m == 0 else (b1 if m == 1 else (b2 if m == 2 else b3))
@@ -169,6 +174,6 @@ def collect(
                         + light[n, i + 1, 1] * a2
                         + light[n, i + 2, 1] * a3
                     )
-                # Heat-like defocus: variance grows with the square of the distance, so light is linear in softness.
-                value += white * lit * (near + pixels[y, x, 3] * (far - near))
+                # The variance of defocus grows with the square of the distance, so light is linear in softness.
+                value += white * share * (near + pixels[y, x, 3] * (far - near))
             electrons[y, x] += value

@@ -1,7 +1,7 @@
-"""Owns shadows: which points of an object its own other parts hide from the projector.
+"""Shadows: points of an object that its other parts hide from the projector.
 
-A map of what the projector's rays meet first answers for most points; where it is not certain, near the edges of shadows,
-the point's own ray is followed.
+A map of the lengths of the projector's rays decides for most points; where it is uncertain, near the edges of shadows,
+the point's ray is traced.
 """
 
 # Symbols:
@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 STEP_PX, MARGIN_PX = 2, 4
 """The map's rays start at pattern coordinate −MARGIN_PX and are STEP_PX apart."""
 SURE_MM = 0.05
-"""A point as far along the projector's light as the map says is what that light meets."""
+"""Largest difference between a point's distance and the map's of an illuminated point."""
 EDGE_MM = 3.0
-"""The map is not believed where it steps by more within a few rays."""
+"""Largest step of the map within a few rays at which it is reliable."""
 LIFT_MM = 0.02
 """Shadow rays start this far above the surface, so that its own roundoff does not shade it."""
 BLOCK_PX = 8
@@ -58,12 +58,12 @@ def into(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def block_start(kind: int, sizes: Array, R: Array, t: Array, rays: Array, y0: int, y1: int, x0: int, x1: int) -> float:
-    """Return how far, mm, all rays of a block (rows y0..y1, columns x0..x1) can go without meeting anything.
+    """Return the length, mm, that all rays of a block (rows y0..y1, columns x0..x1) are free of the object.
 
-    The middle ray marches with the radius of the bundle around it. NaN when no ray of the block meets the object.
+    The middle ray marches with the radius of the bundle around it. NaN if no ray of the block meets the object.
     """
     middle = rays[(y0 + y1) // 2, (x0 + x1) // 2]
-    # The bundle: how far its corner rays start from the middle one, and by how much they part per mm of way.
+    # The bundle: distance of its corner rays from the middle one at the start, and its growth per mm.
     apart, widening = 0.0, 0.0
     for k in range(4):
         corner = rays[(y0, y0, y1, y1)[k], (x0, x1, x0, x1)[k]]
@@ -84,16 +84,16 @@ def block_start(kind: int, sizes: Array, R: Array, t: Array, rays: Array, y0: in
     inside = b * b - c + reach * reach
     if inside <= 0.0:
         return math.nan
-    at, end = max(0.0, -b - math.sqrt(inside)), -b + math.sqrt(inside)
+    length, end = max(0.0, -b - math.sqrt(inside)), -b + math.sqrt(inside)
     for _ in range(200):
         # Sphere tracing with a ball that is smaller by the bundle's radius at this length.
-        free = implicit(kind, sizes, ox + at * dx, oy + at * dy, oz + at * dz) - apart - widening * at
+        free = implicit(kind, sizes, ox + length * dx, oy + length * dy, oz + length * dz) - apart - widening * length
         if free < 0.05:
-            return at
-        at += free / (1.0 + widening)
-        if at > end:
+            return length
+        length += free / (1.0 + widening)
+        if length > end:
             return math.nan
-    return at
+    return length
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -101,7 +101,10 @@ def shaded(
     kind: int, sizes: Array, x: float, y: float, z: float,
     nx: float, ny: float, nz: float, sx: float, sy: float, sz: float,
 ) -> bool:  # fmt: skip
-    """Return whether the object itself lies between its surface point (unit normal n) and the point s (object frame)."""
+    """Return True if the object lies between its surface point (unit normal n) and the point s.
+
+    Both are in the object frame.
+    """
     x, y, z = x + LIFT_MM * nx, y + LIFT_MM * ny, z + LIFT_MM * nz
     dx, dy, dz = sx - x, sy - y, sz - z
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -110,8 +113,10 @@ def shaded(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def shadow_map(kind: int, sizes: Array, R: Array, t: Array, rays: Array, out: NDArray[np.float32]) -> None:
-    """Fill ``out`` (rows, columns) with the way, mm, from the window to what each ray (rows, columns, 6) meets first;
-    NaN for nothing."""
+    """Fill ``out`` (rows, columns) with the length, mm, of each ray from the port to the object.
+
+    ``rays``: (rows, columns, 6). NaN if it misses.
+    """
     rows, columns = out.shape
     for y0 in range(0, rows, BLOCK_PX):
         y1 = min(y0 + BLOCK_PX, rows)
@@ -130,27 +135,29 @@ def shadow_map(kind: int, sizes: Array, R: Array, t: Array, rays: Array, out: ND
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def by_map(first: NDArray[np.float32], u: float, v: float, length: float) -> int:
-    """Return 1 if the point at pattern coordinate (u, v), ``length`` mm from the window, is lit, −1 if it is in shadow,
-    0 if the map cannot tell."""
+    """Return 1 if the point at pattern coordinate (u, v) is illuminated, −1 in shadow, 0 if uncertain.
+
+    ``length``: mm from the port.
+    """
     a, b = (u + MARGIN_PX) / STEP_PX, (v + MARGIN_PX) / STEP_PX
     i, j = int(a), int(b)
     if i < 1 or j < 1 or i > first.shape[1] - 3 or j > first.shape[0] - 3:
         return 0
     s, t = a - i, b - j
-    # Four by four rays around: an edge of a shadow anywhere among them makes the answer uncertain.
-    least, most = 1e9, -1e9
+    # Four by four rays around: the edge of a shadow among them makes the result uncertain.
+    nearest_mm, farthest_mm = 1e9, -1e9
     for m in range(-1, 3):
         for n in range(-1, 3):
             d = first[j + m, i + n]
             if math.isnan(d):
                 return 0
-            least, most = min(least, d), max(most, d)
-    if most < length - EDGE_MM:
+            nearest_mm, farthest_mm = min(nearest_mm, d), max(farthest_mm, d)
+    if farthest_mm < length - EDGE_MM:
         return -1
-    if most - least > 2.0 * EDGE_MM:
+    if farthest_mm - nearest_mm > 2.0 * EDGE_MM:
         return 0
-    # Bilinear between the four rays around: what the light meets exactly there.
-    here = (first[j, i] * (1.0 - s) + first[j, i + 1] * s) * (1.0 - t) + (
+    # Bilinear between the four rays around: the exact length of the light there.
+    exact_mm = (first[j, i] * (1.0 - s) + first[j, i + 1] * s) * (1.0 - t) + (
         first[j + 1, i] * (1.0 - s) + first[j + 1, i + 1] * s
     ) * t
-    return 1 if abs(here - length) < SURE_MM else 0
+    return 1 if abs(exact_mm - length) < SURE_MM else 0

@@ -1,14 +1,14 @@
-"""Owns a fast stand-in for exact projection, held against it by a test: 1e-4 px at a fiftieth of the time.
+"""A fast approximation of exact projection: 1e-4 px (by a test) in a fiftieth of the time.
 
-A scene has two million surface points per frame. Where one is seen is a smooth function of its direction (x/z, y/z) from
-the eye and of 1/z. On a lattice of directions, the dependence on 1/z is a polynomial fitted to exact projections;
-between the nodes of the lattice lies a cubic. The lens field is part of what is fitted.
+A scene has two million surface points per frame. Where one is seen is a smooth function of its direction (x/z, y/z)
+from the eye and of 1/z. On a lattice of directions, the dependence on 1/z is a polynomial fitted to exact projections;
+between the nodes it is interpolated by a cubic. The lens field is included.
 """
 
 # Symbols:
 #   l         the point in the eye's frame, mm; w = 1 / l_z; a, b its direction l_x / l_z, l_y / l_z in steps of the lattice
 #   c         w as −1..1 between the reciprocals of the far and the near end of the table
-#   i, j      node before the point; s, t what is left, 0..1; a0..a3, b0..b3 weights of the four nodes along x and y
+#   i, j      node before the point; s, t the fraction, 0..1; a0..a3, b0..b3 weights of the four nodes along x and y
 #   u0..u4    coefficients of u over c, interpolated between the nodes; v0..v4 those of v
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _STEP_X, _STEP_Y = 2.0 * HALF_X / (NODES_X - 1), 2.0 * HALF_Y / (NODES_Y - 1)
 def fit_table(eye: Array) -> Array:
     """Fit the table (NODES_Y, NODES_X, 2 TERMS) float64 of an eye packed as in ``trace``; takes some 0.1 s."""
     samples = TERMS + 1
-    # Chebyshev's nodes: a polynomial through them has no wild ends.
+    # Chebyshev nodes: a polynomial through them does not oscillate at its ends.
     c = np.cos(np.pi * (np.arange(samples) + 0.5) / samples)
     tangent_y, tangent_x, z = np.meshgrid(
         np.linspace(-HALF_Y, HALF_Y, NODES_Y),
@@ -57,7 +57,7 @@ def fit_table(eye: Array) -> Array:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def look_up(eye: Array, table: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the pixel of a water point (rig frame, mm), or (OUTSIDE, OUTSIDE) beyond what the table covers."""
+    """Return the pixel of a water point (rig frame, mm), or (OUTSIDE, OUTSIDE) beyond the table."""
     r = ROTATION
     dx, dy, dz = x - eye[POSITION], y - eye[POSITION + 1], z - eye[POSITION + 2]
     lz = dx * eye[r + 2] + dy * eye[r + 5] + dz * eye[r + 8]

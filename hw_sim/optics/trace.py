@@ -1,9 +1,9 @@
-"""Owns the path of one light ray: pixel → lens → glass → water, and back by Newton's method on the exact path.
+"""The path of one light ray: pixel → lens → glass → water, and back by Newton's method on the exact path.
 
-An eye (camera or projector) is packed into one float64 array, so that compiled loops can carry it; the constants below
-say where what lies. Rig frame, mm; pixel centres at integers. The path follows Snell's law as vectors (no angles, no
-small-angle terms) through an inner face with normal n at distance d along n, and an outer face with a normal m of its
-own (the wedge) through the point n (d + th).
+An eye (camera or projector) is packed into one float64 array for compiled loops; the constants below are its layout.
+Rig frame, mm; pixel centres at integers. The path follows Snell's law as vectors (no angles, no small-angle terms)
+through an inner face with normal n at distance d along n, and an outer face with another normal m (the wedge) through
+the point n (d + th).
 """
 
 # Symbols:
@@ -32,7 +32,7 @@ DISTANCE, THICKNESS, GLASS, WATER, WIDTH, HEIGHT, HAS_FIELD, FOCUS, FIELD = (
 )  # fmt: skip
 FIELD_ORDER = 4
 PACKED = FIELD + 2 * FIELD_ORDER * FIELD_ORDER
-# What follows is there only for an eye with flaws (``optics.aberrations``), in the order of ``Aberrations``.
+# The following elements are only in an eye with flaws (``optics.aberrations``), in the order of ``Aberrations``.
 FLAWS, DENT = PACKED, PACKED + 2 * ORDERS * ORDERS
 STRIA, PUPIL, BEND = DENT + 4, DENT + 9, DENT + 10
 PACKED_WITH_FLAWS = BEND + 1
@@ -45,7 +45,10 @@ DIFFERENCE_PX = 0.01
 
 @numba.njit(nogil=True, cache=True)
 def refract(x: float, y: float, z: float, nx: float, ny: float, nz: float, ratio: float) -> tuple[float, float, float]:
-    """Snell's law for a unit direction crossing a face whose unit normal points onwards; ``ratio`` = n before / after."""
+    """Return a unit direction after refraction at a face whose unit normal points onwards (Snell's law).
+
+    ``ratio`` = n before / after.
+    """
     # t = η i + (√(1 − η²(1 − c²)) − η c) n, with η = ratio and c = i · n: the vector form of Snell's law.
     cosine = x * nx + y * ny + z * nz
     onward = math.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine))
@@ -55,7 +58,7 @@ def refract(x: float, y: float, z: float, nx: float, ny: float, nz: float, ratio
 
 @numba.njit(nogil=True, cache=True)
 def lens_field(eye: Array, u: float, v: float) -> tuple[float, float]:
-    """The part of the lens that no radial model has: low cosines over the image, in px at the pixel itself.
+    """Return the part of the lens beyond radial models: low cosines over the image, in px at the pixel.
 
     A ray that an ideal five-parameter lens would put at (u, v) − field(u, v) arrives at (u, v).
     """
@@ -102,7 +105,7 @@ def flaw_field(eye: Array, u: float, v: float) -> tuple[float, float]:
     a, b, width = u - eye[DENT], v - eye[DENT + 1], eye[DENT + 2]
     k = eye[DENT + 3] / width * math.exp(0.5 - 0.5 * (a * a + b * b) / (width * width))
     du, dv = du + k * a, dv + k * b
-    # A stria is a line whose index differs: the same across it, nothing along it.
+    # A stria is a line of another index: the same across it, no effect along it.
     nu, nv, width = math.cos(eye[STRIA + 2]), math.sin(eye[STRIA + 2]), eye[STRIA + 3]
     off = (u - eye[STRIA]) * nu + (v - eye[STRIA + 1]) * nv
     k = eye[STRIA + 4] / width * off * math.exp(0.5 - 0.5 * off * off / (width * width))
@@ -113,8 +116,11 @@ def flaw_field(eye: Array, u: float, v: float) -> tuple[float, float]:
 def bent_normal(
     bend: float, px: float, py: float, pz: float, ax: float, ay: float, az: float, nx: float, ny: float, nz: float
 ) -> tuple[float, float, float]:
-    """Return the unit normal of a face at p that is bent by ``bend`` (1/mm) about the foot of the perpendicular n, from its
-    flat normal a. The sag itself, of micrometres, is left out: it moves a ray by less than a hundredth of that."""
+    """Return the unit normal of a face at p that is bent by ``bend`` (1/mm) about its centre.
+
+    The centre is the foot of the perpendicular n; a is the flat normal. The sag, of micrometres, is neglected: it moves
+    a ray by less than a hundredth of that.
+    """
     # Off the foot by r = p − (p · n) n the face of a bowl that is hollow on the water's side leans by bend · r towards the axis.
     along = px * nx + py * ny + pz * nz
     x, y, z = ax - bend * (px - along * nx), ay - bend * (py - along * ny), az - bend * (pz - along * nz)
@@ -124,12 +130,15 @@ def bent_normal(
 
 @numba.njit(nogil=True, cache=True)
 def undistort(eye: Array, xd: float, yd: float) -> tuple[float, float]:
-    """Normalised coordinates whose distorted ones are (xd, yd): Newton on OpenCV's five-parameter model."""
+    """Return normalised coordinates whose distorted ones are (xd, yd), by Newton's method.
+
+    The model is OpenCV's with five parameters.
+    """
     k1, k2, p1, p2, k3 = eye[BROWN], eye[BROWN + 1], eye[BROWN + 2], eye[BROWN + 3], eye[BROWN + 4]
     x, y = xd, yd
     for _ in range(UNDISTORT_STEPS):
         r2 = x * x + y * y
-        # xd = x(1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 xy + p2(r² + 2x²); e is what the present guess misses by.
+        # xd = x(1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 xy + p2(r² + 2x²); e is the error of the present guess.
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
         ex = xd - (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x))
@@ -149,7 +158,7 @@ def undistort(eye: Array, xd: float, yd: float) -> tuple[float, float]:
 
 @numba.njit(nogil=True, cache=True)
 def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, float, float, float]:
-    """The ray in water that pixel (u, v) looks along: point on the outer glass face and unit direction, rig frame."""
+    """Return the ray in water of pixel (u, v): point on the outer glass face and unit direction, rig frame."""
     du, dv = lens_field(eye, u, v)
     flawed = eye.size > PACKED
     if flawed:
@@ -192,7 +201,7 @@ def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, floa
 
 @numba.njit(nogil=True, cache=True)
 def _miss(eye: Array, u: float, v: float, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return by how much the ray of (u, v) misses the point, mm along the eye's x and y, at the point's depth."""
+    """Return the miss of the ray of (u, v) at the point's depth, mm along the eye's x and y."""
     ox, oy, oz, dx, dy, dz = pixel_ray(eye, u, v)
     r = ROTATION
     zx, zy, zz = eye[r + 2], eye[r + 5], eye[r + 8]
@@ -203,7 +212,7 @@ def _miss(eye: Array, u: float, v: float, x: float, y: float, z: float) -> tuple
 
 @numba.njit(nogil=True, cache=True)
 def project_point(eye: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """The pixel whose ray passes through a water point, by Newton on the exact ray; NaN if there is none."""
+    """Return the pixel whose ray passes through a water point, by Newton on the exact ray; NaN if none."""
     r = ROTATION
     # Into the eye's frame: l = Rᵀ(p − t).
     dx, dy, dz = x - eye[POSITION], y - eye[POSITION + 1], z - eye[POSITION + 2]

@@ -1,8 +1,8 @@
-"""Owns the unluckiest of dives: devices are taken away and given back in random order while somebody goes on scanning.
+"""A dive with random failures: devices are removed and returned in random order while the diver scans.
 
-Who scans knows the instrument through its status file, as a diver knows it through the screen: he scans, keeps or
-repeats what he is shown, goes back to AIM whatever happens, and writes down what he was told. From the same seed he
-breaks the same things and wants the same; what comes of it depends on how fast the computer is.
+The diver knows the instrument through its status file, as a real one through the screen: he scans, keeps or repeats
+scans, always goes back to AIM, and records the alerts. The same seed gives the same failures and decisions; the results
+depend on the computer's speed.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ SPOILT = (
 )  # fmt: skip
 COMPUTER = (("worker", "kill"), ("worker", "hang"), ("disk", "off"))
 FRAMES = 20
-"""Frames of the shortest sequence: a fault in one of them comes at any period."""
+"""Number of frames of the shortest sequence, so that a fault in one of them occurs with any period."""
 AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
-"""Longest waits of world time: for AIM, for anything to happen on a key, for the end of a scan, for a save."""
+"""Longest waits of world time: for AIM, for an effect of a key, for the end of a scan, for a save."""
 LOST = "_LOST"
-"""The code of a device that is away ends so."""
+"""End of the codes of missing devices."""
 REJECT_HOLD_S = 1.2
 REJECT_TRIES = 5
-"""BACK held so long rejects a scan."""
+"""Number of presses of BACK to reject a scan."""
 READY_S = 45.0
-"""Longest wait, after everything is repaired, until SCAN is answered with a scan."""
+"""Longest wait, after all repairs, until SCAN starts a scan."""
 BREAK, GIVE_BACK, KEEP, BREAK_COMPUTER = 0.5, 0.75, 0.8, 0.06
-"""Chances before each scan: that something breaks, that all is repaired; that a scan is kept; that it is the computer."""
+"""Probabilities: of a failure before a scan, of repair, of keeping a scan, and of a failure of the computer."""
 
 
 @dataclass(slots=True)
@@ -57,15 +57,15 @@ class Report:
     scans: int = 0
     """Number of presses of SCAN."""
     accepted: list[str] = field(default_factory=list)
-    """Numbers of the scans that the screen called saved."""
+    """Numbers of the scans that the screen reported as saved."""
     rejected: int = 0
-    """Shown and not wanted."""
+    """Number of scans that the diver rejected."""
     refused: Counter[str] = field(default_factory=Counter)
-    """Scans that were not recorded, or worthless, by the code that the screen gave as the reason."""
+    """Number of scans that were not recorded or worthless, by the code on the screen."""
     unexplained: list[str] = field(default_factory=list)
-    """Moments at which nothing happened and nothing said why."""
+    """Failed scans without an alert."""
     alerts: Counter[str] = field(default_factory=Counter)
-    """Number of times that each came up."""
+    """Number of occurrences of each alert."""
     broken: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
@@ -78,7 +78,7 @@ class Report:
 
 
 class ChaosDiver(Operator):
-    """Presses SCAN ``scans`` times while things break; writes ``report`` (JSON) at the end, whatever it was."""
+    """Presses SCAN ``scans`` times during failures; always writes ``report`` (JSON) at the end."""
 
     def __init__(self, world: World, status: Path, seed: int, scans: int, report: Path) -> None:
         super().__init__(world, status)
@@ -109,7 +109,7 @@ class ChaosDiver(Operator):
     # ------------------------------------------------------------------------------------- what breaks
 
     def _break_something(self) -> None:
-        # The order of the draws is the seed's dive: it does not depend on what the instrument answers.
+        # The draws of a seed do not depend on the instrument's answers.
         if self._random.random() < GIVE_BACK:
             self._repair()
         if self._random.random() < BREAK_COMPUTER:
@@ -126,7 +126,7 @@ class ChaosDiver(Operator):
         try:
             computer.happen(what, self.status_path)
         except (ValueError, OSError):
-            return  # there is no process now, or it is away already
+            return  # there is no process now, or it has failed already
         self._disk_off = self._disk_off or what == ("disk", "off")
         self.report.broken.append(" ".join(what))
 
@@ -139,55 +139,55 @@ class ChaosDiver(Operator):
     # ------------------------------------------------------------------------------------- one scan
 
     def _to_aim(self) -> None:
-        """Go home to AIM as a diver does: with BACK, and by waiting where nothing but time helps."""
+        """Return to AIM as a diver does: with BACK, and by waiting if only time helps."""
         if self.until(self._aims, 1.0) or self.over:
             return
         for tries in range(int(AIM_S)):
-            # A diver at a loss surfaces: what keeps the instrument from AIM by now is not going to mend itself.
+            # After this time the diver surfaces: the failure does not repair itself.
             if tries == 20:
-                self._repair()  # the key pad may be away, and the disk
-            # From REVIEW it is held: elsewhere that might switch off.
+                self._repair()  # the keypad or the disk may be missing
+            # BACK is held only in REVIEW: elsewhere that might switch off.
             self.press("back", REJECT_HOLD_S if self._state() == "REVIEW" else PRESS_S)
             if self.until(self._aims, 1.0) or self.over:
                 return
         raise OperatorError(f"BACK does not lead to AIM: {self._line()}")
 
     def _scan_once(self) -> None:
-        """Press SCAN once, and write down what comes of it."""
+        """Press SCAN once, and record the result."""
         self.report.scans += 1
-        told: list[str] = []
+        reported_codes: list[str] = []
         """Reasons of a refusal, as soon as they are to be seen: they go when what they name comes back."""
         away = self._away()
         """The device that the screen calls lost: a reason for nothing to happen, even if it comes back right then."""
 
         def answered() -> bool:
-            """Return whether SCAN was answered. An alert that comes or goes is no answer: its device may have just come back."""
-            told.extend(filter(None, [self._reason(refused=True)]))
-            return bool(told) or not self._aims()
+            """Return True if SCAN was answered. A change of alerts is no answer: a device may have just come back."""
+            reported_codes.extend(filter(None, [self._reason(refused=True)]))
+            return bool(reported_codes) or not self._aims()
 
         self.world.press("scan")
-        if not self.until(answered, ANSWER_S) or told:
-            self._not_recorded(told, away)
+        if not self.until(answered, ANSWER_S) or reported_codes:
+            self._not_recorded(reported_codes, away)
             return
         if not self.until(lambda: self._state() in ("REVIEW", "AIM", None), END_S):
             raise OperatorError(f"no end of a scan after {END_S:g} s: {self._line()}")
         self._count_alerts()
         if self._state() != "REVIEW":
-            self._not_recorded(told, away)
+            self._not_recorded(reported_codes, away)
             return
         if self._random.random() < KEEP:
             self._keep()
         else:
             self.report.rejected += 1
-            for _ in range(REJECT_TRIES):  # a warning that lasts is acknowledged first, with the same key
+            for _ in range(REJECT_TRIES):  # the same key first acknowledges a lasting warning
                 self.press("back", REJECT_HOLD_S)
                 if self.until(lambda: self._state() != "REVIEW", PRESS_S) or self.over:
                     break
 
-    def _not_recorded(self, told: list[str], away: str | None) -> None:
-        """Count a scan that did not come about: somebody must say why, or have said it."""
+    def _not_recorded(self, reported_codes: list[str], away: str | None) -> None:
+        """Count a scan that failed; an alert must state the reason."""
         self._count_alerts()
-        reason = next(iter(told), None) or self._reason(refused=False) or away
+        reason = next(iter(reported_codes), None) or self._reason(refused=False) or away
         if reason is None:
             self.report.unexplained.append(self._line())
         else:

@@ -1,6 +1,6 @@
-"""Owns the commands of scripts and of the console: lines that break, repair, or change what is before the instrument.
+"""The commands of scripts and of the console: faults, repairs, and changes of the scene.
 
-A value is written in ``name=amount`` words, a vector as ``x,y,z``; ``off`` stands for the value's defaults.
+A value is written as ``name=amount`` words, a vector as ``x,y,z``; ``off`` stands for the value's defaults.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Value = TypeVar("Value")
 
 SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift(), "fog": Fog()}
-"""Commands that change a field of the scene of the same name, with that field's defaults."""
+"""Commands that change the scene's field of the same name, with its defaults."""
 HELP: Mapping[str, tuple[str, str]] = {
     "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
     "mend": ("THING", "repair one thing and nothing else: mend laser.left off, mend projector wrong"),
@@ -60,34 +60,34 @@ HELP: Mapping[str, tuple[str, str]] = {
     "knock": ("CAMERA AMOUNTS", "a camera moves in its mount, for good: knock right pitch_deg=0.03"),
     "screenshot": ("PATH", "the display as a PNG"),
 }
-"""Verb → (what follows, what it does)."""
+"""Verb → (arguments, help text)."""
 
 
 class CommandError(Exception):
-    """A command could not be carried out; the text says why."""
+    """A command failed; the text has the reason."""
 
 
-def check(verb: str, words: tuple[str, ...]) -> bool:
-    """Return whether that is one of the commands. Raises ValueError for one that can never be carried out."""
-    match verb, words:
+def check(verb: str, arguments: tuple[str, ...]) -> bool:
+    """Return True if that is a command. Raises ValueError for one that can never be executed."""
+    match verb, arguments:
         case "fault", (_, *_):
-            parse(" ".join(words))
+            parse(" ".join(arguments))
         case "mend", (_, _):
             pass
         case "cap", (("left" | "right" | "both"), ("on" | "off")):
             pass
         case "projector", (_, *_):
-            adjusted(Beamer(), words)
+            adjusted(Beamer(), arguments)
         case (("worker" | "disk" | "power"), _):
-            computer.check((verb, *words))
+            computer.check((verb, *arguments))
         case "date", (word,):
             calendar.check(word)
         case "object", (_, *pose) if len(pose) in (0, 6):
             [float(number) for number in pose]
         case "knock", (_, *_):
-            parse_knock(" ".join(words))
+            parse_knock(" ".join(arguments))
         case _ if verb in SURROUNDINGS:
-            changed(SURROUNDINGS[verb], verb, words)
+            changed(SURROUNDINGS[verb], verb, arguments)
         case (("screenshot" | "texture"), (_,)) | ("clear", ()):
             pass
         case _:
@@ -95,51 +95,54 @@ def check(verb: str, words: tuple[str, ...]) -> bool:
     return True
 
 
-def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
-    """Carry out what ``check`` has found to be a command. Raises CommandError, ValueError, OSError where it cannot be
-    carried out now."""
+def do(world: World, verb: str, arguments: tuple[str, ...], status: Path) -> None:
+    """Execute a command that ``check`` accepts. Raises CommandError, ValueError or OSError if it fails."""
     match verb:
         case "fault":
-            world.fault(" ".join(words))
+            world.fault(" ".join(arguments))
         case "mend":
-            world.mend(*words)
+            world.mend(*arguments)
         case "clear":
             world.clear_faults()
         case "cap":
-            sides = {"left", "right"} if words[0] == "both" else {words[0]}
+            sides = {"left", "right"} if arguments[0] == "both" else {arguments[0]}
             capped = world.scene.capped
-            world.set_caps(*(capped | sides if words[1] == "on" else capped - sides))
+            world.set_caps(*(capped | sides if arguments[1] == "on" else capped - sides))
         case "projector":
-            world.set_projector(adjusted(world.projector_truth.beamer, words))
+            world.set_projector(adjusted(world.projector_truth.beamer, arguments))
         case "worker" | "disk" | "power":
-            computer.happen((verb, *words), status)
+            computer.happen((verb, *arguments), status)
         case "date":
-            world.calendar.change(words[0])
+            world.calendar.change(arguments[0])
         case "object":
-            world.set_object(words[0], [float(n) for n in words[1:]] or None)
+            world.set_object(arguments[0], [float(n) for n in arguments[1:]] or None)
         case "texture":
-            world.set_scene(replace(world.scene, texture=words[0]))
+            world.set_scene(replace(world.scene, texture=arguments[0]))
         case "knock":
-            world.knock(parse_knock(" ".join(words)))
+            world.knock(parse_knock(" ".join(arguments)))
         case "screenshot":
             picture = world.scanned_out("display")
             # OpenCV writes blue first.
-            if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+            if not cv2.imwrite(arguments[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
                 raise CommandError("the picture cannot be written")
         case _:
-            world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, words)}))
+            world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, arguments)}))
 
 
-def adjusted(beamer: Beamer, words: Sequence[str]) -> Beamer:
-    """Return a projector with ``words`` like ``gamma=2.2`` in their places, values as in a rig file; ``off`` is the usual one. Raises ValueError."""
+def adjusted(beamer: Beamer, assignments: Sequence[str]) -> Beamer:
+    """Return a projector changed by ``words`` like ``gamma=2.2``, with values as in a rig file.
+
+    ``off`` is the usual projector. Raises ValueError.
+    """
     usual = Beamer(beamer.kind)
     amounts: dict[str, Any] = {}
-    for word in words:
+    for word in assignments:
         name, sign, text = word.partition("=")
-        known = {one.name for one in fields(usual)}
-        if not sign or name not in known:
+        names = {field.name for field in fields(usual)}
+        if not sign or name not in names:
             raise ValueError(
-                f"projector: '{word}' is not understood; allowed are any of {', '.join(sorted(known))} = value, or = off"
+                f"projector: '{word}' is not understood; allowed are any of {', '.join(sorted(names))} = value, "
+                "or = off"
             )
         try:
             value = getattr(usual, name) if text == "off" else tomllib.loads(f"value = {text}")["value"]
@@ -149,30 +152,33 @@ def adjusted(beamer: Beamer, words: Sequence[str]) -> Beamer:
     return replace(beamer, **amounts)
 
 
-def changed(value: Value, what: str, words: Sequence[str]) -> Value:
-    """Return a frozen dataclass with the named amounts changed. ``what`` names it in errors. Raises ValueError."""
+def changed(value: Value, subject: str, assignments: Sequence[str]) -> Value:
+    """Return a frozen dataclass with the named amounts changed. Raises ValueError.
+
+    ``subject`` is its name in the error.
+    """
     if not is_dataclass(value) or isinstance(value, type):
-        raise TypeError(f"{what}: {value!r} has no amounts")
-    if tuple(words) == ("off",):
+        raise TypeError(f"{subject}: {value!r} has no amounts")
+    if tuple(assignments) == ("off",):
         return type(value)()
-    known = {f.name: getattr(value, f.name) for f in fields(value)}
+    defaults = {f.name: getattr(value, f.name) for f in fields(value)}
     amounts: dict[str, Any] = {}
-    for word in words:
+    for word in assignments:
         name, sign, text = word.partition("=")
-        if name not in known or not sign:
+        if name not in defaults or not sign:
             raise ValueError(
-                f"{what}: '{word}' is not understood; allowed are off, or any of {', '.join(known)} = amount"
+                f"{subject}: '{word}' is not understood; allowed are off, or any of {', '.join(defaults)} = amount"
             )
-        amounts[name] = _amount(f"{what} {name}", text, known[name])
+        amounts[name] = _amount(f"{subject} {name}", text, defaults[name])
     if not amounts:
-        raise ValueError(f"{what}: what of it? Give off, or any of {', '.join(known)} = amount")
+        raise ValueError(f"{subject}: what of it? Give off, or any of {', '.join(defaults)} = amount")
     return replace(value, **amounts)
 
 
 def _amount(what: str, text: str, like: object) -> float | int | tuple[float, ...]:
     try:
         if isinstance(like, tuple):
-            # The default's type says how the amount is written.
+            # The default's type determines the form of the amount.
             return tuple(float(part) for part in text.split(","))
         return int(text) if isinstance(like, int) else float(text)
     except ValueError:

@@ -1,7 +1,6 @@
-"""Owns what can happen to the computer in the housing: its process for points dies or hangs, its disk refuses, somebody else
-fills it, or the power goes.
+"""Failures of the computer in the housing: its worker dies or hangs, its disk refuses or fills, its power fails.
 
-Like a diver it goes by the status file: that names the process, and lies in ``run`` of the storage root.
+Like a diver it uses the status file, which names the process and lies in ``run`` of the storage root.
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ SCANS = "scans"
 GONE = "scans.taken-away"
 SOMEBODY_ELSES = "somebody-elses-file"
 LEFT_BYTES = 200_000
-"""A disk that somebody fills has so much left: the status file must find its place."""
+"""Free space of a filled disk, for the status file."""
 MOST_FILLED_BYTES = 500_000_000
-"""A larger disk is not one made for this."""
+"""Largest disk that may be filled, so that no real one is."""
 VERBS = {
     ("power", "cut"),
     ("worker", "kill"),
@@ -30,16 +29,16 @@ VERBS = {
 }
 
 
-def check(words: tuple[str, ...]) -> None:
-    """Check that it can happen. Raises ValueError otherwise."""
-    if words not in VERBS:
-        raise ValueError(f"'{' '.join(words)}'; allowed are {', '.join(' '.join(pair) for pair in sorted(VERBS))}")
+def check(failure: tuple[str, ...]) -> None:
+    """Check that the failure exists. Raises ValueError otherwise."""
+    if failure not in VERBS:
+        raise ValueError(f"'{' '.join(failure)}'; allowed are {', '.join(' '.join(pair) for pair in sorted(VERBS))}")
 
 
-def happen(words: tuple[str, ...], status: Path) -> None:
-    """Make it happen now. Raises ValueError where there is nothing that it could happen to."""
+def happen(failure: tuple[str, ...], status: Path) -> None:
+    """Cause the failure now. Raises ValueError if there is no process or disk for it."""
     root = status.parent.parent
-    match words:
+    match failure:
         case ("power", _):
             pid = status_file.read(status).get("pid")
             if pid is None:
@@ -50,7 +49,7 @@ def happen(words: tuple[str, ...], status: Path) -> None:
             if pid is None:
                 raise ValueError("no process for points is running")
             os.kill(int(pid), signal.SIGKILL if how == "kill" else signal.SIGSTOP)
-        case ("disk", "off"):  # every call that wants into the folder fails, for whatever user
+        case ("disk", "off"):  # every call in the folder fails, for every user
             (root / SCANS).rename(root / GONE)
             (root / SCANS).write_bytes(b"")
         case ("disk", "fill"):
@@ -61,7 +60,7 @@ def happen(words: tuple[str, ...], status: Path) -> None:
                 )
             with (root / SOMEBODY_ELSES).open("ab", buffering=0) as file:
                 os.posix_fallocate(file.fileno(), file.tell(), max(1, free - LEFT_BYTES))
-        # The other file is what fills the disk; without it there is room again.
+        # The other file fills the disk; its removal frees the space.
         case ("disk", "spare"):
             (root / SOMEBODY_ELSES).unlink(missing_ok=True)
         case ("disk", _):

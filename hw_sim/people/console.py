@@ -1,6 +1,6 @@
-"""Owns the trainer's console: lines typed while somebody dives, each done at once, each answered, with help.
+"""The trainer's console: commands during a dive, executed and answered at once, with help.
 
-It reads a descriptor in a thread of its own and ends with it. A line that is not understood changes nothing.
+It reads a descriptor in a thread of its own and ends with it. An invalid line changes nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ OWN = {
     "where": ("", "object, pose and water before the instrument"),
     "help": ("[VERB]", "this list, or more about one verb; help fault lists what can break and how"),
 }
-"""Verbs that only a console has: (what follows, what it does)."""
+"""Verbs of the console alone → (arguments, help text)."""
 
 
 class Console:
@@ -42,26 +42,29 @@ class Console:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """Return the answers to the lines that these bytes complete; of a line without end the last ``LONGEST_LINE`` bytes are kept."""
-        *lines, rest = (self._rest + data).split(b"\n")
-        self._rest = rest[-LONGEST_LINE:]
-        return [said for line in lines for said in self.answer(line.decode("utf-8", "replace")).splitlines()]
+        """Return the answers to the lines that these bytes complete.
+
+        Of an incomplete line the last ``LONGEST_LINE`` bytes are kept.
+        """
+        *lines, incomplete = (self._rest + data).split(b"\n")
+        self._rest = incomplete[-LONGEST_LINE:]
+        return [text for line in lines for text in self.answer(line.decode("utf-8", "replace")).splitlines()]
 
     def answer(self, line: str) -> str:
-        """Carry out the line and return what was done; errors are answers too."""
-        verb, *words = line.split("#", 1)[0].split() or [""]
+        """Execute the line and return its result or error as text."""
+        verb, *arguments = line.split("#", 1)[0].split() or [""]
         try:
-            return self._do(verb, tuple(words))
+            return self._do(verb, tuple(arguments))
         except (ValueError, OSError, commands.CommandError) as error:
             return f"no: {error}"
 
-    def _do(self, verb: str, words: tuple[str, ...]) -> str:
+    def _do(self, verb: str, arguments: tuple[str, ...]) -> str:
         world = self._world
-        match verb, words:
+        match verb, arguments:
             case "", ():
                 return ""
             case "help", _:
-                return _help(words)
+                return _help(arguments)
             case "see", ():
                 return status_file.summary(status_file.read(self._status))
             case "faults", ():
@@ -73,41 +76,41 @@ class Console:
             case "press", (key, *hold) if len(hold) <= 1:
                 world.press(key, *(float(seconds) for seconds in hold))
                 return "done"
-        if not commands.check(verb, words):
-            raise ValueError(f"'{' '.join((verb, *words))}' is not understood; type help")
-        commands.do(world, verb, words, self._status)
+        if not commands.check(verb, arguments):
+            raise ValueError(f"'{' '.join((verb, *arguments))}' is not understood; type help")
+        commands.do(world, verb, arguments, self._status)
         return "done"
 
 
-def _help(words: tuple[str, ...]) -> str:
-    known = {**commands.HELP, **OWN}
-    match words:
+def _help(arguments: tuple[str, ...]) -> str:
+    verbs = {**commands.HELP, **OWN}
+    match arguments:
         case ():
-            width = max(len(f"{verb} {what}") for verb, (what, _) in known.items())
-            return "\n".join(f"  {f'{verb} {what}'.ljust(width)}  {text}" for verb, (what, text) in known.items())
+            width = max(len(f"{verb} {what}") for verb, (what, _) in verbs.items())
+            return "\n".join(f"  {f'{verb} {what}'.ljust(width)}  {text}" for verb, (what, text) in verbs.items())
         case ("fault",):
             return f"  fault COMPONENT VERB [how=WORD] [frame=K] [at_s=T] [for_s=T] [count=N] [amount=X]\n  {faults.supported()}"
-        case (verb,) if verb in known:
-            return f"  {verb} {known[verb][0]}\n  {known[verb][1]}"
+        case (verb,) if verb in verbs:
+            return f"  {verb} {verbs[verb][0]}\n  {verbs[verb][1]}"
         case _:
-            raise ValueError(f"help: '{' '.join(words)}' is no verb; there are {', '.join(known)}")
+            raise ValueError(f"help: '{' '.join(arguments)}' is no verb; there are {', '.join(verbs)}")
 
 
 @contextmanager
 def reading(world: World, status: Path, descriptor: int) -> Iterator[None]:
-    """A console on ``descriptor`` as long as the context lasts; answers are logged."""
+    """Run a console on ``descriptor`` as long as the context lasts; answers are logged."""
     console, closing = Console(world, status), threading.Event()
 
     def run() -> None:
         while not closing.is_set():
-            # A read that blocks could not be ended: look first, and look again whether the context has ended.
+            # A blocking read could not be ended, so poll, and check whether the context has ended.
             if not select.select([descriptor], [], [], LOOK_S)[0]:
                 continue
             data = os.read(descriptor, LONGEST_LINE)
             if not data:
                 return
-            for said in console.feed(data):
-                LOG.info("%s", said)
+            for text in console.feed(data):
+                LOG.info("%s", text)
 
     thread = threading.Thread(target=run, name="console", daemon=True)
     LOG.info("console: type help")

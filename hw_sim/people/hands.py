@@ -1,8 +1,8 @@
-"""Owns the hands of a person at a computer: how a mouse moves the instrument before the object, and how fast.
+"""The hands of a person at a computer: a mouse moves the instrument before the object.
 
-The scanner goes with the mouse. One held button shifts it, the other turns it about the middle of the volume, the wheel
-goes nearer and farther. While a sequence is recorded the hands go on as they were when it began, since one that is
-recorded slower than real time could not follow them.
+One held button shifts it, the other rotates it about the middle of the volume, the wheel moves it nearer and farther.
+While a sequence is recorded the hands keep the speed at its beginning, since a recording slower than real time could
+not follow them.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from hw_sim.scene import Scene
 
 Pose = tuple[float, float, float, float, float, float]
 MM_PER_PX, DEG_PER_PX, MM_PER_NOTCH = 0.5, 0.15, 5.0
-"""A camera's picture is 400 px wide and shows some 250 mm."""
+"""Gains of the mouse: a camera's image is 400 px wide and shows some 250 mm."""
 MEMORY_NS = 150_000_000
-"""The hands' speed is what they did in this time."""
+"""Time over which the speed of the hands is averaged."""
 LIMIT_MM, NEAREST_MM, FARTHEST_MM = 300.0, 250.0, 1500.0
 
 
@@ -54,7 +54,7 @@ class Hands:
         self._did(np.array([dx_px * MM_PER_PX, dy_px * MM_PER_PX, 0.0, 0.0, 0.0, 0.0]), real_ns)
 
     def turn(self, dx_px: float, dy_px: float, real_ns: int) -> None:
-        """Turn it so that it looks at the same place from further right and further down (right button)."""
+        """Rotate it so that it sees the same place from further right and down (right button)."""
         self._did(np.array([0.0, 0.0, 0.0, dy_px * DEG_PER_PX, -dx_px * DEG_PER_PX, 0.0]), real_ns)
 
     def wheel(self, notches: float, real_ns: int) -> None:
@@ -66,12 +66,12 @@ class Hands:
         self._waiting += change
 
     def settle(self, real_ns: int) -> None:
-        """Bring the scene up to date; to be called often, for hands that rest as well."""
+        """Update the scene; call it often, also for hands at rest."""
         while self._lately and self._lately[0][0] < real_ns - MEMORY_NS:
             self._lately.popleft()
         if self._world.recording or not (self._moving or self._waiting.any()):
             return
-        # A mean over the memory: a single event of the mouse says little of a speed.
+        # A mean over the memory, since a single event of the mouse gives no speed.
         speed = sum((change for _, change in self._lately), np.zeros(6)) / (MEMORY_NS / 1e9)
         scene = self._world.scene
         vx, vy, vz, wx, wy, wz = (float(part) for part in speed)
@@ -82,13 +82,16 @@ class Hands:
 
 
 def seen_after(pose: Pose, change: NDArray[np.float64]) -> Pose:
-    """Return an object's pose in the instrument's frame after that has shifted (mm) and turned (degrees about the pivot)."""
+    """Return an object's pose in the instrument's frame after the instrument has moved.
+
+    ``change``: shift (mm) and rotation (degrees about the pivot).
+    """
     R, t = pose_matrix(pose)
-    turn, shift = pose_matrix(tuple(float(part) for part in (*change[:3], *change[3:])))
-    R = turn.T @ R if change[3:].any() else R
-    t = turn.T @ (t - shift - PIVOT_MM) + PIVOT_MM
+    rotation, shift = pose_matrix(tuple(float(part) for part in (*change[:3], *change[3:])))
+    R = rotation.T @ R if change[3:].any() else R
+    t = rotation.T @ (t - shift - PIVOT_MM) + PIVOT_MM
     x, y, z = np.clip(t, (-LIMIT_MM, -LIMIT_MM, NEAREST_MM), (LIMIT_MM, LIMIT_MM, FARTHEST_MM))
-    # Back to angles of R = Rz Ry Rx; at ry = ±90° only the sum of the others would count, which no mouse reaches.
+    # Back to angles of R = Rz Ry Rx; the singularity at ry = ±90° is out of the mouse's reach.
     rx = math.degrees(math.atan2(R[2, 1], R[2, 2]))
     ry = math.degrees(math.asin(max(-1.0, min(1.0, -R[2, 0]))))
     rz = math.degrees(math.atan2(R[1, 0], R[0, 0]))

@@ -1,4 +1,4 @@
-"""Owns what everybody who operates the instrument has in common: a thread, a view of the status file, presses of keys."""
+"""The common part of all operators of the instrument: a thread, the status file, presses of keys."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 POLL_S = 0.05
 PRESS_S = 0.15
-"""A key is held so long; also the pause behind each press."""
+"""Duration of a press, and of the pause after it."""
 POWER_OFF_HOLD_S = 1.2
 POWER_OFF_TRIES = 15
 POWER_OFF_TRY_S = 2.0
@@ -23,11 +23,11 @@ SWITCH_OFF = "SWITCH OFF"
 
 
 class OperatorError(Exception):
-    """Something that had to happen did not; the text says what."""
+    """An expected event did not happen; the text says which."""
 
 
 class Operator:
-    """Operates the instrument in a thread of its own. ``failure`` tells afterwards what did not happen."""
+    """Operates the instrument in a thread. ``failure`` has the error afterwards."""
 
     def __init__(self, world: World, status: Path) -> None:
         self.world = world
@@ -39,7 +39,7 @@ class Operator:
         self._thread = threading.Thread(target=self._run, name="diver", daemon=True)
 
     def act(self) -> None:
-        """Do everything that is to be done; return early when ``over``. Raises OperatorError."""
+        """Do the operator's work; return early when ``over``. Raises OperatorError."""
         raise NotImplementedError
 
     def start(self) -> None:
@@ -47,10 +47,10 @@ class Operator:
         self._thread.start()
 
     def stop(self, grace_s: float) -> None:
-        """Let it come to its end for ``grace_s`` of real time, then end it. Raises RuntimeError if it hangs."""
+        """Wait up to ``grace_s`` of real time for the end, then end it. Raises RuntimeError if it hangs."""
         self._thread.join(grace_s)
         with self.world.time.condition:
-            # Told under the world's lock, so that a wait in world time notices it at once.
+            # Set under the world's lock, so that a wait in world time notices it at once.
             self._stopped = True
             self.world.time.condition.notify_all()
         self._thread.join(10.0)
@@ -63,20 +63,20 @@ class Operator:
             self.finished = self.finished or not self.over
         except Exception as error:
             self.failure = str(error)
-            # Who waits for the diver must not wait for ever.
+            # The failure ends the wait for the diver.
             self.switch_off()
 
     @property
     def over(self) -> bool:
-        """The world has ended, or nobody wants this any more."""
+        """True if the world has ended, or the operator is stopped."""
         return self._stopped or self.world.time.closed
 
     def status(self) -> status_file.Status:
-        """Return the status file's content now; empty where there is none."""
+        """Return the present content of the status file; empty without a file."""
         return status_file.read(self.status_path)
 
     def press(self, key: str, hold_s: float = PRESS_S) -> None:
-        """Press and let go."""
+        """Press and release."""
         self.world.press(key, hold_s)
         self.sleep(hold_s + PRESS_S)
 
@@ -86,7 +86,7 @@ class Operator:
             self.world.time.wait_for(lambda: self.over, duration_s)
 
     def until(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        """Return whether ``predicate`` becomes true within ``timeout_s`` of world time."""
+        """Return True if ``predicate`` becomes true within ``timeout_s`` of world time."""
         end_ns = self.world.time_ns + int(timeout_s * 1e9)
         while not predicate():
             if self.over or self.world.time_ns > end_ns:
@@ -95,7 +95,7 @@ class Operator:
         return True
 
     def switch_off(self) -> bool:
-        """Repeat the power-off gesture until the service shuts down; return whether it did.
+        """Repeat the power-off gesture until the service shuts down; return True if it did.
 
         The gesture is BACK held, and its question answered with DOWN and SCAN.
         """
@@ -112,10 +112,10 @@ class Operator:
         return False
 
     def _selected(self) -> str | None:
-        """Return the answer that is selected now to the question on the screen; ``None``: nothing is asked."""
+        """Return the selected answer to the question on the screen; ``None``: no question."""
         question = self.status().get("question")
         return str(question.get("selected")) if isinstance(question, dict) else None
 
     def _off(self) -> bool:
-        """Return whether the instrument is off: the service says so, or has taken its status away."""
+        """Return True if the instrument is off: the service says so, or has removed its status."""
         return self.status().get("state") in (None, "SHUTDOWN")

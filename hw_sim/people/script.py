@@ -1,4 +1,4 @@
-"""Owns the diver's script: a list of steps, played by a thread that knows the product only through its status file."""
+"""The diver's script: a list of steps, played by a thread that knows the product only through its status file."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ if TYPE_CHECKING:
 KEYS = ("scan", "back", "up", "down")
 GRAMMAR = (
     f"allowed are: wait|never {'|'.join(status_file.CONDITIONS)} WORDS S, pause S, press KEY [S], follow MM S, end, "
-    + ", ".join(" ".join(filter(None, (verb, words))) for verb, (words, _) in commands.HELP.items())
+    + ", ".join(" ".join(filter(None, (verb, arguments))) for verb, (arguments, _) in commands.HELP.items())
 )
 
 
 class ScriptError(Exception):
-    """A step is not understood, or what it waited for did not come; the text names line and step."""
+    """A step is invalid, or its condition was not met; the text has line and step."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One line: its number, the verb and its words."""
+    """One line: its number, the verb and its arguments."""
 
     line: int
     verb: str
-    words: tuple[str, ...]
+    arguments: tuple[str, ...]
 
     def __str__(self) -> str:
-        return f"line {self.line}: {' '.join((self.verb, *self.words))}"
+        return f"line {self.line}: {' '.join((self.verb, *self.arguments))}"
 
 
 def read_script(path: Path) -> tuple[Step, ...]:
-    """Read and parse a script's file. Raises ScriptError for one that is no text or cannot be read."""
+    """Read and parse a script's file. Raises ScriptError for an unreadable file."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -54,12 +54,12 @@ def parse_script(text: str) -> tuple[Step, ...]:
     """Parse a script; every line is checked before the first is played. Raises ScriptError."""
     steps = []
     for number, raw in enumerate(text.splitlines(), 1):
-        said = raw.split("#", 1)[0].strip()
-        if not said:
+        line_text = raw.split("#", 1)[0].strip()
+        if not line_text:
             continue
-        # A path is the rest of its line, blanks and all.
-        words = said.split(maxsplit=1) if said.startswith("screenshot ") else said.split()
-        step = Step(number, words[0], tuple(words[1:]))
+        # A path is the remainder of its line, including blanks.
+        tokens = line_text.split(maxsplit=1) if line_text.startswith("screenshot ") else line_text.split()
+        step = Step(number, tokens[0], tuple(tokens[1:]))
         try:
             _check(step)
         except ValueError as error:
@@ -69,7 +69,7 @@ def parse_script(text: str) -> tuple[Step, ...]:
 
 
 def _check(step: Step) -> None:
-    match step.verb, step.words:
+    match step.verb, step.arguments:
         case (("wait" | "never"), (kind, first, *more, seconds)):
             _seconds(seconds)
             status_file.check(kind, [first, *more])
@@ -87,7 +87,7 @@ def _check(step: Step) -> None:
         case "end", ():
             pass
         case _:
-            if not commands.check(step.verb, step.words):
+            if not commands.check(step.verb, step.arguments):
                 raise ValueError(GRAMMAR)
 
 
@@ -118,28 +118,31 @@ class Diver(Operator):
                 return
 
     def _play(self, step: Step) -> None:
-        words = step.words
+        arguments = step.arguments
         match step.verb:
             case "wait":
-                if not self._comes(words) and not self.over:
-                    raise ScriptError(f"{step}: after {words[-1]} s {status_file.summary(self.status())}")
+                if not self._comes(arguments) and not self.over:
+                    raise ScriptError(f"{step}: after {arguments[-1]} s {status_file.summary(self.status())}")
             case "never":
-                if self._comes(words):
+                if self._comes(arguments):
                     raise ScriptError(f"{step}: {status_file.summary(self.status())}")
             case "pause":
-                self.sleep(float(words[0]))
+                self.sleep(float(arguments[0]))
             case "press":
-                self.press(words[0], float(words[1]) if len(words) > 1 else PRESS_S)
+                self.press(arguments[0], float(arguments[1]) if len(arguments) > 1 else PRESS_S)
             case "follow":
-                if not follow(self, float(words[0]), float(words[1])) and not self.over:
-                    raise ScriptError(f"{step}: after {words[1]} s the guidance is {self.status().get('guidance')}")
+                if not follow(self, float(arguments[0]), float(arguments[1])) and not self.over:
+                    raise ScriptError(f"{step}: after {arguments[1]} s the guidance is {self.status().get('guidance')}")
             case "end":
                 if not self.switch_off() and not self.over:
                     raise ScriptError(f"{step}: the state is still {self.status().get('state')}")
             case _:
-                commands.do(self.world, step.verb, words, self.status_path)
+                commands.do(self.world, step.verb, arguments, self.status_path)
 
-    def _comes(self, words: tuple[str, ...]) -> bool:
-        """Return whether what the words name comes to be seen within the seconds that they end with."""
-        kind, *what, seconds = words
+    def _comes(self, arguments: tuple[str, ...]) -> bool:
+        """Return True if a condition is met in time.
+
+        ``arguments``: kind, words of the condition, and the seconds.
+        """
+        kind, *what, seconds = arguments
         return self.until(lambda: status_file.is_met(self.status(), kind, what), float(seconds))

@@ -1,4 +1,4 @@
-"""Owns the conditions that a script can wait for: questions to the product's status file, and to nothing else of it."""
+"""The conditions that a script can wait for, as queries of the product's status file."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ def _alerts(status: Status, field: str) -> list[str]:
 
 
 def _table(value: object) -> Mapping[str, Any]:
-    """Return a table of the file; empty where it has something else in that place."""
+    """Return a table of the file; empty if the value is no table."""
     return value if isinstance(value, Mapping) else {}
 
 
 def _calibration(status: Status, field: str, name: str) -> bool:
-    """Return whether ``field`` of a calibration is ``name``, when nothing is computed for it any more."""
-    at = _table(status.get("calibration"))
-    return at.get(field) == name and not at.get("busy")
+    """Return True if ``field`` of an idle calibration is ``name``."""
+    table = _table(status.get("calibration"))
+    return table.get(field) == name and not table.get("busy")
 
 
 def _distance(status: Status, mm: float, within_mm: float) -> bool:
-    """Return whether the laser dots tell a distance within so much of ``mm``."""
-    found = _table(status.get("range")).get("distance_mm")
-    return isinstance(found, int | float) and abs(found - mm) <= within_mm
+    """Return True if the distance by the laser dots is within ``within_mm`` of ``mm``."""
+    distance_mm = _table(status.get("range")).get("distance_mm")
+    return isinstance(distance_mm, int | float) and abs(distance_mm - mm) <= within_mm
 
 
 def _tilt(status: Status, deg: float, within_deg: float) -> bool:
-    """Return whether the laser dots tell a tilt within so much of ``deg``."""
-    found = _table(status.get("range")).get("tilt_deg")
-    return isinstance(found, int | float) and abs(found - deg) <= within_deg
+    """Return True if the tilt by the laser dots is within ``within_deg`` of ``deg``."""
+    tilt_deg = _table(status.get("range")).get("tilt_deg")
+    return isinstance(tilt_deg, int | float) and abs(tilt_deg - deg) <= within_deg
 
 
 def _gallery(status: Status, scan: str, what: str) -> bool:
-    """Return whether the gallery shows ``scan``, with a mark of ``GALLERY`` or with a date that begins with ``what``."""
+    """Return True if the gallery shows ``scan`` with that mark of ``GALLERY``, or that beginning of its date."""
     shown = _table(status.get("gallery"))
     if shown.get("scan") != scan:
         return False
@@ -58,50 +58,50 @@ GALLERY: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
 
 
 def _like(texts: list[str], pattern: str) -> bool:
-    """Return whether one of ``texts`` is like ``pattern``; ``*`` stands for anything: numbers that a scene does not fix."""
+    """Return True if one of ``texts`` matches ``pattern``; ``*`` stands for any text, such as numbers."""
     return any(fnmatch.fnmatchcase(text, pattern) for text in texts)
 
 
 CONDITIONS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
-    "state": (1, lambda status, words: status.get("state") == words[0]),
-    "alert": (1, lambda status, words: words[0] in _alerts(status, "code")),
-    "gone": (1, lambda status, words: bool(status) and words[0] not in _alerts(status, "code")),
-    "headline": (1, lambda status, words: _like(_alerts(status, "headline"), " ".join(words))),
-    "action": (1, lambda status, words: _like(_alerts(status, "action"), " ".join(words))),
-    "label": (2, lambda status, words: _like([str(_table(status.get("keys")).get(words[0]))], " ".join(words[1:]))),
-    "device": (2, lambda status, words: _table(status.get("devices")).get(words[0]) == words[1]),
-    "distance": (2, lambda status, words: _distance(status, float(words[0]), float(words[1]))),
-    "tilt": (2, lambda status, words: _tilt(status, float(words[0]), float(words[1]))),
-    "gallery": (2, lambda status, words: _gallery(status, words[0], words[1])),
-    "reach": (1, lambda status, words: _table(status.get("range")).get("word") == words[0]),
-    "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
-    "overlap": (1, lambda status, words: _like([str(status.get("overlap"))], " ".join(words))),
-    "guidance": (1, lambda status, words: _like([str(_table(status.get("guidance")).get("words"))], " ".join(words))),
-    "step": (1, lambda status, words: _calibration(status, "step", words[0])),
-    "result": (1, lambda status, words: _calibration(status, "result", words[0])),
+    "state": (1, lambda status, args: status.get("state") == args[0]),
+    "alert": (1, lambda status, args: args[0] in _alerts(status, "code")),
+    "gone": (1, lambda status, args: bool(status) and args[0] not in _alerts(status, "code")),
+    "headline": (1, lambda status, args: _like(_alerts(status, "headline"), " ".join(args))),
+    "action": (1, lambda status, args: _like(_alerts(status, "action"), " ".join(args))),
+    "label": (2, lambda status, args: _like([str(_table(status.get("keys")).get(args[0]))], " ".join(args[1:]))),
+    "device": (2, lambda status, args: _table(status.get("devices")).get(args[0]) == args[1]),
+    "distance": (2, lambda status, args: _distance(status, float(args[0]), float(args[1]))),
+    "tilt": (2, lambda status, args: _tilt(status, float(args[0]), float(args[1]))),
+    "gallery": (2, lambda status, args: _gallery(status, args[0], args[1])),
+    "reach": (1, lambda status, args: _table(status.get("range")).get("word") == args[0]),
+    "scans": (1, lambda status, args: str(status.get("scans")) == args[0]),
+    "overlap": (1, lambda status, args: _like([str(status.get("overlap"))], " ".join(args))),
+    "guidance": (1, lambda status, args: _like([str(_table(status.get("guidance")).get("words"))], " ".join(args))),
+    "step": (1, lambda status, args: _calibration(status, "step", args[0])),
+    "result": (1, lambda status, args: _calibration(status, "result", args[0])),
 }
-"""Condition → (number of words it takes at least, whether it is met now)."""
+"""Condition → (least number of arguments, function that returns whether it is met)."""
 
 
-def is_met(status: Status, kind: str, words: list[str]) -> bool:
-    """Return whether the condition ``kind`` is met."""
-    return CONDITIONS[kind][1](status, words)
+def is_met(status: Status, kind: str, args: list[str]) -> bool:
+    """Return True if the condition ``kind`` is met."""
+    return CONDITIONS[kind][1](status, args)
 
 
-def check(kind: str, words: list[str]) -> None:
-    """Check a condition and its words. Raises ValueError for what could never be met."""
+def check(kind: str, args: list[str]) -> None:
+    """Check a condition and its arguments. Raises ValueError if it could never be met."""
     if kind not in CONDITIONS:
         raise ValueError(f"'{kind}' cannot be waited for; allowed are {', '.join(CONDITIONS)}")
-    if len(words) < CONDITIONS[kind][0]:
+    if len(args) < CONDITIONS[kind][0]:
         raise ValueError(f"'{kind}' takes {CONDITIONS[kind][0]} words or more, then the seconds")
     if kind in ("distance", "tilt"):
-        [float(number) for number in words]
+        [float(number) for number in args]
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Return the status now; empty where there is none."""
+    """Return the present status; empty without a file."""
     try:
-        # The file is replaced as a whole while the service runs, but may be missing before it starts and after it ends.
+        # The file is replaced atomically while the service runs; it may be missing before and after.
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
@@ -109,7 +109,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def summary(status: Status) -> str:
-    """Return the whole status in one line, for messages that say what is to be seen instead."""
+    """Return the status in one line, for error messages."""
     listed = status.get("alerts")
     read = ", ".join(_alert(_table(alert)) for alert in listed) if isinstance(listed, list) else ""
     calibration = status.get("calibration")
@@ -121,13 +121,13 @@ def summary(status: Status) -> str:
 
 
 def _alert(alert: Mapping[str, Any]) -> str:
-    """Return an alert's code, and what the screen says of it where the file has that."""
-    said = ": ".join(str(alert[field]) for field in ("headline", "action") if alert.get(field))
-    return f"{alert.get('code')} ({said})" if said else str(alert.get("code"))
+    """Return an alert's code and its words on the screen, if there are any."""
+    text = ": ".join(str(alert[field]) for field in ("headline", "action") if alert.get(field))
+    return f"{alert.get('code')} ({text})" if text else str(alert.get("code"))
 
 
 def _words(value: object) -> str:
-    """Return a value of the file as a person would write it down."""
+    """Return a value of the file as a person would write it."""
     match value:
         case None | "":
             return "-"
@@ -136,8 +136,8 @@ def _words(value: object) -> str:
         case float():
             return f"{value:.4g}"
         case Mapping():
-            return ", ".join(f"{name} {_words(one)}" for name, one in value.items()) or "none"
+            return ", ".join(f"{name} {_words(item)}" for name, item in value.items()) or "none"
         case list():
-            return ", ".join(_words(one) for one in value) or "none"
+            return ", ".join(_words(item) for item in value) or "none"
         case _:
             return str(value)

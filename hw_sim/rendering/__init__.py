@@ -1,1 +1,1 @@
-"""Rendering turns a scene and its light into the 8-bit image of a camera."""
+"""Rendering: a scene and its light become the 8-bit image of a camera."""

@@ -1,4 +1,4 @@
-"""Owns the making of images: exposures in, images out, in one thread per camera, in order."""
+"""The threads that render images: exposures in, images out, one thread per camera, in order."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hw_sim.timing.world_time import WorldTime
 
 Image = NDArray[np.uint8]
 MOST_WAITING = 40
-"""Images that one camera may have under way, more than its memory holds."""
+"""Largest number of images under way for a camera, more than its memory holds."""
 
 
 class PendingImage:
-    """One image that is being made. Used with the world's lock held."""
+    """One image that is being rendered. Used with the world's lock held."""
 
     def __init__(self) -> None:
         self._image: Image | None = None
@@ -24,25 +24,25 @@ class PendingImage:
 
     @property
     def ready(self) -> bool:
-        """The image is there."""
+        """True if the image is ready."""
         return self._image is not None
 
     @property
     def image(self) -> Image:
-        """(h, w) uint8. Raises RuntimeError before it is there."""
+        """The image (h, w) uint8. Raises RuntimeError before it is ready."""
         if self._image is None:
             raise RuntimeError("the image is not made yet")
         return self._image
 
     def when_ready(self, action: Callable[[], None]) -> None:
-        """Call ``action``: at once, or as soon as the image is there."""
+        """Call ``action`` now, or when the image is ready."""
         if self.ready:
             action()
         else:
             self._waiting.append(action)
 
     def finish(self, image: Image) -> None:
-        """The image is there."""
+        """Set the image and call the waiting actions."""
         self._image = image
         waiting, self._waiting = self._waiting, []
         for action in waiting:
@@ -50,7 +50,7 @@ class PendingImage:
 
 
 class ExposureWorker:
-    """A failure in making an image goes to ``failed``, lock held."""
+    """Renders images; an error goes to ``failed``, with the lock held."""
 
     def __init__(self, time: WorldTime, cameras: tuple[str, ...], failed: Callable[[BaseException], None]) -> None:
         self._time, self._failed = time, failed
@@ -58,7 +58,10 @@ class ExposureWorker:
         self._pending = dict.fromkeys(cameras, 0)
 
     def make(self, camera: str, render: Callable[[], Image]) -> PendingImage | None:
-        """Begin an image and return it, still pending; ``None`` if too many are under way. The caller holds the lock."""
+        """Begin an image and return it, still pending; ``None`` if too many are under way.
+
+        The caller holds the lock.
+        """
         if self._pending[camera] >= MOST_WAITING:
             return None
         self._pending[camera] += 1
@@ -80,6 +83,6 @@ class ExposureWorker:
         return pending_image
 
     def close(self) -> None:
-        """End the threads; the images under way are given up."""
+        """End the threads; the images under way are dropped."""
         for thread in self._threads.values():
             thread.shutdown(wait=True, cancel_futures=True)

@@ -1,7 +1,7 @@
-"""Owns the cache of frames of a scene at rest: made once and shown again, two full-size cameras run in real time.
+"""A cache of the frames of a scene at rest, so that two full-size cameras run in real time.
 
-An image is known by all that lights and exposes it, and by its place in a sequence: the same frame of the same scene gives
-the same image, to its noise. Where the noise of one sequence and the next matters, this is not used.
+The key of an image is its light and exposure, and its index in the sequence: the same frame of the same scene has the
+same image, including its noise. It is not used where the noise must differ between sequences.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from hw_sim.optics.projector import LightSlice
 
 MOST = 96
-"""Images kept: a sequence of both cameras and their live images, twice. The one that was not asked for longest goes."""
+"""Largest number of images: a sequence of both cameras and their live images, twice. The least recently used go."""
 Image = NDArray[np.uint8]
 
 
 class FrameCache:
-    """The latest ``MOST`` frames by what lit and exposed them. May be used by several threads at once."""
+    """The latest ``MOST`` frames by light and exposure. May be used by several threads at once."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -42,16 +42,16 @@ class FrameCache:
         return camera, scene, light, round(exposure_s, 6), gain_db, lasers, frame
 
     def get(self, key: Hashable, make: Callable[[], Image]) -> Image:
-        """Return the image (h, w) uint8 of that key, read-only; made if there is none yet."""
+        """Return the image (h, w) uint8 of that key, read-only; rendered if it is not cached."""
         with self._lock:
-            known = self._images.get(key)
-            if known is not None:
+            cached = self._images.get(key)
+            if cached is not None:
                 self._images.move_to_end(key)
-                return known
-        made = make()
-        made.flags.writeable = False
+                return cached
+        image = make()
+        image.flags.writeable = False
         with self._lock:
-            self._images[key] = made
+            self._images[key] = image
             while len(self._images) > MOST:
                 self._images.popitem(last=False)
-        return made
+        return image

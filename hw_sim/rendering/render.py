@@ -1,7 +1,7 @@
-"""Owns what the cameras see: light through the scene onto the sensor, one frame at a time.
+"""The renderer: light through the scene onto the sensor, one frame at a time.
 
-Where light goes is traced once per pose (``stage``). A frame then samples the projected light, adds ambient light, lasers
-and backscatter, blurs with the lens, and is read out by the sensor. For moving hands an exposure is the mean of as
+The geometry is traced once per pose (``stage``). A frame then samples the projected light, adds ambient light, lasers
+and backscatter, is blurred by the lens, and is read out by the sensor. For moving hands an exposure is the mean of as
 many instants as its motion blur needs (``stage.instants``).
 """
 
@@ -44,19 +44,19 @@ Picture = NDArray[np.float32]
 """Mean electrons of each pixel, (h, w)."""
 
 _CLEAR = math.exp(2.0 * MIDDLE_MM / 1000.0 * Water().attenuation_per_m)
-"""The middle of the volume would be so much brighter in clear water than in the default water."""
+"""Brightness of the middle of the volume in clear water over that in the default water."""
 WHITE_E_PER_S = FULL_WELL_E * 210.0 / 255.0 / 0.012 / 0.6 * _CLEAR
 """Electrons per second from white light on a white surface facing the rig in the middle of the volume, in clear water:
 210 DN in 12 ms from an albedo of 0.6 in the default water."""
 LASER_E_PER_S = 3.0e6 * _CLEAR
 """The same in the middle of a laser's dot."""
 LENS_BLUR_PX, LEAST_BLUR_PX = 0.55, 0.4
-"""Gaussian sigma of the lens in px of 1600; and what remains of it in binned images: the pixel itself."""
+"""Gaussian sigma of the lens in px of 1600, and its least value in binned images, that of the pixel."""
 DEFOCUS_FAR_PX = 0.46
 """A lens of 11.5 mm at f/8, focused on the middle of the volume, adds this ``FAR_MM`` of water away from it: a disc of
 1.44 mm · 11.5 mm · 90 mm / (405 mm · 495 mm) = 7.4 µm (lengths in water divided by its index), a quarter of it as sigma."""
 HIDDEN = 0.25
-"""Share of a pixel that must be covered for it to count as hidden."""
+"""Least covered share of a hidden pixel."""
 CAMERA_PX_MM, PROJECTOR_PX_MM = 0.160, 0.255
 """Sizes of a camera px (of 1600) and of a projector px in the middle of the volume."""
 
@@ -68,7 +68,7 @@ class Renderer:
     """
 
     def __init__(self, truth: TrueRig, scene: Scene, ink: Ink | None = None) -> None:
-        """Stand before ``scene``. ``ink`` is what is printed on the board, as ``board_print`` draws it; ``None``: that."""
+        """``ink``: print of the board, by default that of ``board_print``."""
         self.truth = truth
         self._ink = ink
         self._scene = scene
@@ -86,7 +86,7 @@ class Renderer:
 
     @property
     def scene(self) -> Scene:
-        """The scene that is looked at; setting it takes effect with the next exposure."""
+        """The present scene; setting it takes effect with the next exposure."""
         return self._scene
 
     @scene.setter
@@ -128,7 +128,7 @@ class Renderer:
         lasers: tuple[bool, bool],
         clock_s: float | None = None,
     ) -> Picture:
-        """Return the light (h, w) float32 that an exposure brings to the sensor, in electrons; arguments as of ``expose``."""
+        """Return the light (h, w) float32 of an exposure on the sensor, in electrons; arguments as of ``expose``."""
         clock_s = time_s if clock_s is None else clock_s
         scene = self._scene
         eye = self.truth.eye(camera)
@@ -146,8 +146,8 @@ class Renderer:
             )
             by_clock_s = clock_s + 0.5 * (begin_s + end_s - exposure_s)
             self._add_instant(camera, scene, at_s, by_clock_s, light, end_s - begin_s, lasers, electrons)
-        # Order as in the instrument: lens and water, defocus, fog on the window (so soft that its place in the chain
-        # does not matter), sensor.
+        # Order as in the instrument: lens and water, defocus, fog on the port (so soft that its order does not matter),
+        # sensor.
         image = self._blurred(camera, scene, electrons)
         if scene.imaging.camera_defocus:
             image = self._defocused(camera, scene, image, time_s)
@@ -158,8 +158,10 @@ class Renderer:
     def read_out(
         self, camera: str, electrons: Picture, exposure_s: float, gain_db: float, noise_seed: int
     ) -> NDArray[np.uint8]:
-        """Return the frame (h, w) uint8 that the sensor makes of the ``light`` of an exposure: the same light may be read
-        out with the scene's noise and without it."""
+        """Return the frame (h, w) uint8 for the ``light`` of an exposure.
+
+        The same light may be read out with the scene's noise and without it.
+        """
         scene = self._scene
         traits = scene.outside.cameras
         if traits is not None:
@@ -178,13 +180,15 @@ class Renderer:
     def hidden_by_drift(
         self, camera: str, time_s: float, clock_s: float | None = None, exposure_s: float = 0.0
     ) -> NDArray[np.bool_]:
-        """Return (h, w) bool: whether something in the water hides the object from ``camera``, or a fish its light, in an exposure whose
-        middle is ``time_s`` of the hands and ``clock_s`` of the water (``None``: the same)."""
+        """Return (h, w) bool: a speck or fish hides the object from ``camera``, or a fish its light.
+
+        ``time_s``: middle of the exposure by the hands' clock, ``clock_s`` by the water's (``None``: the same).
+        """
         scene, clock_s = self._scene, time_s if clock_s is None else clock_s
         pose = self._stage.pose(scene, time_s)
         free, met = (
             self._stage.geometry(camera, scene, pose),
-            self._geometry(camera, scene, pose, clock_s, lit=True),
+            self._geometry(camera, scene, pose, clock_s, is_lit=True),
         )
         nearer = np.nan_to_num(met.distance_mm, nan=np.inf) < np.nan_to_num(free.distance_mm, nan=np.inf)
         hidden = nearer | ((free.pixels[..., LIT] > 0.0) & (met.pixels[..., LIT] <= 0.0))
@@ -196,7 +200,7 @@ class Renderer:
         return np.asarray(hidden)
 
     def _instants(self, camera: str, scene: Scene, time_s: float, exposure_s: float) -> int:
-        """Return how many instants of the exposure are rendered; fish always need all."""
+        """Return the number of rendered instants of the exposure; fish always need all."""
         if scene.drift.fish:
             return MOST_INSTANTS
         if not scene.moves or time_s <= 0.0:
@@ -213,9 +217,9 @@ class Renderer:
         lit_for_s: float,
         clock_s: float,
     ) -> Picture | None:
-        """Return what the projector emits between two times of an exposure that began at ``clock_s``, in seconds of white."""
+        """Return the projector's light between two times of an exposure that began at ``clock_s``, in s of white."""
         response, engine = self._responses[scene.imaging.response], scene.outside.projector
-        # Both cameras see the same frame: its number goes by the clock, not by the camera.
+        # Both cameras see the same frame: its number follows from the clock, not from the camera.
         frame, seed = round(clock_s / FRAME_S), self.truth.seed
         beamed = [part for part in slices if isinstance(part, BeamerSlice)]
         if beamed:
@@ -243,13 +247,15 @@ class Renderer:
         lasers: tuple[bool, bool],
         electrons: Picture,
     ) -> None:
-        """Add what arrives in ``duration_s`` with everything as it stands at ``time_s`` of the hands. ``light`` is
-        what the projector emits meanwhile, in seconds of white; ``None``: it is off."""
+        """Add the light of ``duration_s`` with the scene at ``time_s`` of the hands.
+
+        ``light``: projector light in this time, in seconds of white; ``None``: it is off.
+        """
         pose = self._stage.pose(scene, time_s)
-        geometry = self._geometry(camera, scene, pose, clock_s, lit=light is not None)
+        geometry = self._geometry(camera, scene, pose, clock_s, is_lit=light is not None)
         particles = scene.outside.backscatter
         apart = scene.drift.specks or particles is not None
-        whole, electrons = electrons, np.zeros_like(electrons) if apart else electrons
+        total, electrons = electrons, np.zeros_like(electrons) if apart else electrons
         veil = None
         daylight, white_e = scene.daylight, WHITE_E_PER_S * duration_s
         # Ambient light is in units of the projector's white in the middle of the volume.
@@ -263,10 +269,10 @@ class Renderer:
             else:
                 scattered = self._veil(camera, scene, particles).seen(light, geometry.distance_mm)
                 light = self._spread(scene, particles).light(light)
-            # In units of what a surface of albedo 0.6 in the middle sends back (water.medium.Water.backscatter).
+            # In units of the light of a surface of albedo 0.6 in the middle (water.medium.Water.backscatter).
             scattered *= np.float32(WHITE_E_PER_S * 0.6 * scene.water.backscatter)
             if particles is not None:
-                # The veil has its own ways to the camera: it joins the picture behind the spread of what is farther.
+                # Backscatter has other paths to the camera: it is added after the spread of the farther light.
                 veil, scattered = scattered, np.zeros_like(scattered)
             coat = scene.outside.surfaces
             if coat is not None:
@@ -285,7 +291,7 @@ class Renderer:
             )  # fmt: skip
         for number, (on, laser) in enumerate(zip(lasers, self.truth.lasers, strict=True)):
             if on:
-                # Speckle differs between pointers and between cameras, and is the same in each frame of a scene at rest.
+                # Speckle differs between lasers and between cameras, but not between frames of a scene at rest.
                 grain = 4 * self.truth.seed + 2 * number + CAMERAS.index(camera) if scene.noise else None
                 add_laser(
                     electrons, LASER_E_PER_S * duration_s, laser, self._stage.eyes[camera], self._stage.rays(camera),
@@ -298,16 +304,16 @@ class Renderer:
         if scene.drift.specks:
             self._scatter(camera, scene, pose, clock_s, duration_s, geometry, softened, float(ambient), electrons, None)
         if apart:
-            whole += electrons
+            total += electrons
 
-    def _geometry(self, camera: str, scene: Scene, pose: Pose, clock_s: float, lit: bool) -> Geometry:
-        """Return what the camera meets, fish included."""
-        geometry = self._stage.geometry(camera, scene, pose, lit)
+    def _geometry(self, camera: str, scene: Scene, pose: Pose, clock_s: float, is_lit: bool) -> Geometry:
+        """Return the camera's geometry, including fish."""
+        geometry = self._stage.geometry(camera, scene, pose, is_lit)
         if not scene.drift.fish:
             return geometry
         school = self._swarm(scene).school(clock_s, pose, self._stage.pose(scene, 0.0))
         return before(
-            self._stage.rays(camera), geometry, school, self._stage.lamp, scene.water.attenuation_per_m, lit
+            self._stage.rays(camera), geometry, school, self._stage.lamp, scene.water.attenuation_per_m, is_lit
         )  # fmt: skip
 
     def _scatter(
@@ -323,7 +329,7 @@ class Renderer:
         electrons: Picture,
         covered: Picture | None,
     ) -> None:
-        """Put snow and bubbles before ``electrons``."""
+        """Draw snow and bubbles over ``electrons``."""
         stage = self._stage
         specks = self._swarm(scene).specks(clock_s, pose, stage.pose(scene, 0.0))
         scatter(
@@ -336,7 +342,7 @@ class Renderer:
         return self._swarms.get(scene.drift, lambda: Swarm(scene.drift))
 
     def _blurred(self, camera: str, scene: Scene, electrons: Picture) -> Picture:
-        """Return the picture blurred by the lens, and by the water on the way to it."""
+        """Return the image blurred by the lens, and by the water."""
         scale = self._scale(camera)
         lens_px = max(LENS_BLUR_PX * scale, LEAST_BLUR_PX)
         # Blurs of independent causes add as variances.
@@ -344,9 +350,9 @@ class Renderer:
         return np.asarray(cv2.GaussianBlur(electrons, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
 
     def _defocused(self, camera: str, scene: Scene, image: Picture, time_s: float) -> Picture:
-        """Return the picture softened away from the focus.
+        """Return the image blurred away from the focus.
 
-        Variance grows with the square of the distance, as in heat conduction; what is behind an edge blurs as its own.
+        Variance grows with the square of the distance; background behind an edge is blurred by its own distance.
         """
         away = self._stage.geometry(camera, scene, self._stage.pose(scene, time_s)).distance_mm - MIDDLE_MM
         share = np.nan_to_num(np.minimum((away / FAR_MM) ** 2, 1.0)).astype(np.float32)
@@ -390,8 +396,10 @@ class Renderer:
 
 
 def _water_blur_mm(scene: Scene) -> float:
-    """Return the Gaussian sigma, mm in the middle of the volume, of what forward scattering does on one way; 0 where
-    ``ForwardSpread`` does it instead."""
+    """Return the Gaussian sigma of forward scatter on one path, mm in the middle of the volume.
+
+    It is 0 if ``ForwardSpread`` does it instead.
+    """
     if scene.outside.backscatter is not None:
         return 0.0
     return scene.water.blur_px_per_m * CAMERA_PX_MM * MIDDLE_MM / 1000.0

@@ -1,4 +1,4 @@
-"""Owns the image sensor: electrons with photon, read and fixed-pattern noise, gain, saturation, eight bits."""
+"""The image sensor: electrons with photon, read and fixed-pattern noise, gain, saturation, eight bits."""
 
 # Symbols:
 #   e         electrons of a pixel: mean × gain (PRNU), plus noise of variance e + READ_NOISE_E², plus dark signal (DSNU)
@@ -34,7 +34,7 @@ class Sensor:
         self._table = rng.standard_normal(1 << TABLE_BITS, np.float32)
 
     def read_out(self, electrons: NDArray[np.float32], gain_db: float, seed: int) -> NDArray[np.uint8]:
-        """Return grey values (h, w) uint8 of mean electrons (h, w) float32; ``seed`` makes each frame's noise its own."""
+        """Return grey values (h, w) uint8 of mean electrons (h, w) float32; ``seed``: of this frame's noise."""
         offsets = np.asarray(np.random.default_rng(seed).integers(0, 1 << TABLE_BITS, electrons.shape[0]))
         out = np.empty(electrons.shape, np.uint8)
         dn_per_e = 10.0 ** (gain_db / 20.0) / E_PER_DN
@@ -56,12 +56,12 @@ def _read_out(
     """Fill ``out`` (h, w) with the grey values of mean ``electrons`` (h, w)."""
     mask = np.uint32(table.size - 1)
     for y in range(electrons.shape[0]):
-        # Each row begins at a place of its own in a table of a million deviates: cheaper than drawing them.
+        # Each row begins at a random place in a table of a million deviates, which is cheaper than drawing them.
         offset = np.uint32(offsets[y])
         for x in range(electrons.shape[1]):
             e = max(electrons[y, x] * gain[y, x], np.float32(0.0))
             if noise:
-                # Photon noise as a Gaussian of variance e: at the levels of an image a Poisson number is no different.
+                # Photon noise as a Gaussian of variance e, since a Poisson number hardly differs at these levels.
                 deviate = table[(offset + np.uint32(x)) & mask]
                 e += deviate * np.sqrt(e + np.float32(READ_NOISE_E * READ_NOISE_E))
             # The well is full a little above 255 DN at 0 dB.

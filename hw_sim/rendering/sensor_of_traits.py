@@ -1,9 +1,11 @@
-"""Owns the image sensors of the world ``outside``: full well, noise and black level of their own, a response that is bent, rows
-that flicker, pixels that are hot."""
+"""The image sensors of the world ``outside``.
+
+They differ in full well, noise and black level, non-linearity, row noise and hot pixels.
+"""
 
 # Symbols:
 #   e         electrons of a pixel: mean × gain (PRNU) + dark current × time, plus noise of variance e + read², plus row and DSNU
-#   s         filling of the well, 0..1; what is read is e + 4 a well s (1 − s), a the nonlinearity
+#   s         filling of the well, 0..1; the signal is e + 4 a well s (1 − s), a the nonlinearity
 #   deviate   a standard normal number
 
 from __future__ import annotations
@@ -16,9 +18,9 @@ from hw_sim.optics.camera_traits import CameraTraits
 
 TABLE_BITS = 20
 HOT_E_PER_S = (3.0, 6.0)
-"""Powers of ten between which the dark currents of hot pixels lie, evenly in the logarithm."""
+"""Range of the dark currents of hot pixels as powers of ten, uniform in the logarithm."""
 OVERFLOW = 1.04
-"""Full wells at which a pixel holds no more."""
+"""Capacity of a pixel in full wells."""
 
 
 class SensorOfTraits:
@@ -35,13 +37,13 @@ class SensorOfTraits:
         self._table = rng.standard_normal(1 << TABLE_BITS, np.float32)
         self._hot_e_per_s = np.zeros(shape, np.float32)
         count = rng.binomial(width_px * height_px, traits.hot_per_million * 1e-6) if noise else 0
-        at = rng.choice(width_px * height_px, count, replace=False)
-        self._hot_e_per_s.ravel()[at] = 10.0 ** rng.uniform(*HOT_E_PER_S, count)
+        hot_pixels = rng.choice(width_px * height_px, count, replace=False)
+        self._hot_e_per_s.ravel()[hot_pixels] = 10.0 ** rng.uniform(*HOT_E_PER_S, count)
 
     def read_out(
         self, electrons: NDArray[np.float32], gain_db: float, seed: int, exposure_s: float = 0.0
     ) -> NDArray[np.uint8]:
-        """Return grey values (h, w) uint8 of mean electrons (h, w) float32; ``seed`` makes each frame's noise its own."""
+        """Return grey values (h, w) uint8 of mean electrons (h, w) float32; ``seed``: of this frame's noise."""
         traits = self._traits
         rng = np.random.default_rng([seed, 78])
         offsets = np.asarray(rng.integers(0, 1 << TABLE_BITS, electrons.shape[0]))
@@ -66,15 +68,15 @@ def _read_out(
     """Fill ``out`` (h, w) with the grey values of mean ``electrons`` (h, w)."""
     mask = table.size - 1
     for y in range(electrons.shape[0]):
-        # Each row begins at a place of its own in a table of a million deviates: cheaper than drawing them.
+        # Each row begins at a random place in a table of a million deviates, which is cheaper than drawing them.
         offset = offsets[y]
         for x in range(electrons.shape[1]):
             e = max(electrons[y, x] * gain[y, x], 0.0) + hot_e_per_s[y, x] * exposure_s
             if noise:
-                # Photon noise as a Gaussian of variance e: at the levels of an image a Poisson number is no different.
+                # Photon noise as a Gaussian of variance e, since a Poisson number hardly differs at these levels.
                 e += table[(offset + x) & mask] * np.sqrt(e + read_e * read_e) + rows_e[y]
             e = min(e + dark_e[y, x], OVERFLOW * well_e)
-            # The response is a parabola through nothing and the full well, most off its chord at half of it.
+            # The response is a parabola through zero and the full well, with the largest deviation at half of it.
             s = min(max(e / well_e, 0.0), 1.0)
             e += 4.0 * nonlinearity * well_e * s * (1.0 - s)
             out[y, x] = np.uint8(min(max(e * dn_per_e + black_dn + 0.5, 0.0), 255.0))

@@ -1,4 +1,4 @@
-"""Owns how a rig and its scene stand to each other at a moment: traced once for each camera and pose.
+"""The stage: the geometry of rig and scene at a moment, traced once for each camera and pose.
 
 The cameras' rays belong to the rig and never change; the object's pose relative to the rig does.
 """
@@ -32,18 +32,18 @@ Array = NDArray[np.float64]
 
 CAMERAS = ("left", "right")
 SMEAR_PX = 1.0
-"""The picture moves at most so far between two instants of an exposure (as long as MOST_INSTANTS suffice)."""
+"""Largest motion of the image between two instants of an exposure (as long as MOST_INSTANTS suffice)."""
 MOST_INSTANTS = 4
-"""A moving picture is the mean of up to so many instants of its exposure."""
+"""Largest number of instants whose mean is a moving image."""
 
 
 class Stage:
-    """One rig before whatever scene is named. All methods may be called by several threads at once."""
+    """One rig before the present scene. All methods may be called by several threads at once."""
 
     def __init__(
         self, truth: TrueRig, engine: LightEngine | None = None, coat: Finish | None = None, ink: Ink | None = None
     ) -> None:
-        """Stand before the scene. ``ink`` is what is printed on the board, as ``board_print`` draws it; ``None``: that."""
+        """``ink``: print of the board, by default that of ``board_print``."""
         self.eyes = {name: truth.eye(name).packed(truth.n_water) for name in (*CAMERAS, "projector")}
         """Packed as in ``optics.trace``."""
         self._engine, self._coat = engine, coat
@@ -56,12 +56,12 @@ class Stage:
         self._tables: Latest[str, Array] = Latest(keep=len(CAMERAS))
         self._geometries: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
         self._unlit: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
-        # The cameras' threads need the same shadows, but not at the same time: one may be an exposure behind.
+        # The cameras' threads need the same shadows, but one may be an exposure behind.
         self._shadows: Latest[bytes, NDArray[np.float32]] = Latest(keep=MOST_INSTANTS)
         self._bounces: Latest[tuple[object, ...], Bounce] = Latest()
 
     def pose(self, scene: Scene, time_s: float) -> Pose:
-        """Return the object's pose in the rig's frame at ``time_s``; before time 0 the hands are at rest."""
+        """Return the object's pose in the rig frame at ``time_s``; before time 0 the hands are at rest."""
         at_s, sizes = max(time_s, 0.0), self._sizes
         R, t = object_pose(scene.start_pose, scene.motion, at_s)
         if scene.outside.hands is not None:
@@ -72,8 +72,10 @@ class Stage:
         return Pose(kind if sizes.size == SIZES else kind + VARIED, sizes, R, t)
 
     def rays(self, camera: str) -> Array:
-        """Return the exact rays (h, w, 6) float64 in water of all of a camera's pixels: point on the window, mm, and unit
-        direction, rig frame."""
+        """Return the exact water rays (h, w, 6) float64 of a camera's pixels: point on the port, mm, and direction.
+
+        Rig frame; the directions are unit vectors.
+        """
 
         def compute() -> Array:
             rays = np.empty((*self._shapes_px[camera], 6))
@@ -82,27 +84,27 @@ class Stage:
 
         return self._rays.get(camera, compute)
 
-    def geometry(self, camera: str, scene: Scene, pose: Pose, lit: bool = True) -> Geometry:
-        """Return what ``camera`` meets of the scene's object at ``pose``.
+    def geometry(self, camera: str, scene: Scene, pose: Pose, is_lit: bool = True) -> Geometry:
+        """Return the geometry of ``camera`` for the scene's object at ``pose``.
 
-        Without ``lit`` only what a dark projector leaves: half the work. The latest of each camera is kept: 53 MB.
+        Without ``lit`` it is for a dark projector: half the work. The latest of each camera is cached: 53 MB.
         """
         texture, per_m = TEXTURES[scene.texture], scene.water.attenuation_per_m
 
         def compute() -> Geometry:
-            first = self.shadows(pose) if lit else None
+            first = self.shadows(pose) if is_lit else None
             met = trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, self._ink, per_m)
-            if self._engine is not None and lit:
+            if self._engine is not None and is_lit:
                 self._soften(self._engine, self.rays(camera), met)
             if self._coat is not None:
                 finish(met, self.rays(camera), pose, self.lamp, self._coat, per_m)
             return met
 
-        kept = self._geometries if lit else self._unlit
-        return kept[camera].get((texture, per_m, pose.key), compute)
+        cache = self._geometries if is_lit else self._unlit
+        return cache[camera].get((texture, per_m, pose.key), compute)
 
     def bounce(self, scene: Scene, coat: Finish) -> Bounce:
-        """Return how the scene's object at time 0 lights itself: hands move it too little within a sequence to matter."""
+        """Return the interreflection of the scene's object at time 0; motion within a sequence is negligible for it."""
         texture, per_m, pose = TEXTURES[scene.texture], scene.water.attenuation_per_m, self.pose(scene, 0.0)
         return self._bounces.get(
             (texture, per_m, pose.key, coat.whiter),
@@ -110,30 +112,29 @@ class Stage:
         )
 
     def _soften(self, engine: LightEngine, rays: Array, geometry: Geometry) -> None:
-        """Set how soft the engine's light is at each point that it reaches."""
-        lit, eye = geometry.pixels[..., LIT] > 0.0, self.eyes["projector"]
-        uv = geometry.pixels[lit][:, [P, Q]].astype(np.float64)
-        points = rays[lit][:, :3] + rays[lit][:, 3:] * geometry.distance_mm[lit][:, None]
+        """Set the softness of the engine's light at each illuminated point."""
+        illuminated, eye = geometry.pixels[..., LIT] > 0.0, self.eyes["projector"]
+        uv = geometry.pixels[illuminated][:, [P, Q]].astype(np.float64)
+        points = rays[illuminated][:, :3] + rays[illuminated][:, 3:] * geometry.distance_mm[illuminated][:, None]
         a, b = np.clip(uv[:, 0], 0.0, eye[WIDTH] - 1.0), np.clip(uv[:, 1], 0.0, eye[HEIGHT] - 1.0)
         starts = self.lamp.window[_nearest(b), _nearest(a), :3]
         way_mm = np.linalg.norm(points - starts, axis=1)
         spread = engine.index_spread(float(eye[WATER]))
         size = float(eye[WIDTH]), float(eye[HEIGHT])
-        geometry.pixels[lit, SOFT] = engine.softness(uv, way_mm, self.lamp.depth_mm, size, spread)
+        geometry.pixels[illuminated, SOFT] = engine.softness(uv, way_mm, self.lamp.depth_mm, size, spread)
 
     def view(self, camera: str, scene: Scene, pose: Pose) -> TrueView:
         """Return the ground truth of ``camera``'s image."""
-        other = "right" if camera == "left" else "left"
-        return true_view(
-            self.rays(camera), self.geometry(camera, scene, pose), pose, self.lamp, self.eyes[other], self.table(other)
-        )  # fmt: skip
+        second = "right" if camera == "left" else "left"
+        geometry = self.geometry(camera, scene, pose)
+        return true_view(self.rays(camera), geometry, pose, self.lamp, self.eyes[second], self.table(second))
 
     def table(self, camera: str) -> Array:
         """Return the table for fast projection into a camera: see ``optics.table``."""
         return self._tables.get(camera, lambda: fit_table(self.eyes[camera]))
 
     def shadows(self, pose: Pose) -> NDArray[np.float32]:
-        """Return how far the projector's light goes at ``pose``: see ``geometry.shadows``."""
+        """Return the lengths of the projector's light at ``pose``: see ``geometry.shadows``."""
         return self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))
 
 
@@ -143,10 +144,10 @@ def _nearest(coordinate: Array) -> NDArray[np.int64]:
 
 
 def instants(begin: Pose, end: Pose, pixel_mm: float) -> int:
-    """Return the number of instants, 1..MOST_INSTANTS, that an exposure between these poses of the object needs.
+    """Return the number of instants, 1..MOST_INSTANTS, of an exposure between these poses of the object.
 
-    The motion is measured where the object is widest, across the line of sight: along it the picture hardly moves. ``pixel_mm`` is the
-    size of a camera pixel on the object.
+    The motion is measured at the object's widest part, across the line of sight: along it the image hardly moves.
+    ``pixel_mm`` is the size of a camera pixel on the object.
     """
     reach_mm = 0.7 * float(RADIUS[begin.kind])
     places = reach_mm * np.array([[0.0, 0.0, 0.0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])

@@ -1,7 +1,7 @@
-"""Owns an image of nothing, which runs the kernels that every image needs: to compile them before the world opens.
+"""The warm-up: an empty image that runs the kernels of every image, so that they are compiled before the world opens.
 
-``PIECES`` can be compiled side by side, the longest first. Fish, particles, uneven light and the like are not among them:
-what a scene rarely has is compiled when it first has it, in a second or two.
+``PIECES`` can be compiled in parallel, the longest first. Kernels for fish, particles, uneven light and other rare
+effects are not included: they are compiled on first use, in a second or two.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ PIECES = (
     ("simulated shadows", "hw_sim.rendering.warm:cast_shadows"),
     ("simulated light and water", "hw_sim.rendering.warm:see_by_the_projector"),
 )
-"""The purpose of each, and its function."""
+"""Purpose and function of each piece."""
 _SIZE_PX = (64, 48)
 _EXPOSURE_S = 0.012
 
 
 def see_in_the_dark() -> None:
-    """Run the kernels of an image that only the lasers and ambient light make."""
+    """Run the kernels of an image with only lasers and ambient light."""
     _expose(())
 
 
 def cast_shadows() -> None:
-    """Run the kernels that say what the projector's light meets first, and what each camera sees of it."""
+    """Run the kernels of the shadow map and the cameras' geometry."""
     stage, scene = Stage(_truth()), Scene()
     stage.shadows(stage.pose(scene, 0.0))
     stage.table("left")
 
 
 def see_by_the_projector() -> None:
-    """Run what is left: the projector's light, backscatter, and the true view."""
+    """Run the remaining kernels: the projector's light, backscatter, and the true view."""
     renderer = _expose((LightSlice(np.zeros((768, 1024), np.uint8), _EXPOSURE_S),))
     renderer.view("left", 0.0)
     renderer.surface(0.0).distance_mm(np.zeros((1, 3)))

@@ -1,1 +1,1 @@
-"""World time, the thread that moves it on, and the date that the computer believes."""
+"""World time, its thread, and the date of the computer."""

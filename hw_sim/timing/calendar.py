@@ -1,6 +1,6 @@
-"""Owns the world's date: what somebody with a watch would say, or whatever the clock chip of the computer makes of it.
+"""The world's date: the true one, or the wrong one of the computer's clock chip.
 
-It has nothing to do with world time, except that both go on: it is set, jumps, and is kept by a time server or by nobody.
+It is independent of world time, except that both go on: it is set, jumps, and may be kept by a time server.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from dataclasses import dataclass, replace
 
 KEPT, LOST = "kept", "lost"
 FIRST, LAST = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC), datetime.datetime(2106, 1, 1, tzinfo=datetime.UTC)
-"""First and last date that can be set; a computer's clock begins with the first."""
+"""First and last date that can be set; the clock of a computer without battery begins with the first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Date:
-    """A date in UTC; ``kept``: a time server vouches for it."""
+    """A date in UTC; ``kept``: a time server keeps it."""
 
     utc: datetime.datetime
     kept: bool
 
 
 class Calendar:
-    """Begins with the date of the computer it runs on, kept by a time server. Replaced as a whole: any thread may ask."""
+    """The date, at first that of the real computer, kept by a time server; for any thread."""
 
     def __init__(self, now_ns: Callable[[], int], date: str | None = None) -> None:
         """``now_ns``: world time. ``date``: another one to begin with. Raises ValueError."""
@@ -40,12 +40,12 @@ class Calendar:
 
     def change(self, word: str) -> None:
         """Change the date as ``changed`` says. Raises ValueError."""
-        # Set against world time, so that the date goes on with it and not with the real clock.
+        # Relative to world time, so that the date goes on with it and not with the real clock.
         self._set, self._set_ns = changed(self.today(), word), self._now_ns()
 
 
 def check(word: str) -> None:
-    """Check a word. Raises ValueError for what ``changed`` never takes."""
+    """Check a word. Raises ValueError for an invalid one."""
     if word not in (KEPT, LOST):
         _jump(word) if word[:1] in ("+", "-") else _date(word)
 
@@ -53,8 +53,8 @@ def check(word: str) -> None:
 def changed(date: Date, word: str) -> Date:
     """Return the date after ``word``.
 
-    ``+S`` or ``-S``: it jumps by so many seconds, whoever keeps it. A date: it is that, and nobody keeps it. ``kept``: a time
-    server sets it right and keeps it. ``lost``: nobody keeps it any more. Raises ValueError for anything else.
+    ``+S`` or ``-S``: it jumps by so many seconds, kept or not. A date: it is that, and not kept. ``kept``: a time
+    server corrects and keeps it. ``lost``: it is no longer kept. Raises ValueError for another word.
     """
     if word == KEPT:
         return Date(datetime.datetime.now(datetime.UTC), kept=True)
@@ -67,10 +67,10 @@ def changed(date: Date, word: str) -> Date:
 
 def _date(word: str) -> datetime.datetime:
     try:
-        said = datetime.datetime.fromisoformat(word)
+        parsed = datetime.datetime.fromisoformat(word)
     except ValueError as error:
         raise ValueError(f"'{word}' is no date; allowed are 1970-01-01T00:00:07, +S, -S, {KEPT} and {LOST}") from error
-    return _within(said.replace(tzinfo=datetime.UTC) if said.tzinfo is None else said, word)
+    return _within(parsed.replace(tzinfo=datetime.UTC) if parsed.tzinfo is None else parsed, word)
 
 
 def _jump(word: str) -> datetime.timedelta:

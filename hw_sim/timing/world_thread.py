@@ -1,4 +1,4 @@
-"""Owns the thread that moves the world on, and when the next vertical blank may come."""
+"""The thread that advances the world, and the time of the next vertical blank."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from typing import Protocol
 from hw_sim.timing.world_time import LONGEST_WAIT_S, WorldTime
 
 HOST_TIMEOUT_S = 5.0
-"""Real time that a recording world waits for its host."""
+"""Longest real time that a recording world waits for its host."""
 CATCH_UP_NS = 1_000_000_000
-"""A real-time world that is later than this gives the lost time up."""
+"""Largest delay that a real-time world catches up."""
 
 
 class Recording(Protocol):
-    """The state that decides whether the next blank waits for the host. Asked with the lock held."""
+    """The state that decides whether the next blank waits for the host. Called with the lock held."""
 
     @property
     def armed(self) -> int | None:
-        """Number of the sequence that is being recorded, ``None`` when there is none."""
+        """Number of the sequence that is recorded; ``None``: there is none."""
 
     @property
     def host_ready(self) -> bool:
-        """A flip of the projector is pending and both cameras have room."""
+        """True if a flip of the projector is pending and both cameras have room."""
 
     @property
     def developing(self) -> bool:
-        """Images of a sequence are still being made, although all its pulses may have been fired."""
+        """True if images of a sequence are still being made, even if all its pulses have been fired."""
 
 
 class WorldThread:
-    """Calls ``on_blank(time_ns)`` at each vertical blank and lets happenings happen between them, in one thread."""
+    """Calls ``on_blank(time_ns)`` at each vertical blank and runs the events between them, in one thread."""
 
     def __init__(
         self,
@@ -100,7 +100,7 @@ class WorldThread:
     def _lock_step_once(self) -> None:
         sequence = self._recording.armed
         recording = self._records
-        # A host that is ready early is not kept waiting: the blank comes at once, whatever real time says.
+        # If the host is ready early, the blank comes at once, regardless of real time.
         hurry = recording and self._recording.host_ready
         blank_ns = self._time.blank_ns + self._time.period_ns
         happening = self._time.due(blank_ns)
@@ -126,7 +126,7 @@ class WorldThread:
         if left_s > 0:
             self._time.condition.wait(min(left_s, LONGEST_WAIT_S))
         else:
-            # The host died or lost count: from here on this sequence runs by real time, so that no wait is for ever.
+            # The host died or lost count: this sequence continues in real time, so that no wait is for ever.
             self._given_up = sequence
 
     # -- real time: blanks come whatever the host does
@@ -140,7 +140,7 @@ class WorldThread:
         elif happening is not None:
             self._time.happen()
         else:
-            # As it was due, not as it came: else each blank would take a little of the next one's time.
+            # From its due time, not from its real time: otherwise delays would accumulate.
             due_ns, now_ns = self._time.real_ns(blank_ns), time.monotonic_ns()
             self._blank(due_ns if now_ns - due_ns < CATCH_UP_NS else now_ns)
 

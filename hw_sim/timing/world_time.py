@@ -1,8 +1,8 @@
-"""Owns world time: one lock for everything that happens, what happens next, and waiting that ends in world time.
+"""World time: one lock, the agenda of events, and waits that end in world time.
 
-All state of the devices is touched with ``condition`` held; whoever changes something that another may wait for
-calls ``condition.notify_all()``. World time moves from vertical blank to vertical blank. Between two blanks it
-follows real time, never passes anything that is still to happen, and halts just before the next blank.
+All state of the devices is used with ``condition`` held; a change that another thread may wait for is followed by
+``condition.notify_all()``. World time moves from vertical blank to vertical blank. Between two blanks it follows real
+time, never passes a due event, and halts just before the next blank.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from dataclasses import dataclass, field
 BLANK_NS = 16_666_667
 """Both heads of the card run at 60 Hz, unless the world's options say otherwise."""
 START_NS = 3_000_000_000
-"""The world begins a little after its host booted."""
+"""World time at the start, a little after the host's boot."""
 LONGEST_WAIT_S = 0.25
-"""Bound of a wait that is expected to end by a notification."""
+"""Longest wait without a notification."""
 FOREIGN_SLICE_S = 0.005
-"""A wait on somebody else's condition looks at world time so often."""
+"""Period at which a wait on a foreign condition checks world time."""
 _FOREVER_NS = 2**62
 
 
 @dataclass(order=True, slots=True)
 class Happening:
-    """Something that will happen at a moment of world time."""
+    """An event at a moment of world time."""
 
     time_ns: int
     number: int
     action: Callable[[int], None] = field(compare=False)
     """Called with ``time_ns``, lock held."""
     ready: Callable[[], bool] | None = field(compare=False, default=None)
-    """World time does not pass this happening before it is ready."""
+    """World time does not pass this event before it is ready."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """Replaced as a whole, so that reading the clock needs no lock."""
+    """A point of world time; replaced atomically, so that reading the clock needs no lock."""
 
     blank_ns: int
     blank_real_ns: int
@@ -47,7 +47,7 @@ class _Mark:
     limit_ns: int
 
     def now_ns(self, real_ns: int) -> int:
-        # now = blank + speed · (real time since), between what was seen already and what may not be passed yet.
+        # now = blank + speed · (real time since), between the last time that was read and the limit.
         followed_ns = self.blank_ns + int((real_ns - self.blank_real_ns) * self.speed)
         return max(self.floor_ns, min(followed_ns, self.limit_ns))
 
@@ -60,7 +60,7 @@ class WorldTime:
 
     def __init__(self, speed: float = 1.0, period_ns: int = BLANK_NS) -> None:
         self.period_ns = period_ns
-        # World time stops short of the blank until the thread makes it happen: nobody sees a time after it before it came.
+        # World time stops before the blank until the thread does it, so that no later time is read before.
         self._halt_ns = period_ns * 97 // 100
         self.condition = threading.Condition()
         self.closed = False
@@ -85,9 +85,9 @@ class WorldTime:
         return self._mark.now_ns(time.monotonic_ns())
 
     def at(self, time_ns: int, action: Callable[[int], None], ready: Callable[[], bool] | None = None) -> None:
-        """Let ``action`` happen at ``time_ns``, or at once where that is past. The caller holds the lock.
+        """Run ``action`` at ``time_ns``, or at once if that is past. The caller holds the lock.
 
-        Nothing happens any more once the world has ended.
+        It never runs after the end of the world.
         """
         if self.closed:
             return
@@ -97,22 +97,22 @@ class WorldTime:
         self.condition.notify_all()
 
     def due(self, until_ns: int) -> Happening | None:
-        """Return what happens next, if not later than ``until_ns``. The caller holds the lock."""
+        """Return the next event not later than ``until_ns``. The caller holds the lock."""
         return self._agenda[0] if self._agenda and self._agenda[0].time_ns <= until_ns else None
 
     def happen(self) -> None:
-        """Make the next happening happen now. Only the world's thread calls this, with the lock held."""
+        """Run the next event now. Only the world's thread calls this, with the lock held."""
         happening = heapq.heappop(self._agenda)
         self._stand(happening.time_ns, happening.action)
 
     def blank(self, speed: float, real_ns: int, action: Callable[[int], None]) -> None:
-        """Make the next vertical blank happen, at ``real_ns`` of real time, and ``action`` with it. The caller holds the lock."""
+        """Do the next vertical blank, at ``real_ns`` of real time, with ``action``. The caller holds the lock."""
         blank_ns = self._mark.blank_ns + self.period_ns
         self._mark = _Mark(blank_ns, real_ns, speed, blank_ns, blank_ns)
         self._stand(blank_ns, action)
 
     def _stand(self, time_ns: int, action: Callable[[int], None]) -> None:
-        """Let time stand still while ``action`` runs, so that all of it happens at that moment."""
+        """Stop time while ``action`` runs, so that all of it happens at that moment."""
         self._standing_ns = time_ns
         self._set_mark(time_ns)
         try:
@@ -131,21 +131,21 @@ class WorldTime:
             limit_ns = self._standing_ns
         elif self._agenda:
             limit_ns = min(self._agenda[0].time_ns, limit_ns)
-        # What was already seen stays seen: a lower limit must not turn the clock back.
+        # A lower limit must not turn the clock back.
         floor_ns = max(floor_ns, mark.now_ns(time.monotonic_ns()))
         self._mark = _Mark(mark.blank_ns, mark.blank_real_ns, mark.speed, floor_ns, limit_ns)
 
     def close(self) -> None:
         """End the world. The caller holds the lock."""
         now_ns, real_ns = self.now_ns(), time.monotonic_ns()
-        # From now on it follows real time without a limit, so that nobody who still waits hangs.
+        # From now on it follows real time without a limit, so that no wait hangs.
         self._agenda.clear()
         self._mark = _Mark(now_ns, real_ns, 1.0, now_ns, _FOREVER_NS)
         self.closed = True
         self.condition.notify_all()
 
     def real_until_s(self, time_ns: int) -> float:
-        """Return the real seconds until ``time_ns``, if nothing holds world time up; infinite where it stands still."""
+        """Return the real seconds until ``time_ns``, without delays; infinite while it stands still."""
         mark = self._mark
         if mark.speed <= 0:
             return float("inf")
@@ -153,14 +153,14 @@ class WorldTime:
         return ((time_ns - mark.blank_ns) / mark.speed - passed_ns) / 1e9
 
     def real_ns(self, time_ns: int) -> int:
-        """A moment of world time by CLOCK_MONOTONIC, as if world time had kept its present pace then."""
+        """Return a moment of world time by CLOCK_MONOTONIC, at the present pace."""
         mark = self._mark
         return mark.blank_real_ns + round((time_ns - mark.blank_ns) / (mark.speed or 1.0))
 
     def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None) -> bool:
         """Wait with the lock held until ``predicate()``, or ``timeout_s`` of world time (``None``: no limit).
 
-        Returns the predicate's value. Who waits for a device also asks whether the world is ``closed``.
+        Returns the predicate's value. A caller that waits for a device must also check ``closed``.
         """
         deadline_ns = None if timeout_s is None else self.now_ns() + int(timeout_s * 1e9)
         while not predicate():
@@ -179,7 +179,7 @@ class WorldTime:
 
 
 class WorldClock:
-    """World time in the shape of a product's clock, for conditions of the product's own."""
+    """World time with the interface of the product's clock, for conditions of the product."""
 
     def __init__(self, world_time: WorldTime) -> None:
         self._time = world_time

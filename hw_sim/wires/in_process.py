@@ -47,11 +47,11 @@ class SimWires:
 
     def cards(self) -> tuple[str, ...]:
         """Paths of all cards: the one, unless it is gone."""
-        return (CARD,) if self._world.card.there else ()
+        return (CARD,) if self._world.card.present else ()
 
     def open_card(self, path: str) -> SimCardNode:
         """Open the one card that there is. Raises FileNotFoundError for another path, and while it is gone."""
-        if path != CARD or not self._world.card.there:
+        if path != CARD or not self._world.card.present:
             raise FileNotFoundError(2, "No such file or directory", path)
         return SimCardNode(self._world.card, self._world.time)
 

@@ -33,13 +33,13 @@ class PluggedPad:
         self.files: list[HidFile] = []
 
     @property
-    def there(self) -> bool:
+    def present(self) -> bool:
         """True while the pad has not left the bus. Asked with the lock held."""
         return not self.time.closed and self.keypad.plugged and self.keypad.enumeration == self.enumeration
 
     def changed(self) -> None:
         """Note that some file's reports have changed, or that the pad is gone. The caller holds the lock."""
-        self.ready.set(not self.there or any(file.reports for file in self.files))
+        self.ready.set(not self.present or any(file.reports for file in self.files))
 
 
 class HidFile:
@@ -68,7 +68,7 @@ class HidFile:
         time = self._device.time
         with time.condition:
             while not self.reports:
-                if not self._device.there:
+                if not self._device.present:
                     raise _error(errno.EIO)
                 time.condition.wait(LONGEST_WAIT_S)
             report = self.reports.popleft()
@@ -83,7 +83,7 @@ class HidFile:
         if request >> 8 & 0xFF != _TYPE:
             raise _error(errno.ENOTTY)
         with self._device.time.condition:
-            if not self._device.there:
+            if not self._device.present:
                 raise _error(errno.ENODEV)
         descriptor, room = pad.REPORT_DESCRIPTOR, request >> 16 & 0x3FFF
         match request & 0xFF:

@@ -85,13 +85,13 @@ class UsbDevice:
         self.files: list[UsbFile] = []
 
     @property
-    def there(self) -> bool:
+    def present(self) -> bool:
         """True while the camera has not left the bus. Asked with the lock held."""
         return not self.time.closed and self.camera.plugged and self.camera.enumeration == self.enumeration
 
     def completed(self) -> None:
         """Note that some file's finished transfers have changed. The caller holds the lock."""
-        self.ready.set(not self.there or any(file.finished for file in self.files))
+        self.ready.set(not self.present or any(file.finished for file in self.files))
 
 
 class UsbFile:
@@ -173,7 +173,7 @@ class UsbFile:
         }
 
     def _check(self) -> None:
-        if not self._device.there:
+        if not self._device.present:
             raise _error(errno.ENODEV)
 
     # ------------------------------------------------------------------------------------------ interfaces
@@ -332,7 +332,7 @@ class UsbFile:
     def _advance(self) -> bool:
         """Fill what waits as far as there is data; return whether anything ended. The caller holds the lock."""
         ended = False
-        if not self._device.there:
+        if not self._device.present:
             for queue in self._waiting.values():
                 while queue:
                     urb = queue.popleft()
@@ -383,10 +383,10 @@ class UsbFile:
 
     def _reap(self, argument: int, memory: HostMemory, wait: bool) -> int:
         with self._time.condition:
-            while wait and not self.finished and self._device.there:
+            while wait and not self.finished and self._device.present:
                 self._time.condition.wait(LONGEST_WAIT_S)
             if not self.finished:
-                raise _error(errno.EAGAIN if self._device.there else errno.ENODEV)
+                raise _error(errno.EAGAIN if self._device.present else errno.ENODEV)
             urb = self.finished.popleft()
             self._device.completed()
         # The host waits for this answer, nobody else touches the URB: the world goes on meanwhile.
