@@ -1,4 +1,4 @@
-"""Guidance by live images: the overlap of a scan from here, and the direction to a better one.
+"""Guide the diver to the next view: the overlap of a scan from the present pose, and the direction to a better one.
 
 Keypoints of the kept scan's bright image, with their points, are matched with a live image. They determine the camera's
 pose (P3P within RANSAC, M. Fischler and R. Bolles 1981; X. Gao et al. 2003), refraction included. The kept scan's
@@ -53,15 +53,15 @@ FADED = 0.5
 BRIGHT_PERCENT = 95.0
 """Percentile of an image's cells by which exposures are compared."""
 LEAST_LIT_DN = 8.0
-LEAST_OWN = 0.5
-"""Least share of its own illuminated cells that the kept scan is taken to cover."""
-HERE = Rigid(np.eye(3), np.zeros(3))
+MIN_KEPT_COVERAGE = 0.5
+"""Least share of the illuminated cells of its own view that the kept scan counts as covering."""
+AT_THE_KEPT_VIEW = Rigid(np.eye(3), np.zeros(3))
 LEAST_CELLS = 60
 """Fewest illuminated cells of an image in which there is an object."""
 AWAY_MM = 12.0
 """Least distance from the kept view at which there is a direction to it."""
-LONG = 1.4
-"""Least length over width of the illuminated area that has an axis."""
+MIN_ELONGATION = 1.4
+"""Least length over width of the illuminated area for which it has a long axis."""
 AROUND_PX = 40.0
 """Radius that a keypoint covers, in px of an image 1600 across."""
 
@@ -110,42 +110,47 @@ class Guide:
         """Forget the live image before: those that follow are of another place."""
         self._before = None
 
-    def look(self, kept_scan: CoarseView, picture: NDArray[np.uint8]) -> Iterator[Guidance | None]:
+    def look(self, kept_scan: CoarseView, image: NDArray[np.uint8]) -> Iterator[Guidance | None]:
         """Yield ``None`` after each piece of work of at most 0.1 s, and the guidance last, if there is any.
 
-        ``picture``: the live image (h, w) uint8, reduced at least as much as those of ``kept_scan``.
+        ``image``: the live image (h, w) uint8, reduced at least as much as those of ``kept_scan``.
         """
         yield from kept_scan.search()
         yield None
-        marks = find_keypoints(picture, MAX_KEYPOINTS)
-        before, self._before = self._before, marks
+        keypoints = find_keypoints(image, MAX_KEYPOINTS)
+        before, self._before = self._before, keypoints
         yield None
-        reduced = self._sight.camera.width_px / picture.shape[1]
+        reduced = self._sight.camera.width_px / image.shape[1]
         features = kept_scan.features()
-        pairs = matches(features.descriptors, marks.descriptors)
-        seen_px = (marks.uv_px + 0.5) * reduced - 0.5
+        pairs = matches(features.descriptors, keypoints.descriptors)
+        seen_px = (keypoints.uv_px + 0.5) * reduced - 0.5
         pose = camera_pose(self._sight, features.points_mm[pairs[:, 0]], seen_px[pairs[:, 1]])
         if pose is not None:
-            guidance = self._told(kept_scan, picture, pose)
+            guidance = self._guidance_at(kept_scan, image, pose)
             if guidance is not None:
                 yield guidance
         elif (
             before is not None
             and kept_scan.keypoint_coverage() >= MIN_COVERAGE
-            and self._known_again(before, marks, picture) >= MIN_COVERAGE
+            and self._share_seen_before(before, keypoints, image) >= MIN_COVERAGE
         ):
             yield LOST
 
-    def _told(self, kept_scan: CoarseView, picture: NDArray[np.uint8], pose: Rigid) -> Guidance | None:
-        illuminated = self._lit(kept_scan, picture)
+    def _guidance_at(self, kept_scan: CoarseView, image: NDArray[np.uint8], pose: Rigid) -> Guidance | None:
+        """Return the guidance for a scan at ``pose``; ``None`` where the image shows no object."""
+        illuminated = self._surface_cells(kept_scan, image)
         if np.count_nonzero(illuminated) < LEAST_CELLS:
             return None
         # No scan covers all that is illuminated (dark texture, steep flanks): the kept scan shows how much.
-        own_coverage = self._covered(kept_scan, self._lit(kept_scan, kept_scan.pictures[0]), HERE)
-        share = min(1.0, self._covered(kept_scan, illuminated, pose) / max(own_coverage, LEAST_OWN))
-        return Guidance(Overlap(share), self._way(illuminated, pose.of(kept_scan.surface()[0]), share))
+        kept_coverage = self._coverage(
+            kept_scan, self._surface_cells(kept_scan, kept_scan.pictures[0]), AT_THE_KEPT_VIEW
+        )
+        share = min(1.0, self._coverage(kept_scan, illuminated, pose) / max(kept_coverage, MIN_KEPT_COVERAGE))
+        return Guidance(
+            Overlap(share), self._direction_to_good_view(illuminated, pose.of(kept_scan.surface()[0]), share)
+        )
 
-    def _covered(self, kept_scan: CoarseView, illuminated: NDArray[np.bool_], pose: Rigid) -> float:
+    def _coverage(self, kept_scan: CoarseView, illuminated: NDArray[np.bool_], pose: Rigid) -> float:
         """Return the share of the ``illuminated`` cells (h, w) that the kept scan's points cover at ``pose``."""
         points, normals = kept_scan.surface()
         y = pose.of(points)
@@ -160,11 +165,11 @@ class Guide:
         visible = illuminated & self._sight.by_both((h, w), float(np.median(y[:, 2])))
         return float(np.count_nonzero(visible & (closed > 0)) / max(1, int(np.count_nonzero(visible))))
 
-    def _lit(self, kept_scan: CoarseView, picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def _surface_cells(self, kept_scan: CoarseView, image: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Return which cells (h, w) of the image show a surface on which a scan would have points."""
-        size = (CELLS, round(CELLS * picture.shape[0] / picture.shape[1]))
+        size = (CELLS, round(CELLS * image.shape[0] / image.shape[1]))
         grey, kept_grey = (
-            cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (picture, kept_scan.pictures[0])
+            cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in (image, kept_scan.pictures[0])
         )
         # The exposure may have been changed since.
         brighter = float(np.percentile(grey, BRIGHT_PERCENT)) / max(
@@ -172,7 +177,9 @@ class Guide:
         )
         return np.asarray(grey > max(LEAST_LIT_DN, FADED * brighter * kept_scan.faintest()))
 
-    def _way(self, illuminated: NDArray[np.bool_], y: Array, share: float) -> tuple[float, float] | None:
+    def _direction_to_good_view(
+        self, illuminated: NDArray[np.bool_], y: Array, share: float
+    ) -> tuple[float, float] | None:
         """Return the direction (x, y) to a good view; ``None`` if this is one."""
         if LEAST_GOOD <= share <= MOST_GOOD:
             return None
@@ -188,18 +195,15 @@ class Guide:
         length = float(np.linalg.norm(offset_mm))
         return None if length < AWAY_MM else (float(offset_mm[0] / length), float(offset_mm[1] / length))
 
-    def _known_again(self, before: Keypoints, marks: Keypoints, picture: NDArray[np.uint8]) -> float:
-        """Return the share of the illuminated image around keypoints that the image before had, too.
-
-        Such keypoints would show an overlap.
-        """
-        pairs = matches(before.descriptors, marks.descriptors)
-        count = np.zeros(picture.shape, np.float32)
-        cells = np.clip(np.rint(marks.uv_px[pairs[:, 1]]).astype(int), 0, (picture.shape[1] - 1, picture.shape[0] - 1))
+    def _share_seen_before(self, before: Keypoints, keypoints: Keypoints, image: NDArray[np.uint8]) -> float:
+        """Return the share of the illuminated image that lies around keypoints of the live image before."""
+        pairs = matches(before.descriptors, keypoints.descriptors)
+        count = np.zeros(image.shape, np.float32)
+        cells = np.clip(np.rint(keypoints.uv_px[pairs[:, 1]]).astype(int), 0, (image.shape[1] - 1, image.shape[0] - 1))
         np.add.at(count, (cells[:, 1], cells[:, 0]), 1.0)
-        side = 2 * round(AROUND_PX * picture.shape[1] / 1600.0) + 1
+        side = 2 * round(AROUND_PX * image.shape[1] / 1600.0) + 1
         around = cv2.boxFilter(count, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        illuminated = picture > LEAST_LIT_DN
+        illuminated = image > LEAST_LIT_DN
         return float(
             np.count_nonzero(illuminated & (around > ENOUGH_AROUND - 0.5)) / max(1, int(np.count_nonzero(illuminated)))
         )
@@ -300,4 +304,4 @@ def long_axis(illuminated: NDArray[np.bool_]) -> Array | None:
     """Return the direction (2,), right and down, of the longest extent; ``None`` if it is not elongated."""
     row, column = np.nonzero(illuminated)
     values, vectors = np.linalg.eigh(np.cov(np.stack([column, row]).astype(np.float64)))
-    return vectors[:, 1] if values[1] > LONG**2 * values[0] else None
+    return vectors[:, 1] if values[1] > MIN_ELONGATION**2 * values[0] else None
