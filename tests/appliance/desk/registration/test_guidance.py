@@ -95,7 +95,7 @@ def test_an_axis_is_a_way_from_one_and_two_fifths_of_the_width_on(wide_px: int, 
 def test_the_way_leads_to_the_kept_view_or_away_from_it(share: float, aside_mm: float, way: float | None) -> None:
     centre = np.array([[(SIGHT.camera.width_px - 1) / 2.0, (SIGHT.camera.height_px - 1) / 2.0]])
     middle = np.append(SIGHT.directions(centre, 550.0)[0] * 550.0, 550.0)
-    found = Guide(SIGHT)._way(np.ones((60, 80), bool), middle[None] + (aside_mm, 0.0, 0.0), share)
+    found = Guide(SIGHT)._direction_to_good_view(np.ones((60, 80), bool), middle[None] + (aside_mm, 0.0, 0.0), share)
     assert (found is None) == (way is None)
     assert found is None or found == pytest.approx((way, 0.0), abs=1e-6)
 
@@ -107,7 +107,7 @@ def test_a_cell_is_lit_by_half_of_what_the_kept_scans_faintest_points_had(kept_d
     kept = CoarseView(points, points[..., 0], 4, (picture, picture), 1.0, PROJECTION)
     here = picture.copy()
     here[:40, :80] = dn
-    found = Guide(SIGHT)._lit(kept, here)
+    found = Guide(SIGHT)._surface_cells(kept, here)
     assert found.shape == (60, 80)
     assert bool(found[:5, :10].any()) is lit
     assert found[6:, 12:].all()
