@@ -1,9 +1,9 @@
-"""Owns the judgement whether a scan's fringes were sines: how much noisier its points are because they were not.
+"""The verdict ``fringes``: the noise that non-sinusoidal fringes add to the points.
 
-A projector that makes grey by bit planes shows an exposure that takes a part of its frame some of its bits longer than
-others. What that bends coordinates by is taken out of them (``appliance.measure.points.straighten``), but where a
-coordinate hardly changes with the phase, straightening it multiplies its noise; and where the bend folds, no coordinate
-is right. Light that flickers cannot be told from such fringes either.
+A projector may make grey by bit planes. An exposure shorter than its frame then shows some bits longer than others. The
+response correction (``appliance.measure.points.straighten``) removes the phase error. But where the coordinate hardly
+changes with the phase it multiplies the noise, and where the coordinate is not monotonic in the phase no coordinate is
+right. Flickering light cannot be distinguished from such fringes.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from appliance.measure.verdict import Judgement, Verdict
 
 NAME = "fringes"
 MOST_NOISIER = 1.2
-"""Largest factor by which straightening may multiply the noise of the points: as for a movement that is undone."""
+"""Largest factor by which the response correction may multiply the noise of the points, as for motion compensation."""
 
 
 def judge_fringes(bend: PhaseBend, period_px: int) -> Judgement:
-    """Judge what the projector's response ``bend`` does to points of a scan with fringes of ``period_px``."""
+    """Judge the added noise of a scan with fringes of ``period_px`` by the phase error ``bend`` of the response."""
     noisier = math.sqrt(bend.variance_factor(period_px)) if bend.counts else 1.0
     numbers: dict[str, float | None] = {"bend_px": bend.rms_px, "noise_factor": noisier, "limit": MOST_NOISIER}
     if noisier <= MOST_NOISIER:

@@ -1,10 +1,10 @@
-"""Owns the judgement whether both cameras see grey alike: which of them bends it, by a gamma or a table.
+"""The verdict ``grey``: whether one camera has non-linear grey values, by a gamma or a table.
 
-The mean of a fringe's four steps lies at the same share of the way from dark to bright in every pixel of every camera
-whose grey values are proportional to light: surface, water, blur and other light only add and multiply light, and the
-share is the projector's alone. It differs between the cameras where one of them bends grey. Such a camera scans, and
-its points look good; but its fringes ripple otherwise than the other one's, and whatever is told from grey values
-(light, water, noise) is wrong.
+The mean of the four phase steps lies at the same share of the range from dark to bright in every pixel of every camera
+with linear grey values. Surface, water, blur and ambient light only add and multiply light; the share is the
+projector's alone. It differs between the cameras if one of them is non-linear. The points of such a camera look good,
+but its phase error differs from that of the other one, and all judgements by grey values (light, water, noise) are
+wrong.
 """
 
 from __future__ import annotations
@@ -26,35 +26,35 @@ NAME = "grey"
 MOST_APART = 0.015
 """Largest difference of the cameras' shares.
 
-In twenty scenes at rest, moving by up to 60 mm/s, in milk, behind drift, with torches and flickering light, with drawn
-sensors that bend by up to 2 %, it was 0.005; Gamma 0.8 in one camera makes 0.02 to 0.04, Gamma 0.45 0.08 to 0.11.
+In twenty scenes at rest, moving by up to 60 mm/s, in turbid water, behind particles, with torches and flickering light,
+with random sensors that are non-linear by up to 2 %, it was 0.005. Gamma 0.8 in one camera makes 0.02 to 0.04, Gamma
+0.45 0.08 to 0.11.
 """
 LEAST_LIGHT_DN, MOST_DN = 40.0, 245.0
-"""Bright minus dark, and bright: what is fainter is noise, and what is brighter may be saturated."""
+"""Least bright minus dark, and largest bright: fainter pixels are noise, and brighter ones may be saturated."""
 FEWEST = 200
-"""Pixels below which nothing is said."""
+"""Number of pixels below which there is no verdict."""
 SURE = 5.0
 """Least multiple of its standard error that the difference must have."""
 PROPORTIONAL = 127.5 / 247.0
-"""Share that a projector makes whose light is proportional to the code: mean code of a sine over that of bright."""
+"""Share by a projector whose light is proportional to the code: mean code of a sine over that of bright."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Share:
     """The shares of one camera, as medians over its pixels."""
 
-    of: Mapping[Direction, float]
+    by_direction: Mapping[Direction, float]
     error: float
-    """Standard error of the less certain one."""
+    """The larger of the two standard errors."""
 
 
 def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judgement:
-    """Judge whether both cameras see the mean of the sines at the same share of their light, by the ``samples`` of
-    ``left`` and ``right``.
+    """Judge by ``samples`` of both sides whether the mean of the sines is the same share of each camera's light.
 
-    Failed with GREY_BENT: one of them, the fault's device, has more of it. ``None``: too little well-lit is seen, or
-    the directions contradict each other. Numbers: each camera's share, mean of both directions, and ``limit``, of their
-    difference.
+    Failed with GREY_BENT: the fault's device has the larger share. ``None``: too few pixels are well illuminated, or
+    the directions contradict each other. Numbers: the share of each camera, as mean of both directions, and the
+    ``limit`` of their difference.
     """
     shares = {side: _share(samples[side], sequence) for side in SIDES}
     numbers: dict[str, float | None] = {
@@ -64,43 +64,45 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
     left, right = shares["left"], shares["right"]
     if left is None or right is None:
         return Judgement(Verdict(NAME, None, numbers, "too little is well lit to compare the cameras' grey"))
-    apart = {d: left.of[d] - right.of[d] for d in Direction}
-    # Few pixels with much noise must accuse nobody.
-    least = max(MOST_APART, SURE * math.hypot(left.error, right.error))
-    # What a movement or a lamp makes is another thing in each direction; a camera bends both alike.
-    if all(one > least for one in apart.values()) or all(one < -least for one in apart.values()):
-        side, other = ("left", "right") if apart[Direction.X] > 0.0 else ("right", "left")
-        mine, others = numbers[f"{side}_share"], numbers[f"{other}_share"]
+    apart = {d: left.by_direction[d] - right.by_direction[d] for d in Direction}
+    # Few pixels with much noise must accuse no camera.
+    limit = max(MOST_APART, SURE * math.hypot(left.error, right.error))
+    # A non-linear camera changes both directions alike; motion or a lamp does not.
+    if all(difference > limit for difference in apart.values()) or all(
+        difference < -limit for difference in apart.values()
+    ):
+        side, other_side = ("left", "right") if apart[Direction.X] > 0.0 else ("right", "left")
+        larger_share, smaller_share = numbers[f"{side}_share"], numbers[f"{other_side}_share"]
         text = (
-            f"camera.{side} sees the mean of the fringes at {mine:.2f} of its light and camera.{other} at {others:.2f} "
+            f"camera.{side} sees the mean of the fringes at {larger_share:.2f} of its light and camera.{other_side} at {smaller_share:.2f} "
             f"(linear: up to {PROPORTIONAL:.2f}): "
             f"it bends grey. Under features of camera.{side} set Gamma = 1.0, GammaEnable and LUTEnable = false, and "
-            f"no Gamma above 1 in camera.{other}"
+            f"no Gamma above 1 in camera.{other_side}"
         )
         return Judgement(Verdict(NAME, False, numbers, text), Fault(FaultCode.GREY_BENT, text, device=f"camera.{side}"))
-    if all(abs(one) <= least for one in apart.values()):
+    if all(abs(difference) <= limit for difference in apart.values()):
         return Judgement(Verdict(NAME, True, numbers, "both cameras see grey alike"))
     return Judgement(Verdict(NAME, None, numbers, "what changes between the images hides how the cameras see grey"))
 
 
 def _share(sample: Sample, sequence: PatternSequence) -> _Share | None:
-    # What is faint is noise, and at the top of the scale every camera bends grey by clipping it.
-    lit = (sample.contrast_dn >= LEAST_LIGHT_DN) & (sample.top_dn <= MOST_DN)
-    count = int(np.count_nonzero(lit))
+    # Faint pixels are noise, and at the top of the scale every camera clips.
+    is_lit = (sample.contrast_dn >= LEAST_LIGHT_DN) & (sample.top_dn <= MOST_DN)
+    count = int(np.count_nonzero(is_lit))
     if count < FEWEST:
         return None
-    dark_dn, light_dn = sample.dark_dn[lit], sample.contrast_dn[lit]
-    # Each direction by itself: what changes between the images is another thing in either.
-    of, errors = {}, []
+    dark_dn, light_dn = sample.dark_dn[is_lit], sample.contrast_dn[is_lit]
+    # Each direction by itself, since changes between the images differ between them.
+    by_direction, errors = {}, []
     for direction in Direction:
-        steps: NDArray[np.float32] = sample.grey[list(sequence.axis(direction).sine)][:, lit].astype(np.float32)
+        steps: NDArray[np.float32] = sample.grey[list(sequence.axis(direction).sine)][:, is_lit].astype(np.float32)
         shares = (steps.mean(axis=0) - dark_dn) / light_dn
-        lower, middle, upper = (float(one) for one in np.quantile(shares, (0.25, 0.5, 0.75)))
-        of[direction] = middle
+        lower, middle, upper = (float(quartile) for quartile in np.quantile(shares, (0.25, 0.5, 0.75)))
+        by_direction[direction] = middle
         # Standard error of a median of normal values: 1.25 σ/√n, with σ = 0.74 times the distance of the quartiles.
         errors.append(1.25 * 0.74 * (upper - lower) / math.sqrt(count))
-    return _Share(of, max(errors))
+    return _Share(by_direction, max(errors))
 
 
 def _mean(share: _Share) -> float:
-    return sum(share.of.values()) / len(share.of)
+    return sum(share.by_direction.values()) / len(share.by_direction)

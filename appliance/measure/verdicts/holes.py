@@ -1,10 +1,9 @@
-"""Owns the judgement whether the cloud has holes where the left camera saw a surface, and what made them.
+"""The verdicts on the final cloud: ``holes`` where the left camera saw a surface, and ``distance`` of the points.
 
-Coverage counts pixels, and cannot tell a hole in the middle from what no scan can give: shadow, dark paint, and what
-the right camera does not see. A surface is *seen* without a point where pixels are saturated, where their Gray code
-contradicts their phase or jumps, and, of a scan that moved, where rays that meet within the volume gave a point before
-its motion was undone. Single pixels and lines of them are edges; what a square of three grid places fits into is a
-hole.
+Coverage counts pixels. It cannot distinguish a hole from places where no scan has points: shadow, dark surfaces, and
+those that the right camera does not see. A surface is *seen* without a point where pixels are saturated, or where their
+Gray code contradicts their phase or jumps; after motion, also where there was a point before compensation. Single
+pixels and lines of them are edges. A hole contains a square of three by three grid points.
 """
 
 from __future__ import annotations
@@ -22,50 +21,49 @@ from appliance.measure.verdict import Judgement, Verdict
 
 NAME = "holes"
 GRID_PX = 400
-"""Places of the grid across the left image: a hole is 3 of them wide, 2 mm in the standard housing."""
+"""Number of grid points across the left image: a hole is 3 of them wide, 2 mm in the standard housing."""
 MOST_HOLES = 0.03
 """Largest share of the seen surface that may lie in holes.
 
-At rest 0.1 % and less of eleven well exposed scenes did; of the metre-long pipe at 4, 18, 33 and 72 mm/s 1.0, 3.6, 8.2
+In eleven well exposed scenes at rest it was 0.1 % and less; for a pipe of 1 m at 4, 18, 33 and 72 mm/s 1.0, 3.6, 8.2
 and 7.4 %, the latter two without their flange; before a torch 12 % and more.
 """
 _LIGHT = 0.5
-"""Share of the holes' pixels that are saturated, from which on light made them."""
+"""Saturated share of the holes' pixels from which on light is their cause."""
 _WITHOUT_COORDINATE = (Mask.SATURATED, Mask.CONTRADICTION, Mask.EDGE)
 
 Mask2D = NDArray[np.bool_]
 
 
 def grid_step_px(width_px: int) -> int:
-    """Return the distance of the grid's places in an image of that width."""
+    """Return the distance of the grid points in px in an image ``width_px`` wide."""
     return max(1, round(width_px / GRID_PX))
 
 
 def judge_holes(
-    mask: NDArray[np.uint8], dark: NDArray[np.uint8], there: Mask2D, before: Mask2D | None = None
+    mask: NDArray[np.uint8], dark: NDArray[np.uint8], has_point: Mask2D, before: Mask2D | None = None
 ) -> Judgement:
-    """Judge the left image's grid places (h, w): their ``mask`` and ``dark`` image, and whether they are ``there`` in
-    the cloud.
+    """Judge the holes by grid points (h, w) of the left image: ``mask``, ``dark`` frame, and whether they have points.
 
-    ``before``: places that gave a point before the motion was undone; ``None``: nothing moved. Numbers:
-    ``hole_percent`` and ``largest_percent``, all holes and the largest one, of the seen surface; ``saturated_percent``
-    of the holes' pixels.
+    ``before``: whether they had points before motion compensation; ``None``: not compensated. Numbers: ``hole_percent``
+    and ``largest_percent``, all holes and the largest one, of the seen surface; ``saturated_percent`` of the holes'
+    pixels.
     """
-    # Where the dark image is saturated, the projector adds nothing, and decoding takes it for shadow.
+    # Where the dark frame is saturated, the projector adds nothing, and decoding masks the pixel as shadow.
     burnt = dark >= np.uint8(FULL_DN)
     light = burnt | (mask == Mask.SATURATED)
-    seen = (np.isin(mask, _WITHOUT_COORDINATE) | burnt) & ~there
+    is_hole = (np.isin(mask, _WITHOUT_COORDINATE) | burnt) & ~has_point
     if before is not None:
-        seen |= before & ~there
-    surface = int(there.sum()) + int(seen.sum())
+        is_hole |= before & ~has_point
+    surface = int(has_point.sum()) + int(is_hole.sum())
     if surface == 0:
         return Judgement(Verdict(NAME, None, {}, "no surface is seen"))
-    holes = cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    holes = cv2.morphologyEx(is_hole.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, _, stats, _ = cv2.connectedComponentsWithStats(holes, connectivity=8)
     count = int(holes.sum())
     share, largest = count / surface, max(stats[1:, cv2.CC_STAT_AREA], default=0) / surface
-    at = holes.astype(bool)
-    saturated = float(light[at].mean()) if count else 0.0
+    in_hole = holes.astype(bool)
+    saturated = float(light[in_hole].mean()) if count else 0.0
     numbers: dict[str, float | None] = {
         "hole_percent": 100.0 * share,
         "largest_percent": 100.0 * float(largest),
@@ -74,22 +72,21 @@ def judge_holes(
     if share < MOST_HOLES:
         return Judgement(Verdict(NAME, True, numbers, "no hole where a surface was seen"))
     code, why = FaultCode.PART_MISSING, "its images contradict each other"
-    known = {"hole_percent": 100.0 * share}
+    fault_numbers = {"hole_percent": 100.0 * share}
     if saturated >= _LIGHT:
-        # Light that takes half of the scale without the projector is not the exposure's fault.
-        ambient = float(np.mean(dark[at] >= np.uint8(FULL_DN) // 2))
+        # Ambient light over half of the scale is no fault of the exposure.
+        ambient = float(np.mean(dark[in_hole] >= np.uint8(FULL_DN) // 2))
         code, why = (
             (FaultCode.AMBIENT, "light from elsewhere saturates it")
             if ambient >= _LIGHT
             else (FaultCode.TOO_BRIGHT, "it is saturated")
         )
     text = f"{100.0 * share:.0f} % of the seen surface has no points, {100.0 * float(largest):.0f} % in one hole: {why}"
-    return Judgement(Verdict(NAME, False, numbers, f"{code.value}: {text}"), Fault(code, text, known))
+    return Judgement(Verdict(NAME, False, numbers, f"{code.value}: {text}"), Fault(code, text, fault_numbers))
 
 
 def judge_distance(summary: CloudSummary, volume: WorkingVolume) -> Judgement:
-    """Judge whether the middle of the cloud lies in the range for which the housing states its accuracy; number:
-    ``distance_mm``."""
+    """Judge whether the median of the points lies in the working volume; number: ``distance_mm``."""
     name, distance_mm = "distance", summary.distance_mm
     if distance_mm is None:
         return Judgement(Verdict(name, None, {}, "no points"))

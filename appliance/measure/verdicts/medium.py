@@ -1,9 +1,9 @@
-"""Owns the judgement whether the instrument is in the water that is stated, or in air.
+"""The verdict ``medium``: whether the instrument is in the stated water or in air.
 
-Rays that are refracted in another medium than they are traced in miss each other, by an amount that grows with the
-distance from each camera's axis. A mount that is off shifts or tilts this pattern, and no mount makes it: with the
-right index most of it is gone. In air it is at the index 1. Fresh and salt water differ by a fiftieth of that, which
-the health of the calibration watches.
+Rays that are traced in another medium than the real one miss each other, by an amount that grows with the distance from
+each camera's axis. Wrong extrinsics shift or tilt this pattern of ray gaps, but do not make it: with the right index
+most of it is gone. The index of air is 1. Fresh and salt water differ by a fiftieth of the difference between water and
+air; the calibration health watches that.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from appliance.measure.verdict import Judgement, Verdict
 NAME = "medium"
 AIR = 1.0
 MOST_ASKED, FEWEST = 600, 60
-"""Matches that are looked at, and fewer than which nothing is said."""
+"""Number of correspondences that are used at most, and the least for a verdict."""
 LEAST_APART_MM = 0.1
-"""Spread of the gaps in the standard housing, below which the stated water is believed.
+"""Spread of the ray gaps in the standard housing, below which the stated water is believed.
 
-With the rig's own calibration the spread in water is 0.01 to 0.03 mm, with the drawing of a realistic rig 0.1; in air
+In water the spread is 0.01 to 0.03 mm with the rig's calibration, 0.1 with the nominal one of a realistic rig; in air
 it is 0.3.
 """
 MEETS = 0.5
-"""Share of that spread below which it is the air's.
+"""Spread in air over the spread in water, below which the medium is air.
 
-In air 0.04 to 0.09, with the drawing 0.32 to 0.45; in water 1.6 and more.
+In air it is 0.04 to 0.09, with the nominal calibration 0.32 to 0.45; in water 1.6 and more.
 """
 
 
 def judge_medium(
     left_px: NDArray[np.float64], right_px: NDArray[np.float64], rig: StereoRig, water_index: float
 ) -> Judgement:
-    """Judge matched pixels (n, 2) of both cameras, which are traced in water of ``water_index``.
+    """Judge the medium by correspondences (n, 2) of both cameras, which are traced in water of ``water_index``.
 
-    Failed with NOT_IN_WATER: rays meet in air, and do not in the water. Numbers, mm: ``water_gap_mm`` and
-    ``air_gap_mm``, the median distance of the signed gaps from their median, in either.
+    Failed with NOT_IN_WATER: rays meet in air, and not in the water. Numbers: ``water_gap_mm`` and ``air_gap_mm``, the
+    median distance of the signed ray gaps from their median in each medium.
     """
     step = max(1, len(left_px) // MOST_ASKED)
     left_px, right_px = left_px[::step], right_px[::step]
@@ -54,8 +54,8 @@ def judge_medium(
         "points are wrong; scan under "
         "water"
     )
-    known = {"water_gap_mm": water_mm, "air_gap_mm": air_mm}
-    return Judgement(Verdict(NAME, False, numbers, text), Fault(FaultCode.NOT_IN_WATER, text, known))
+    fault_numbers = {"water_gap_mm": water_mm, "air_gap_mm": air_mm}
+    return Judgement(Verdict(NAME, False, numbers, text), Fault(FaultCode.NOT_IN_WATER, text, fault_numbers))
 
 
 def _spread_mm(gap_mm: NDArray[np.float64]) -> float:

@@ -1,10 +1,9 @@
-"""Owns the judgement whether left is left: which of the two orders of the cameras brings the rays of a scan together.
+"""The verdict ``sides``: whether the left camera is the left one; the rays of a scan meet in one order only.
 
-Cameras that are toed in see what lies aside of the axis at different heights: each sees larger what is nearer to it. If
-the pictures of the two are exchanged, rays of one point pass each other above the axis in one sense at the left and in
-the other at the right, by centimetres at the corners, however the object lies; depths come out mirrored about where the
-axes cross, and most points are lost to the limit on gaps. No mounting error does that: with the other order the rays
-meet, or nearly.
+Converging cameras see objects beside the axis at different heights: each sees larger what is nearer to it. If their
+images are exchanged, the rays of a point miss each other, with opposite signs at the left and at the right, by
+centimetres at the corners, for any object. Depths are mirrored about the point where the axes cross, and most points
+exceed the limit on ray gaps. No mounting error does that: in the other order the rays meet, or nearly.
 """
 
 from __future__ import annotations
@@ -21,24 +20,24 @@ Array = NDArray[np.float64]
 
 NAME = "sides"
 MOST_ASKED = 600
-"""Matches that are looked at: a median of so many is good to some percent."""
+"""Number of correspondences that are used at most: a median of so many is good to some percent."""
 FEWEST = 60
 LEAST_APART_MM = 1.0
-"""Distance in the standard housing by which both orders must differ, in the median: what is seen near the axis alone
-tells nothing."""
+"""Least median difference of the ray gaps of both orders, in the standard housing: objects near the axis alone say
+nothing."""
 MEETS, MISSES = 0.4, 0.6
-"""Shares of that distance: below the first the rays of an order meet, from the second on they do not.
+"""Shares of that difference: below the first the rays of an order meet, from the second on they do not.
 
-A drawing that nobody has compared with the instrument misses by up to a fifth.
+With a nominal calibration rays miss by up to a fifth.
 """
 
 
 def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: float) -> Judgement:
-    """Judge matched pixels (n, 2) of the cameras that are taken for left and right.
+    """Judge the order of the cameras by correspondences (n, 2) of those that are taken for left and right.
 
-    Failed with SIDES_EXCHANGED: they are exchanged. Passed: they are not. ``None``: what is seen tells nothing.
-    Numbers, in mm and medians: ``gap_mm``, by how far rays miss each other; ``exchanged_mm``, the same with the cameras
-    exchanged; ``apart_mm``, what exchanging them changes.
+    Failed with SIDES_EXCHANGED: they are exchanged. Passed: they are not. ``None``: the correspondences do not say.
+    Numbers, medians in mm: ``gap_mm``, the ray gap; ``exchanged_mm``, the same with the cameras exchanged;
+    ``apart_mm``, the difference that the exchange makes.
     """
     step = max(1, len(left_px) // MOST_ASKED)
     left_px, right_px = left_px[::step], right_px[::step]
@@ -46,10 +45,10 @@ def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: fl
     if len(left_px) < FEWEST:
         return Judgement(Verdict(NAME, None, numbers, "too little is seen to tell left from right"))
     usual = signed_gap_mm(rig, water_index, left_px, right_px)
-    other = signed_gap_mm(StereoRig(rig.right, rig.left, rig.volume), water_index, left_px, right_px)
-    # A shift of all is a camera that nods, and says nothing of its side.
-    apart = _spread(usual + other), _spread(usual - other)
-    gap_mm, exchanged_mm, apart_mm = _spread(usual), _spread(other), max(apart)
+    exchanged = signed_gap_mm(StereoRig(rig.right, rig.left, rig.volume), water_index, left_px, right_px)
+    # A common shift is a tilted camera, and says nothing about its side.
+    apart = _spread(usual + exchanged), _spread(usual - exchanged)
+    gap_mm, exchanged_mm, apart_mm = _spread(usual), _spread(exchanged), max(apart)
     numbers = {"gap_mm": gap_mm, "exchanged_mm": exchanged_mm, "apart_mm": apart_mm}
     if apart_mm < rig.volume.scaled(LEAST_APART_MM):
         return Judgement(Verdict(NAME, None, numbers, "what is seen lies where left and right look alike"))

@@ -1,11 +1,11 @@
-"""Owns what a scan says about the cameras' windows: where fringes are softer than the other camera sees them.
+"""The verdict ``windows``: where the fringes of one camera have less contrast than those of the other, by its port.
 
-Fog, a scratch, dirt on a window throw light aside: fringes lose contrast there, mean light hardly does. Contrast is
-also lost on the object (light from one part of it on another, a soft projector) and in the water. But what happens on
-the object both cameras see, at the same pattern coordinates; so each camera is compared with the other one, place by
-place on the object. The water's backscatter differs between them, and smoothly over the image; a smooth surface is
-therefore taken off first. What is left in one cell of the image is the window's, if it stays there while the scene
-changes: that is ``appliance.instrument.service.worker_reports``.
+Fog, a scratch or dirt on a port scatters light: fringes lose contrast there, the mean grey value hardly changes.
+Contrast is also lost on the object (light from one part of it on another, a blurred projector) and in the water. But
+both cameras see the loss on the object at the same pattern coordinates. So both are compared, cell by cell of the
+pattern. The backscatter differs between them, but smoothly over the image; so a plane is subtracted first. The residual
+in a cell of the image is due to the port if it stays there while the scene changes, which
+``appliance.instrument.service.worker_reports`` watches.
 """
 
 from __future__ import annotations
@@ -31,54 +31,54 @@ Floats = NDArray[np.float32]
 
 NAME = "windows"
 CELLS = (8, 6)
-"""Columns and rows of cells over each image; a place on the window that is smaller is blurred over one."""
+"""Columns and rows of cells over each image; a smaller spot on the port is blurred over one."""
 PLACES = (24, 18)
-"""Columns and rows of places over the pattern, at which the cameras are compared."""
+"""Columns and rows of cells over the pattern, by which the cameras are compared."""
 SAMPLES = 40_000
-"""Pixels asked of each camera, at most."""
+"""Number of pixels of each camera, at most."""
 MIN_PER_CELL, MIN_PER_PLACE = 40, 12
 MIN_CELLS = 12
-"""Fewer do not tell a local fall from anything."""
+"""Least number of cells for detecting a local loss of contrast."""
 MIN_LIGHT_DN = 16.0
-"""Bright minus dark below this: the contrast is noise."""
+"""Least bright minus dark; below, the contrast is noise."""
 ROUNDS, TUNED = 6, 0.03
-"""Iterations of the robust fit, and the fall from which on a cell counts less."""
+"""Iterations of the robust fit, and the loss of contrast from which on a cell counts less."""
 SLACK = 0.08
-"""A fall that every cell is forgiven: three times what a clean window shows on any object in clear water."""
+"""Loss of contrast that is allowed in every cell: three times that of a clean port for any object in clear water."""
 USUAL_QUANTILE, USUAL = 0.65, 2.0
-"""Quantile of the cells' falls and the factor on it that a cell is forgiven: in turbid water the backscatter's own
-pattern remains."""
+"""Quantile of the cells' losses, and its factor that is allowed: in turbid water the pattern of the backscatter
+remains."""
 _FULL, _NO_REASON = np.uint8(FULL_DN), np.uint8(Mask.VALID)
 
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """One scan. By side ``left`` and ``right``; arrays (CELLS[0] · CELLS[1],), cells by row."""
+    """Contrast of one scan by side ``left`` and ``right``; arrays (CELLS[0] · CELLS[1],), cells by row."""
 
     falls: Mapping[str, Array]
-    """Share of the contrast that is missing in each cell; NaN where it cannot be told."""
+    """Share of the contrast that is missing in each cell; NaN where it is unknown."""
     wholes: Mapping[str, float | None]
-    """The same of all of the window, against the other one; ``None`` where it cannot be told."""
+    """The same of the port as a whole, compared with the other one; ``None`` if it is unknown."""
     forgiven: Mapping[str, float]
-    """A fall of this size says nothing in this scan."""
+    """Loss of contrast that is allowed in this scan."""
     light: Mapping[str, Array]
-    """Mean light of the object in each cell, DN; 0 where none is seen. It tells one scene from another."""
+    """Mean light of the object in each cell, DN; 0 where no object is seen. It distinguishes scenes."""
 
     def verdict(self) -> Verdict:
-        """Return what is written down. Nothing is refused by a single scan: ``passed`` is always None."""
+        """Return the verdict to store; ``passed`` is always None, since one scan does not decide."""
         numbers: dict[str, float | None] = {}
         parts = []
         for side in SIDES:
             falls = self.falls[side]
-            known = bool(np.isfinite(falls).any())
-            worst = int(np.nanargmax(falls)) if known else 0
-            whole = self.wholes[side]
-            numbers[f"{side}_fall_percent"] = 100.0 * float(falls[worst]) if known else None
-            numbers[f"{side}_column"] = float(worst % CELLS[0]) if known else None
-            numbers[f"{side}_row"] = float(worst // CELLS[0]) if known else None
-            numbers[f"{side}_whole_percent"] = None if whole is None else 100.0 * whole
+            is_known = bool(np.isfinite(falls).any())
+            worst = int(np.nanargmax(falls)) if is_known else 0
+            whole_fall = self.wholes[side]
+            numbers[f"{side}_fall_percent"] = 100.0 * float(falls[worst]) if is_known else None
+            numbers[f"{side}_column"] = float(worst % CELLS[0]) if is_known else None
+            numbers[f"{side}_row"] = float(worst // CELLS[0]) if is_known else None
+            numbers[f"{side}_whole_percent"] = None if whole_fall is None else 100.0 * whole_fall
             numbers[f"{side}_forgiven_percent"] = 100.0 * self.forgiven[side]
-            if known:
+            if is_known:
                 parts.append(f"{side} at most {100.0 * float(falls[worst]):.0f} % softer in a cell")
         return Verdict(
             NAME, None, numbers, ", ".join(parts) or "too little seen by both cameras to judge the windows by"
@@ -86,7 +86,7 @@ class Windows:
 
 
 def window_grid(sequence: PatternSequence) -> PixelGrid:
-    """Return the grid of pixels by which windows are judged: bright, dark, the sines of X and Y."""
+    """Return the grid of pixels by which ports are judged: bright, dark, the sines of X and Y."""
     sines = [k for direction in Direction for k in sequence.axis(direction).sine]
 
     def steps(rows: int, columns: int) -> tuple[int, int]:
@@ -97,26 +97,26 @@ def window_grid(sequence: PatternSequence) -> PixelGrid:
 
 
 def look_at_windows(images: ScanImages, grids: Mapping[str, PixelGrid] | None = None) -> Windows:
-    """Compare the cameras' fringes place by place.
+    """Compare the contrast of the cameras' fringes, cell by cell of the pattern.
 
-    ``grids`` of both sides, where they were taken while the frames arrived.
+    ``grids``: those of both sides if they were filled while the frames arrived.
     """
     grids = grids or {side: window_grid(images.sequence).taken(images.frames[side]) for side in SIDES}
-    seen = {side: _look(images, side, grids[side]) for side in SIDES}
+    samples = {side: _look(images, side, grids[side]) for side in SIDES}
     falls: dict[str, Array] = {}
     wholes: dict[str, float | None] = {}
     forgiven: dict[str, float] = {}
-    for side, other in (SIDES, SIDES[::-1]):
-        falls[side], wholes[side] = _falls(seen[side], seen[other])
+    for side, other_side in (SIDES, SIDES[::-1]):
+        falls[side], wholes[side] = _falls(samples[side], samples[other_side])
         finite = falls[side][np.isfinite(falls[side])]
         usual = float(np.quantile(np.abs(finite), USUAL_QUANTILE)) if len(finite) else 0.0
         forgiven[side] = max(SLACK, USUAL * usual)
-    return Windows(falls, wholes, forgiven, {side: seen[side].light for side in SIDES})
+    return Windows(falls, wholes, forgiven, {side: samples[side].light for side in SIDES})
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
-    """One camera's sampled pixels with coordinates, n of them."""
+class _PixelSample:
+    """Sampled pixels of one camera that have coordinates, n of them."""
 
     contrast: Floats
     cell: NDArray[np.intp]
@@ -125,7 +125,7 @@ class _Seen:
     """Mean light of the object by cell, DN."""
 
 
-def _look(images: ScanImages, side: str, grid: PixelGrid) -> _Seen:
+def _look(images: ScanImages, side: str, grid: PixelGrid) -> _PixelSample:
     decoded, sequence = images.decoded[side], images.sequence
     mask = decoded.mask[grid.at]
     row, column = (np.arange(n) * m // n for n, m in zip(mask.shape, CELLS[::-1], strict=True))
@@ -133,7 +133,7 @@ def _look(images: ScanImages, side: str, grid: PixelGrid) -> _Seen:
     contrast, cell, place, total = ask(
         grid.grey, mask, decoded.p_px[grid.at], decoded.q_px[grid.at], CELLS[0] * row, column, places_per_px
     )
-    return _Seen(contrast, cell, place, total / max(1.0, mask.size / len(total)))
+    return _PixelSample(contrast, cell, place, total / max(1.0, mask.size / len(total)))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -146,10 +146,10 @@ def ask(
     cell_column: NDArray[np.int64],
     places_per_px: tuple[np.float32, np.float32],
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return contrast, cell and place of the pixels (h, w) with coordinates and enough light, (n,) each, and each
-    cell's sum of light.
+    """Return contrast, image cell and pattern cell of the pixels (h, w) with coordinates and enough light.
 
-    ``grey`` (10, h, w): bright, dark, sines. The cell is the sum of ``cell_row`` and ``cell_column``.
+    Each is (n,); the fourth result is the sum of light of each image cell. ``grey`` (10, h, w): bright, dark, sines.
+    The image cell is the sum of ``cell_row`` and ``cell_column``.
     """
     rows, columns = mask.shape
     contrast = np.empty(mask.size, np.float32)
@@ -170,7 +170,7 @@ def ask(
             contrast[n] = np.float32(0.5) * swing / light
             cell[n] = cell_row[j] + cell_column[i]
             total[cell[n]] += light
-            # The place on the pattern; what lies a little beyond its borders belongs to the outermost ones.
+            # The cell of the pattern; pixels a little beyond its borders belong to the outermost cells.
             across = min(max(int(p_px[j, i] * places_per_px[0]), 0), PLACES[0] - 1)
             down = min(max(int(q_px[j, i] * places_per_px[1]), 0), PLACES[1] - 1)
             place[n] = down * PLACES[0] + across
@@ -178,13 +178,16 @@ def ask(
     return contrast[:n].copy(), cell[:n].copy(), place[:n].copy(), total
 
 
-def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
-    """Return, (cells,) and in all, how much softer this camera's fringes are than the other's at the same places of
-    the object."""
-    count = np.bincount(others.place, minlength=PLACES[0] * PLACES[1])
-    mean = np.bincount(others.place, others.contrast, PLACES[0] * PLACES[1]) / np.maximum(count, 1)
-    known = count[mine.place] >= MIN_PER_PLACE
-    cell, ratio = mine.cell[known], mine.contrast[known] / mean[mine.place[known]]
+def _falls(mine: _PixelSample, theirs: _PixelSample) -> tuple[Array, float | None]:
+    """Return the share of contrast that this camera's fringes lack against the other's, in each cell and in all.
+
+    Both are compared in the same cell of the pattern. The cells (cells,) are NaN, and the value of all is ``None``,
+    where they are unknown.
+    """
+    count = np.bincount(theirs.place, minlength=PLACES[0] * PLACES[1])
+    mean = np.bincount(theirs.place, theirs.contrast, PLACES[0] * PLACES[1]) / np.maximum(count, 1)
+    is_known = count[mine.place] >= MIN_PER_PLACE
+    cell, ratio = mine.cell[is_known], mine.contrast[is_known] / mean[mine.place[is_known]]
     size = CELLS[0] * CELLS[1]
     ratios, falls = np.full(size, np.nan), np.full(size, np.nan)
     order = np.argsort(cell.astype(np.uint8), kind="stable")  # a byte is sorted by counting
@@ -200,13 +203,12 @@ def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
 
 
 def _smooth(cells: NDArray[np.intp], ratios: Array) -> Array:
-    """Return the ratios as they would be if they changed smoothly: a plane over the image, that cells with a fall
-    hardly pull."""
+    """Return a robust fit of a plane over the image to the ratios of the cells."""
     x, y = cells % CELLS[0] / (CELLS[0] - 1.0) - 0.5, cells // CELLS[0] / (CELLS[1] - 1.0) - 0.5
     A = np.stack([np.ones_like(x), x, y], -1)
     fit = np.full(len(cells), np.median(ratios))
     for _ in range(ROUNDS):
-        # Cauchy weights: a cell with a fall hardly pulls the plane.
+        # Cauchy weights: a cell that lacks contrast hardly pulls the plane.
         weight = 1.0 / (1.0 + ((ratios / fit - 1.0) / TUNED) ** 2)
         rooted = np.sqrt(weight)
         fit = A @ np.linalg.lstsq(A * rooted[:, None], ratios * rooted, rcond=None)[0]

@@ -1,1 +1,1 @@
-"""The verdict on light: saturation, modulation, changes of ambient light, and the exposures to try next."""
+"""The verdict ``light``: saturation, modulation, changes of ambient light, and the exposures to try next."""

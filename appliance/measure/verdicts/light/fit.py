@@ -1,7 +1,7 @@
-"""Owns the fit, block by block, of how far light that is not the projector's shifts the circle of the sine images.
+"""The fit, block by block, of the shift of the sine images' circle by changes of the ambient light.
 
-A weighted robust regression in each of some fifty blocks and either direction: small systems, for which calling a
-library costs more than solving them. ``changes`` says what is fitted and why.
+It is a weighted robust regression in each of some fifty blocks and in each direction. The systems are small: a call of
+a library costs more than solving them. The model is described in ``changes``.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 2
 CLIP = 3.0
-"""Residuals beyond so many of their usual size are edges of the texture."""
+"""Limit of the residuals in standard deviations; larger ones are edges of the texture."""
 RIDGE = 1e-9
 """Share of the normal equations' trace that is added to their diagonal."""
 STRONGEST = 0.9
-"""Contrasts above this quantile weigh no more than it."""
+"""Quantile of the contrast; larger contrasts have the weight of this one."""
 FEW = 24
-"""Number of values from which on down they are sorted."""
+"""Number of values up to which a quantile is found by sorting."""
 BINS = 2000
-"""Most bins in which a quantile is looked for."""
+"""Largest number of bins for a quantile."""
 SHIFT_TERMS, TWICE_TERMS = 11, 7
 
 
 def warm_up() -> None:
-    """Run every kernel on next to nothing."""
-    some, place, ends = np.ones(4), np.arange(4), np.array([4])
-    fit_blocks(np.eye(4), some, place, place, place, ends)
-    common_of_neighbours(some, some, place, place, place, ends, 1.0, 1.0)
+    """Run every kernel once on a few values."""
+    ones, index, ends = np.ones(4), np.arange(4), np.array([4])
+    fit_blocks(np.eye(4), ones, index, index, index, ends)
+    common_of_neighbours(ones, ones, index, index, index, ends, 1.0, 1.0)
     in_blocks(np.ones((2, 2), np.bool_), (1, 1), 1)
-    medians_of(some, place, ends)
+    medians_of(ones, index, ends)
 
 
 # Symbols. (c, s) is the direction of the vector (I0 − I2, I3 − I1), (c2, s2) that of twice its angle; length is its
-# radius over the contrast, third is (I0 − I1 + I2 − I3) over the contrast. (x, y) is the pixel's place in its block,
+# radius over the contrast, third is (I0 − I1 + I2 − I3) over the contrast. (x, y) is the pixel's position in its block,
 # from −1 to 1. shift and twice hold the terms of the two regressions row by row, with one column for each pixel of the
 # block.
 
@@ -47,9 +47,11 @@ def warm_up() -> None:
 def in_blocks(
     good: NDArray[np.bool_], blocks: tuple[int, int], least: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Return the pixels (n,) that are ``good``, of an image (rows, columns), their rows and columns, and which of them
-    lie in each of rows and columns of ``blocks`` that has at least so many: ``order`` and ``ends`` as ``fit_blocks``
-    takes them."""
+    """Return the ``good`` pixels (n,) of an image (rows, columns), their rows and columns, ``order`` and ``ends``.
+
+    The last two assign them to blocks as in ``fit_blocks``. ``blocks``: numbers of rows and columns of blocks; blocks
+    with fewer pixels than ``least`` are left out.
+    """
     height, width = good.shape
     counts = np.zeros(blocks[0] * blocks[1], np.intp)
     # The block of each row and column, so that no pixel has to be divided.
@@ -62,23 +64,23 @@ def in_blocks(
     for v in range(height):
         for u in range(width):
             counts[down[v] + across[u]] += good[v, u]
-    # Where each block's pixels begin; those of small blocks lie nowhere.
-    begins, total, inside, kept = np.empty(counts.size, np.intp), 0, 0, 0
+    # Where the pixels of each block begin; −1 for small blocks, which are left out.
+    begins, total, inside, count = np.empty(counts.size, np.intp), 0, 0, 0
     for k in range(counts.size):
         total += counts[k]
         if counts[k] >= least:
             begins[k] = inside
             inside += counts[k]
-            kept += 1
+            count += 1
         else:
             begins[k] = -1
     # Blocks that are kept follow each other.
-    ends, order = np.empty(kept, np.intp), np.empty(inside, np.intp)
-    kept = 0
+    ends, order = np.empty(count, np.intp), np.empty(inside, np.intp)
+    count = 0
     for k in range(counts.size):
         if begins[k] >= 0:
-            ends[kept] = begins[k] + counts[k]
-            kept += 1
+            ends[count] = begins[k] + counts[k]
+            count += 1
     # Each pixel goes to the next place of its block.
     pixels, rows, columns = np.empty(total, np.intp), np.empty(total, np.intp), np.empty(total, np.intp)
     n = 0
@@ -96,13 +98,13 @@ def in_blocks(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def medians_of(values: Floats, order: NDArray[np.intp], ends: NDArray[np.intp]) -> Floats:
-    """Return the median of each block's ``values`` (n,); blocks as ``fit_blocks`` takes them."""
-    found = np.empty(ends.size)
+    """Return the median of each block's ``values`` (n,); ``order`` and ``ends`` as in ``fit_blocks``."""
+    medians = np.empty(ends.size)
     begin = 0
     for k in range(ends.size):
-        found[k] = quantile_of(values[order[begin : ends[k]]], 0.5)
+        medians[k] = quantile_of(values[order[begin : ends[k]]], 0.5)
         begin = ends[k]
-    return found
+    return medians
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -114,14 +116,14 @@ def fit_blocks(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> tuple[Floats, Floats]:
-    """Fit n pixels' four sine images (4, n) block by block: return what was found in each block, (5, blocks): cosine
-    and sine of the shift, third difference, sigma, and the sigma expected of a noise of one grey value; and what is left
-    of each pixel's third difference over ``contrast`` (n,); outside of blocks, all of it.
+    """Fit the four sine images (4, n) of n pixels block by block; return coefficients (5, blocks) and residuals (n,).
 
-    The pixels of block k are ``order[ends[k − 1]:ends[k]]``; ``row`` and ``column`` (n,) are their places.
+    Coefficients: cosine and sine of the shift, third difference, sigma, and the sigma expected for a noise of one grey
+    value. Residuals: those of each pixel's third difference over ``contrast`` (n,); outside of blocks, all of it. The
+    pixels of block k are ``order[ends[k − 1]:ends[k]]``; ``row`` and ``column`` (n,) are their positions.
     """
-    found = np.empty((5, ends.size))
-    rest = (four[0] - four[1] + four[2] - four[3]) / contrast
+    coefficients = np.empty((5, ends.size))
+    residuals = (four[0] - four[1] + four[2] - four[3]) / contrast
     begin = 0
     for k in range(ends.size):
         block = order[begin : ends[k]]
@@ -129,15 +131,15 @@ def fit_blocks(
         n = block.size
         cosine, sine, light, third = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
         shift, twice = np.empty((SHIFT_TERMS, n)), np.empty((TWICE_TERMS, n))
-        # The pixels' places in their block, from −1 to 1: small systems stay well conditioned.
+        # The pixels' positions in their block, from −1 to 1: small systems stay well conditioned.
         first_y, span_y = _span(row, block)
         first_x, span_x = _span(column, block)
         for j in range(n):
-            at = block[j]
-            cosine[j], sine[j] = four[0, at] - four[2, at], four[3, at] - four[1, at]
-            light[j], third[j] = contrast[at], rest[at]
-            shift[6, j], shift[5, j] = (2.0 * row[at] - first_y) / span_y, (2.0 * column[at] - first_x) / span_x
-        # From here on in loops so short that the compiler makes vectors of them.
+            pixel = block[j]
+            cosine[j], sine[j] = four[0, pixel] - four[2, pixel], four[3, pixel] - four[1, pixel]
+            light[j], third[j] = contrast[pixel], residuals[pixel]
+            shift[6, j], shift[5, j] = (2.0 * row[pixel] - first_y) / span_y, (2.0 * column[pixel] - first_x) / span_x
+        # From here on in loops so short that the compiler vectorises them.
         # (c, s) = (cos φ, sin φ) by four steps of 90°; length is the circle's radius over the light.
         radius, length, c, s = np.empty(n), np.empty(n), shift[0], shift[1]
         for j in range(n):
@@ -145,47 +147,46 @@ def fit_blocks(
         _over(radius, light, length)
         _over(cosine, radius, c)
         _over(sine, radius, s)
-        # length = a·(c, s) + third harmonics (seen at 4 φ) + a smooth surface + backscatter: a is the shift
-        # that is looked for.
+        # length = a·(c, s) + third harmonics (seen at 4 φ) + a smooth surface + backscatter: a is the desired shift.
         c2, s2, c4, s4 = twice[1], twice[2], shift[2], shift[3]
         _sum_of_angles(c, s, c, s, c2, s2)
         _sum_of_angles(c2, s2, c2, s2, c4, s4)
         shift[4], x, y = 1.0, shift[5], shift[6]
         for j in range(n):
             shift[7, j], shift[8, j], shift[9, j] = x[j] * x[j], x[j] * y[j], y[j] * y[j]
-        # The water's backscatter is in the contrast, and has no fringes: a larger share of it before what is dark.
+        # The backscatter is in the contrast and has no fringes: before dark surfaces its share is larger.
         usual = np.mean(light)
         for j in range(n):
             shift[10, j] = usual / light[j]
-        # Harmonics 2, 6 and 10: those that four steps of 90° leave in the third difference. Beyond the second they come
-        # from an exposure that sees a part of the projector's bit planes, which makes steps of the sine.
+        # Harmonics 2, 6 and 10 are those that four steps of 90° leave in the third difference. The latter two come from
+        # an exposure that sees only some of the projector's bit planes, which makes steps of the sine.
         twice[0] = 1.0
         _sum_of_angles(c4, s4, c2, s2, twice[3], twice[4])
         _sum_of_angles(twice[3], twice[4], c4, s4, twice[5], twice[6])
-        # Pixels weigh as the noise of what is fitted allows.
+        # The weights are inverse to the variance of the fitted values.
         weight = np.minimum(light, quantile_of(light, STRONGEST)) ** 2
         of_shift, sigma, expected = regress(length, shift, light, weight)
         # The third difference: its mean is a change of light, its terms at 2, 6 and 10 φ are the projector's harmonics.
         of_twice, _, _ = regress(third, twice, light, weight)
-        found[0, k], found[1, k], found[2, k] = of_shift[0], of_shift[1], of_twice[0]
-        found[3, k], found[4, k] = sigma, expected
+        coefficients[0, k], coefficients[1, k], coefficients[2, k] = of_shift[0], of_shift[1], of_twice[0]
+        coefficients[3, k], coefficients[4, k] = sigma, expected
         for j in range(n):
-            left = third[j]
+            residual = third[j]
             for a in range(TWICE_TERMS):
-                left -= of_twice[a] * twice[a, j]
-            rest[block[j]] = left
-    return found, rest
+                residual -= of_twice[a] * twice[a, j]
+            residuals[block[j]] = residual
+    return coefficients, residuals
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _over(value: Floats, by: Floats, found: Floats) -> None:
-    for j in range(found.size):
-        found[j] = value[j] / by[j]
+def _over(value: Floats, divisor: Floats, quotient: Floats) -> None:
+    for j in range(quotient.size):
+        quotient[j] = value[j] / divisor[j]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _sum_of_angles(c: Floats, s: Floats, d: Floats, t: Floats, cosine: Floats, sine: Floats) -> None:
-    """Write cosine and sine of the sum of two angles, whose own are (c, s) and (d, t)."""
+    """Write cosine and sine of the sum of two angles that have (c, s) and (d, t)."""
     for j in range(cosine.size):
         cosine[j] = c[j] * d[j] - s[j] * t[j]
     for j in range(sine.size):
@@ -194,7 +195,7 @@ def _sum_of_angles(c: Floats, s: Floats, d: Floats, t: Floats, cosine: Floats, s
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def common_of_neighbours(
-    rest: Floats,
+    residuals: Floats,
     contrast: Floats,
     row: NDArray[np.intp],
     column: NDArray[np.intp],
@@ -203,85 +204,86 @@ def common_of_neighbours(
     most_dn: float,
     most_share: float,
 ) -> Floats:
-    """Return each block's mean square of what a pixel and those next to it have in common of ``rest`` (n,): what noise
-    has not, and light has.
+    """Return each block's mean product of neighbouring pixels' ``residuals`` (n,), to which only light contributes.
 
-    What is beyond both ``most_share`` and ``most_dn`` over the contrast is cut off there.
-
-    Pairs weigh as their noise allows: in grey values, ``rest`` · ``contrast``, it is about the same everywhere. Pixels
-    come row by row, from left to right.
+    Noise of neighbouring pixels has no common part. Values are clipped at the larger of ``most_share`` and ``most_dn``
+    over the contrast. Pairs have weights by their noise, which is about the same everywhere in grey values
+    (``residuals`` · ``contrast``). Pixels come row by row, from left to right.
     """
-    found = np.zeros(ends.size)
-    value = rest * contrast
-    # Each pixel learns its block, and its value is clipped: one edge must not outweigh a block.
-    block = np.empty(rest.size, np.intp)
-    for at in range(rest.size):
-        block[at] = -1
+    common = np.zeros(ends.size)
+    value = residuals * contrast
+    # Assign each pixel its block, and clip its value: one edge must not outweigh a block.
+    block = np.empty(residuals.size, np.intp)
+    for pixel in range(residuals.size):
+        block[pixel] = -1
     begin = 0
     for k in range(ends.size):
-        for at in order[begin : ends[k]]:
-            block[at] = k
-            most = max(most_dn, most_share * contrast[at])
-            value[at] = min(max(value[at], -most), most)
+        for pixel in order[begin : ends[k]]:
+            block[pixel] = k
+            limit = max(most_dn, most_share * contrast[pixel])
+            value[pixel] = min(max(value[pixel], -limit), limit)
         begin = ends[k]
     # Both sums of each block's least squares.
     sums, weights = np.zeros(ends.size), np.zeros(ends.size)
     # Pairs beside and below each other; below runs ahead through the sorted pixels, so that all is one pass.
     below = 0
-    for at in range(rest.size):
-        k = block[at]
-        while below < rest.size and (
-            row[below] < row[at] + 1 or (row[below] == row[at] + 1 and column[below] < column[at])
+    for pixel in range(residuals.size):
+        k = block[pixel]
+        while below < residuals.size and (
+            row[below] < row[pixel] + 1 or (row[below] == row[pixel] + 1 and column[below] < column[pixel])
         ):
             below += 1
         # Both pixels must lie in a block; a pair across a border counts for the block of its first.
-        for other in (at + 1, below):
-            if other >= rest.size or k < 0 or block[other] < 0:
+        for neighbour in (pixel + 1, below):
+            if neighbour >= residuals.size or k < 0 or block[neighbour] < 0:
                 continue
-            beside = row[other] == row[at] and column[other] == column[at] + 1
-            under = row[other] == row[at] + 1 and column[other] == column[at]
+            beside = row[neighbour] == row[pixel] and column[neighbour] == column[pixel] + 1
+            under = row[neighbour] == row[pixel] + 1 and column[neighbour] == column[pixel]
             if beside or under:
                 # Least squares of v_a v_b = m · c_a c_b over the pairs: m = Σ v_a v_b c_a c_b / Σ (c_a c_b)².
-                both = contrast[at] * contrast[other]
-                sums[k] += value[at] * value[other] * both
-                weights[k] += both * both
-    # A block without any pair has nothing in common: 0.
+                product = contrast[pixel] * contrast[neighbour]
+                sums[k] += value[pixel] * value[neighbour] * product
+                weights[k] += product * product
+    # A block without any pair has no common part: 0.
     for k in range(ends.size):
-        found[k] = sums[k] / max(weights[k], 1e-12)
-    return found
+        common[k] = sums[k] / max(weights[k], 1e-12)
+    return common
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _span(place: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
-    """Return the sum of the least and the greatest place, and how far they are apart: what takes places to −1..1."""
-    low, high = place[block[0]], place[block[0]]
-    for at in block:
-        low, high = min(low, place[at]), max(high, place[at])
+def _span(position: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
+    """Return the sum of the least and the greatest position and their difference, which scale positions to −1..1."""
+    low, high = position[block[0]], position[block[0]]
+    for pixel in block:
+        low, high = min(low, position[pixel]), max(high, position[pixel])
     return low + high, max(high - low, 1)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> tuple[Floats, float, float]:
-    """Return the coefficients of a robust fit of ``terms`` (k, n), weighted by ``weight`` (n,), the larger sigma of the
-    first two, and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
+    """Return the coefficients of a robust fit of ``terms`` (k, n) with ``weight`` (n,), and two standard deviations.
+
+    The first is the larger sigma of the first two coefficients, the second the one expected if ``value`` ·
+    ``contrast`` (n,) had a noise of 1.
+    """
     size, n = terms.shape
     # Normal equations of weighted least squares: X W Xᵀ b = X W y, with the terms X and the values y.
     normal, right = _normal(value, terms, weight)
     used = np.ones(n, np.bool_)
     residual, off = np.empty(n), np.empty(n)
-    for again in range(ROUNDS):
+    for number in range(ROUNDS):
         inverse = _inverse(_ridged(normal))
         coefficients = _times(inverse, right)
-        # A loop: assigning an array to an array compiles a second of text, for the message that their shapes differ.
+        # A loop, since assigning an array to an array takes a second of compiling, for the message on unequal shapes.
         for j in range(n):
             residual[j] = value[j]
         for a in range(size):
             for j in range(n):
                 residual[j] -= coefficients[a] * terms[a, j]
-        if again == ROUNDS - 1:
+        if number == ROUNDS - 1:
             break
-        # What is far off, at an edge of the texture, is left out, and the fit repeated. Few are: taking their part out
-        # of the normal equations is quicker than summing all others anew.
+        # Large residuals are at edges of the texture: leave these pixels out and repeat the fit. They are few, so that
+        # subtracting them from the normal equations is quicker than summing all others again.
         for j in range(n):
             off[j] = abs(residual[j]) * contrast[j]
         limit = CLIP * max(MAD_TO_SIGMA * quantile_of(off, 0.5), 1e-3)
@@ -295,23 +297,23 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
                 used[j] = False
                 count += 1
         far = far[:count]
-        theirs, product = _normal(value[far], terms[:, far], weight[far])
-        normal -= theirs
-        right -= product
-    # Σ w r² of what is used, over the degrees of freedom: the variance of a residual.
+        outlier_normal, outlier_right = _normal(value[far], terms[:, far], weight[far])
+        normal -= outlier_normal
+        right -= outlier_right
+    # Σ w r² of the used pixels over the degrees of freedom: the variance of a residual.
     squares, count = 0.0, 0
     for j in range(n):
         if used[j]:
             squares += weight[j] * residual[j] ** 2
             count += 1
-    # Covariance of weighted least squares, for a noise of one grey value and for the one that is found.
+    # Covariance of weighted least squares, for a noise of one grey value and for the measured one.
     expected = np.sqrt(max(inverse[0, 0], inverse[1, 1]))
     return coefficients, expected * np.sqrt(squares / max(count - size, 1)), expected
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _dot(a: Floats, b: Floats) -> float:
-    """Return the sum of products in whatever order is fastest."""
+    """Return the dot product, with the summation order left to the compiler."""
     total = 0.0
     for j in range(a.size):
         total += a[j] * b[j]
@@ -322,12 +324,12 @@ def _dot(a: Floats, b: Floats) -> float:
 def quantile_of(values: Floats, share: float) -> float:
     """Return the value below which ``share`` of the finite ``values`` lie, interpolated between two of them.
 
-    Values are counted into bins, and only the wanted one is looked at again: a partition's exchanges cannot be
-    predicted, and cost a block of some hundred pixels more than its fit.
+    Values are counted into bins, and only the bin with the quantile is divided again. A partition would take longer
+    than the fit of a block of some hundred pixels, since its branches cannot be predicted.
     """
-    place = share * (values.size - 1)
-    rank = int(place)
-    asked, aside = values, place - rank
+    position = share * (values.size - 1)
+    rank = int(position)
+    all_values, fraction = values, position - rank
     counts = np.empty(BINS, np.int64)
     while True:
         low, high = _ends(values)
@@ -338,61 +340,60 @@ def quantile_of(values: Floats, share: float) -> float:
         counts[:bins] = 0
         for i in range(values.size):
             counts[_bin(values[i], low, scale, bins)] += 1
-        wanted, below = 0, 0
-        while below + counts[wanted] <= rank:
-            below += counts[wanted]
-            wanted += 1
-        inside, n = np.empty(counts[wanted]), 0
+        target, below = 0, 0
+        while below + counts[target] <= rank:
+            below += counts[target]
+            target += 1
+        inside, n = np.empty(counts[target]), 0
         for i in range(values.size):
-            if _bin(values[i], low, scale, bins) == wanted:
+            if _bin(values[i], low, scale, bins) == target:
                 inside[n] = values[i]
                 n += 1
         values, rank = inside, rank - below
     ordered = _in_order(values)
-    if not aside > 0.0:
+    if not fraction > 0.0:
         return float(ordered[rank])
     following = np.inf
     if rank + 1 < ordered.size:
         following = ordered[rank + 1]
     else:
-        # The next one lies in another bin; it is seldom asked for. Equal values share a bin.
-        for i in range(asked.size):
-            following = min(following, asked[i] if asked[i] > ordered[rank] else np.inf)
-    return float(ordered[rank] + aside * (following - ordered[rank]))
+        # The next value lies in another bin, which is rare. Equal values share a bin.
+        for i in range(all_values.size):
+            following = min(following, all_values[i] if all_values[i] > ordered[rank] else np.inf)
+    return float(ordered[rank] + fraction * (following - ordered[rank]))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _in_order(values: Floats) -> Floats:
-    """Return ``values`` (n,) sorted: a few, or as many as lie so near to each other that they are next to equal."""
+    """Return ``values`` (n,) sorted by insertion: they are few or nearly equal."""
     ordered = values.copy()
     for i in range(1, ordered.size):
-        value, at = ordered[i], i
-        while at > 0 and value < ordered[at - 1]:
-            ordered[at] = ordered[at - 1]
-            at -= 1
-        ordered[at] = value
+        value, index = ordered[i], i
+        while index > 0 and value < ordered[index - 1]:
+            ordered[index] = ordered[index - 1]
+            index -= 1
+        ordered[index] = value
     return ordered
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _ends(values: Floats) -> tuple[float, float]:
-    """Return the least and the greatest of ``values`` (n,), by four at once that do not wait for each other."""
+    """Return the least and the greatest of ``values`` (n,), by four independent chains."""
     low0 = low1 = low2 = low3 = high0 = high1 = high2 = high3 = values[0]
-    whole = values.size // 4 * 4
-    for i in range(0, whole, 4):
+    in_fours = values.size // 4 * 4
+    for i in range(0, in_fours, 4):
         low0, high0 = min(low0, values[i]), max(high0, values[i])
         low1, high1 = min(low1, values[i + 1]), max(high1, values[i + 1])
         low2, high2 = min(low2, values[i + 2]), max(high2, values[i + 2])
         low3, high3 = min(low3, values[i + 3]), max(high3, values[i + 3])
-    for i in range(whole, values.size):
+    for i in range(in_fours, values.size):
         low0, high0 = min(low0, values[i]), max(high0, values[i])
     return min(min(low0, low1), min(low2, low3)), max(max(high0, high1), max(high2, high3))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _bin(value: float, low: float, scale: float, bins: int) -> int:
-    """Return the bin of a value; the last one for the greatest, and for what is no number, which must not lead out of
-    the table."""
+    """Return the bin of a value; the last one for the greatest value and for NaN."""
     place = (value - low) * scale
     return int(place) if place < bins else bins - 1
 
@@ -423,11 +424,11 @@ def _ridged(normal: Floats) -> Floats:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _times(matrix: Floats, vector: Floats) -> Floats:
-    found = np.zeros(vector.size)
+    product = np.zeros(vector.size)
     for a in range(vector.size):
         for b in range(vector.size):
-            found[a] += matrix[a, b] * vector[b]
-    return found
+            product[a] += matrix[a, b] * vector[b]
+    return product
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -436,10 +437,10 @@ def _inverse(matrix: Floats) -> Floats:
     size = matrix.shape[0]
     left, right = matrix.copy(), np.eye(size)
     for a in range(size):
-        by = 1.0 / left[a, a]
+        inverse_pivot = 1.0 / left[a, a]
         for b in range(size):
-            left[a, b] *= by
-            right[a, b] *= by
+            left[a, b] *= inverse_pivot
+            right[a, b] *= inverse_pivot
         for c in range(size):
             factor = left[c, a]
             if c != a and factor != 0.0:

@@ -1,11 +1,14 @@
-"""Owns the judgement of a scan's light: enough, not too much, and the same in all frames; and the exposure to try next.
+"""The verdict ``light``, and the exposures to try next.
 
-It also owns which exposure the next scan should have, and which second one would show what a single one cannot.
+judge_light        whether a scan has enough light, not too much, and the same in all frames
+propose            the exposure of the next scan
+without_flicker    an exposure at which lamps on mains do not flicker
+propose_second     the second exposure of a bracket, for surfaces that a single exposure does not show
 
-The aim is a share of the scale; the band in which nothing is proposed reaches well beyond one step above and below it,
-so that a proposal, once applied, proposes nothing more. Each illuminated pixel's light at other exposures follows from
-what it is at this one; what is saturated here is known from the darkest of its sine images. A step of the table loses
-the pixels that would be saturated or whose fringes would be too weak.
+The aim is a share of the scale. There is a band without proposals that extends by more than one step to either side of
+it, so that a proposal, once applied, leads to no other one. The light of each illuminated pixel at other exposures
+follows from that at this one; for saturated pixels it is estimated from the darkest of their sine images. An exposure
+loses the pixels that would be saturated or whose fringes would be too weak.
 """
 
 from __future__ import annotations
@@ -26,17 +29,15 @@ from appliance.measure.verdicts.light.changes import Changes, EarlyFit, measure_
 from appliance.measure.verdicts.light.levels import Levels, Sample, light_of, measure_levels, sample
 
 AIM, TOO_HIGH, TOO_LOW = 0.85, 0.97, 0.55
-"""Shares of the scale above black: where the brightest surfaces should be, and the ends of the band that is left
-alone."""
+"""Shares of the scale above black: the aim for the brightest surfaces, and the ends of the band without proposals."""
 MIN_TOP_DN = 4.0
-"""Light below which nothing is seen that an exposure could be chosen by."""
+"""Level below which no exposure can be chosen."""
 MAINS_PERIOD_US = 10_000
-"""Lamps on 50 Hz mains flicker at 100 Hz: an exposure of a whole period sees all of them alike."""
+"""Lamps on 50 Hz mains flicker at 100 Hz: an exposure of a whole period gets the same light from them in each frame."""
 
 
 def propose(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[Exposure]) -> Exposure | None:
-    """Return the step that brings the brightest surfaces to ``AIM``; ``None``: the present one is right, or the best
-    there is.
+    """Return the step that brings the brightest surfaces to ``AIM``; ``None``: keep the present exposure.
 
     ``top_dn``: their level over black at the present exposure; ``scale_dn``: saturation over black; ``steps``: from
     dark to bright.
@@ -51,12 +52,11 @@ def propose(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[E
 
 
 def without_flicker(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[Exposure]) -> Exposure | None:
-    """Return the step that does not see lamps on 50 Hz mains flicker, which are the usual ones, where it is well inside
-    of the band; else ``None``."""
+    """Return the step at which lamps on 50 Hz mains do not flicker, if it is well inside of the band; else ``None``."""
     for step in steps:
         share = top_dn / scale_dn * step.light / present.light
-        whole = step.time_us == MAINS_PERIOD_US and step.time_us != present.time_us
-        if whole and 1.1 * TOO_LOW <= share <= TOO_HIGH / 1.05:
+        is_whole_period = step.time_us == MAINS_PERIOD_US and step.time_us != present.time_us
+        if is_whole_period and 1.1 * TOO_LOW <= share <= TOO_HIGH / 1.05:
             return step
     return None
 
@@ -64,12 +64,12 @@ def without_flicker(top_dn: float, scale_dn: float, present: Exposure, steps: Se
 LEAST_LOST = 0.05
 """Least share of the illuminated pixels that the best single exposure must lose for a second one to be proposed."""
 LEAST_GAINED = 0.05
-"""Least share of the illuminated pixels that a pair must show beyond the best single exposure."""
+"""Least share of the illuminated pixels that a bracket must show beyond the best single exposure."""
 LEAST_COMMON = 0.1
-"""Least share of the illuminated pixels that both must show, or nothing tells how they lie to each other."""
+"""Least share of the illuminated pixels that both exposures must show, as registration needs."""
 ALIKE = 0.01
-"""Pairs that differ by so few of the illuminated pixels are as good as each other: the second one that loses least
-itself is taken."""
+"""Brackets that differ by less than this share of the illuminated pixels are equally good: the second exposure that
+loses least is taken."""
 
 Light = tuple[NDArray[np.float32], NDArray[np.float32]]
 """One camera's illuminated pixels: their brightest level over black in any image, which may be above the scale, and
@@ -79,26 +79,27 @@ their modulation; both in grey values at the present exposure."""
 def propose_second(
     cameras: Sequence[Light], scale_dn: Sequence[float], present: Exposure, steps: Sequence[Exposure]
 ) -> Exposure | None:
-    """Return the step that shows, together with the present exposure, clearly more than any single one; ``None``:
-    none does."""
+    """Return the step that shows clearly more with the present exposure than any single one; ``None``: none does."""
     if any(top.size == 0 for top, _ in cameras):
         return None
     now = _lost(cameras, scale_dn, 1.0)
     if _share(now) < LEAST_LOST:
         return None
     lost = {step: _lost(cameras, scale_dn, step.light / present.light) for step in steps}
-    best = min(_share(one) for one in (*lost.values(), now))
+    best = min(_share(lost_pixels) for lost_pixels in (*lost.values(), now))
     if best < LEAST_LOST:
         return None
     together = {
-        step: _share([a & b for a, b in zip(now, one, strict=True)])
-        for step, one in lost.items()
-        if _share([a | b for a, b in zip(now, one, strict=True)]) <= 1.0 - LEAST_COMMON
+        step: _share([a & b for a, b in zip(now, lost_pixels, strict=True)])
+        for step, lost_pixels in lost.items()
+        if _share([a | b for a, b in zip(now, lost_pixels, strict=True)]) <= 1.0 - LEAST_COMMON
     }
-    least = min(together.values(), default=1.0)
-    if least > best - LEAST_GAINED:
+    least_lost = min(together.values(), default=1.0)
+    if least_lost > best - LEAST_GAINED:
         return None
-    return min((step for step, both in together.items() if both <= least + ALIKE), key=lambda step: _share(lost[step]))
+    return min(
+        (step for step, share in together.items() if share <= least_lost + ALIKE), key=lambda step: _share(lost[step])
+    )
 
 
 def _lost(cameras: Sequence[Light], scale_dn: Sequence[float], factor: float) -> list[NDArray[np.bool_]]:
@@ -109,22 +110,25 @@ def _lost(cameras: Sequence[Light], scale_dn: Sequence[float], factor: float) ->
 
 
 def _share(lost: Sequence[NDArray[np.bool_]]) -> float:
-    """Return the share that the camera with the greater loss loses."""
-    return max(float(np.mean(one)) for one in lost)
+    """Return the lost share of the camera that loses more."""
+    return max(float(np.mean(camera_lost)) for camera_lost in lost)
 
 
 MAX_SATURATED = 0.05
-"""Largest share of one camera's illuminated pixels that may be saturated before the diver is told."""
+"""Largest share of one camera's illuminated pixels that may be saturated without a fault."""
 MAX_WEAK = 0.25
 MAX_HARMED = 0.10
-"""Largest share of the illuminated pixels that may have phases that changing light has biased by more than half of
-their noise."""
+"""Largest share of the illuminated pixels that may have phase errors of more than half of their noise by changing
+light."""
 MAX_AMBIENT_BEYOND = 0.25
-"""Largest share of the illuminated pixels that may get more light from elsewhere than from the projector. It takes
-half of the scale, and with it half of the fringes' amplitude, at any exposure."""
+"""Largest share of the illuminated pixels that may get more ambient light than light of the projector. There ambient
+light takes half of the scale, and so half of the modulation, at any exposure."""
 BEND_AS_LIGHT = 0.5
-"""Largest ripple that fringes which are no sines are taken for, over their bend: up to 0.37 in the sixteen of 30 scans
-that looked like it, of six projectors of bit planes seen for 2 to 8 ms (development seeds 10001 to 10010)."""
+"""Largest ripple over the phase error of the response that is due to that error and not to light.
+
+It was up to 0.37 in the sixteen of 30 scans that looked like changing light, with six projectors of bit planes at
+exposure times of 2 to 8 ms (development seeds 10001 to 10010).
+"""
 
 
 def judge_light(
@@ -135,12 +139,12 @@ def judge_light(
     samples: Mapping[str, Sample] | None = None,
     early: Mapping[str, EarlyFit] | None = None,
 ) -> Judgement:
-    """Return the verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
+    """Return the verdict ``light`` with its numbers, at most one fault, and the proposed exposures.
 
-    From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to
-    bright (``scan.exposure.ladder``). ``bend_px``: RMS by which fringes that are no sines bend coordinates; they look
-    like light that changes by a part of that. ``samples`` of both sides, and what ``fit_early`` says of them, where
-    they were taken while the frames arrived.
+    From the frames alone. ``present``: their exposure; ``steps``: exposures that may be proposed, from dark to bright
+    (``appliance.measure.light.exposure.ladder``). ``bend_px``: RMS of the phase error of non-sinusoidal fringes, which look like light
+    that changes by a part of that. ``samples`` and ``early``: those of both sides and their ``fit_early``, if taken
+    while the frames arrived.
     """
     noise = {side: of_side(images.noise, side) for side in SIDES}
     samples = samples or {side: sample(images.frames[side], images.sequence) for side in SIDES}
@@ -159,7 +163,7 @@ def judge_light(
         and fault.code is FaultCode.AMBIENT
         and any((levels[side].burnt or 0.0) > MAX_SATURATED for side in SIDES)
     )
-    # No exposure shows what a torch shines on, and a shorter one takes the light from the rest.
+    # No exposure shows surfaces in the light of a torch, and a shorter one darkens the others.
     proposal = None if burnt else _propose(images, levels, present, steps)
     if proposal is None and fault is not None and fault.code is FaultCode.LIGHT_FLICKERS:
         top_dn, scale_dn = _top(images, levels)
@@ -199,31 +203,30 @@ def _propose(
 
 
 def _flickers(changes: dict[str, Changes], bend_px: float) -> Fault | None:
-    """Return the fault of flickering light. Both cameras see the same light at the same time: what only one of them
-    has is no change of light."""
-    known = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
-    least = min(known, key=lambda c: c.harmed or 0.0, default=None)
-    if least is None or least.harmed is None or least.harmed <= MAX_HARMED:
+    """Return the fault of flickering light, if both cameras have it: they see the same light at the same time."""
+    measured = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
+    smaller = min(measured, key=lambda c: c.harmed or 0.0, default=None)
+    if smaller is None or smaller.harmed is None or smaller.harmed <= MAX_HARMED:
         return None
-    if max(c.ripple_px or 0.0 for c in known) <= BEND_AS_LIGHT * bend_px:
+    if max(c.ripple_px or 0.0 for c in measured) <= BEND_AS_LIGHT * bend_px:
         return None
-    harmed = 100.0 * least.harmed
+    harmed = 100.0 * smaller.harmed
     what = f"light that is not the projector's changed during the scan and biases {harmed:.0f} % of the points"
-    return Fault(FaultCode.LIGHT_FLICKERS, what, {"harmed_percent": harmed, "ripple": least.ripple or 0.0})
+    return Fault(FaultCode.LIGHT_FLICKERS, what, {"harmed_percent": harmed, "ripple": smaller.ripple or 0.0})
 
 
 def _worst_level(levels: dict[str, Levels]) -> Fault | None:
-    """Return the fault that loses most points, in multiples of what may be lost."""
+    """Return the fault that loses most points, in multiples of its limit."""
     cases: list[tuple[float, Fault]] = []
-    for side, at in levels.items():
-        if at.saturated is None or at.burnt is None or at.weak is None or at.ambient_beyond is None:
+    for side, level in levels.items():
+        if level.saturated is None or level.burnt is None or level.weak is None or level.ambient_beyond is None:
             continue
-        # What a torch saturates is the torch's, and a shorter exposure brings none of it back.
-        exposed = at.saturated - at.burnt
-        saturated, weak, beyond = 100.0 * exposed, 100.0 * at.weak, 100.0 * at.ambient_beyond
+        # Saturation by a torch counts for the torch, since a shorter exposure does not help.
+        exposed = level.saturated - level.burnt
+        saturated, weak, beyond = 100.0 * exposed, 100.0 * level.weak, 100.0 * level.ambient_beyond
         cases += [
             (
-                max(at.ambient_beyond / MAX_AMBIENT_BEYOND, at.burnt / MAX_SATURATED),
+                max(level.ambient_beyond / MAX_AMBIENT_BEYOND, level.burnt / MAX_SATURATED),
                 Fault(
                     FaultCode.AMBIENT,
                     f"{beyond:.0f} % of the lit pixels get more light from elsewhere than from the projector ({side} "
@@ -235,12 +238,12 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
                 exposed / MAX_SATURATED,
                 Fault(
                     FaultCode.TOO_BRIGHT,
-                    f"{saturated:.0f} % of the lit pixels are saturated ({side} camera, {at.where})",
+                    f"{saturated:.0f} % of the lit pixels are saturated ({side} camera, {level.where})",
                     {"saturated_percent": saturated},
                 ),
             ),
             (
-                at.weak / MAX_WEAK,
+                level.weak / MAX_WEAK,
                 Fault(
                     FaultCode.TOO_DARK,
                     f"{weak:.0f} % of the lit pixels see fringes too weak to measure by ({side} camera)",
@@ -252,25 +255,25 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
     return worst[1] if worst is not None and worst[0] > 1.0 else None
 
 
-def _numbers(side: str, at: Levels, c: Changes) -> dict[str, float | None]:
+def _numbers(side: str, level: Levels, change: Changes) -> dict[str, float | None]:
     def percent(share: float | None) -> float | None:
         return None if share is None else 100.0 * share
 
     return {
-        f"{side}_lit_percent": percent(at.illuminated_share),
-        f"{side}_saturated_percent": percent(at.saturated),
-        f"{side}_burnt_percent": percent(at.burnt),
-        f"{side}_weak_percent": percent(at.weak),
-        f"{side}_modulation_dn": at.modulation_dn,
-        f"{side}_modulation_tenth_dn": at.modulation_tenth_dn,
-        f"{side}_top_dn": at.top_dn,
-        f"{side}_ambient_dn": at.ambient_dn,
-        f"{side}_ambient_percent": percent(at.ambient_ratio),
-        f"{side}_torch_percent": percent(at.ambient_peak),
-        f"{side}_flicker_percent": percent(c.common),
-        f"{side}_ambient_flicker_percent": percent(c.ambient_flicker),
-        f"{side}_local_flicker_percent": percent(c.local),
-        f"{side}_flicker_harmed_percent": percent(c.harmed),
-        f"{side}_flicker_over_noise": c.ripple,
-        f"{side}_flicker_ripple_px": c.ripple_px,
+        f"{side}_lit_percent": percent(level.illuminated_share),
+        f"{side}_saturated_percent": percent(level.saturated),
+        f"{side}_burnt_percent": percent(level.burnt),
+        f"{side}_weak_percent": percent(level.weak),
+        f"{side}_modulation_dn": level.modulation_dn,
+        f"{side}_modulation_tenth_dn": level.modulation_tenth_dn,
+        f"{side}_top_dn": level.top_dn,
+        f"{side}_ambient_dn": level.ambient_dn,
+        f"{side}_ambient_percent": percent(level.ambient_ratio),
+        f"{side}_torch_percent": percent(level.ambient_peak),
+        f"{side}_flicker_percent": percent(change.common),
+        f"{side}_ambient_flicker_percent": percent(change.ambient_flicker),
+        f"{side}_local_flicker_percent": percent(change.local),
+        f"{side}_flicker_harmed_percent": percent(change.harmed),
+        f"{side}_flicker_over_noise": change.ripple,
+        f"{side}_flicker_ripple_px": change.ripple_px,
     }

@@ -1,4 +1,4 @@
-"""Owns how bright a recorded sequence is: saturation, modulation and ambient light of one camera, on a grid of pixels."""
+"""Saturation, modulation and ambient light of one camera in a captured sequence, on a grid of pixels."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from appliance.measure.light.sine import AMPLITUDE_CODE, MEAN_CODE
 from appliance.measure.points.quality import median, quantile
 
 SAMPLES = 25_000
-"""Lit pixels that are asked, about; shares of a hundredth are then known to a twentieth of themselves."""
+"""Approximate number of illuminated pixels; the standard error of a share of 1 % is then a twentieth of it."""
 MOST_PIXELS = 500_000
-"""Most pixels of the grid, however little of it is illuminated: it has 32 bits for each image."""
+"""Largest number of pixels of the grid, if only few of them are illuminated: it has 32 bits for each image."""
 GOLDEN = 0.6180339887
 COARSE_PX = 8
-"""Distance of the pixels by which the illuminated ones are counted first."""
+"""Distance of the pixels by which the illuminated ones are counted at first."""
 SEEN_DN = 3.0
-"""Bright minus dark above this is light of the projector, though perhaps too little to measure by: three sigma."""
+"""Least bright minus dark that is light of the projector, though perhaps too little for decoding: three sigma."""
 DIM_MODULATION_DN = 2.5
-"""Fringes above this are there; below ``MIN_MODULATION_DN`` they are too weak to measure by."""
+"""Least modulation of visible fringes; below ``MIN_MODULATION_DN`` they are too weak for decoding."""
 FAINT_DN = 5.0
-"""Bright minus dark above this is light of the projector beyond doubt, though too little to measure by."""
+"""Least bright minus dark that is certainly light of the projector, though too little for decoding."""
 TOP_SHARE = 0.003
-"""Share of all pixels that may be brighter than the level an exposure is chosen by: glints."""
+"""Share of all pixels that may be brighter than the level by which an exposure is chosen: glints."""
 CENSORED_FACTOR = 8.0
-"""A pixel that is saturated even at the fringe's darkest counts as so many times the full scale."""
+"""Multiple of the full scale as which a pixel counts that is saturated even at the minimum of the fringe."""
 
 Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A grid of one camera's pixels, (rows, columns) float32 grey values, and what is read off it directly."""
+    """A grid of one camera's pixels with their levels, (rows, columns) float32 grey values."""
 
     grey: NDArray[np.uint8]
     """(n, rows, columns): all images."""
@@ -47,18 +47,20 @@ class Sample:
     contrast_dn: Floats
     """Bright minus dark."""
     modulation_dn: Floats
-    """The smaller one of the two directions, whether or not it means anything."""
+    """The smaller one of the two directions, also where it has no meaning."""
     top_dn: Floats
     """Largest value of the bright image and all sines."""
     illuminated: NDArray[np.bool_]
-    """Pixels that the projector illuminates, as decoding has it, or that are saturated."""
+    """Pixels that are illuminated by the criterion of decoding, or saturated."""
     saturated: NDArray[np.bool_]
     """Pixels that are saturated in any sine image or in the bright one."""
 
 
 class Sampler:
-    """Takes about ``SAMPLES`` illuminated pixels of one camera's sequence, frame by frame; fewer where they are rare
-    among ``MOST_PIXELS``."""
+    """Takes about ``SAMPLES`` illuminated pixels of one camera's sequence, frame by frame.
+
+    It takes fewer if they are rare among ``MOST_PIXELS``.
+    """
 
     def __init__(self, sequence: PatternSequence) -> None:
         self._sequence = sequence
@@ -68,7 +70,7 @@ class Sampler:
 
     @property
     def grey(self) -> NDArray[np.uint8]:
-        """(n, rows, columns): the images taken so far; of the others, anything."""
+        """Images (n, rows, columns); those of frames that were not pushed have undefined values."""
         return self._grey
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
@@ -78,7 +80,7 @@ class Sampler:
             return
         first = index
         if index == max(references):
-            # How many pixels are illuminated, both references tell, and from that follows which are taken.
+            # Both references give the number of illuminated pixels, and from that follows which are taken.
             first = 0
             self._choose(frames[list(references), ::COARSE_PX, ::COARSE_PX].astype(np.int16), frames.shape[1:])
         for k in range(first, index + 1):
@@ -88,8 +90,8 @@ class Sampler:
         illuminated_pixels = COARSE_PX**2 * int(
             np.count_nonzero((few[0] - few[1] >= MIN_CONTRAST_DN) | (few[0] >= FULL_DN))
         )
-        least = math.ceil((shape[0] * shape[1] / MOST_PIXELS) ** 0.5)
-        stride = max(least, round((illuminated_pixels / SAMPLES) ** 0.5))
+        least_stride = math.ceil((shape[0] * shape[1] / MOST_PIXELS) ** 0.5)
+        stride = max(least_stride, round((illuminated_pixels / SAMPLES) ** 0.5))
         self._places = _places(shape[0], stride)[:, None] * shape[1] + _places(shape[1], stride)
         self._grey = np.empty((len(self._sequence), *self._places.shape), np.uint8)
 
@@ -110,7 +112,7 @@ class Sampler:
 
 
 def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
-    """Take the sample of whole ``frames`` (n, h, w) uint8."""
+    """Take the sample of complete ``frames`` (n, h, w) uint8."""
     sampler = Sampler(sequence)
     for index in range(len(sequence)):
         sampler.push(frames, index)
@@ -121,54 +123,55 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
 def _describe(
     grey: NDArray[np.uint8], bright: int, dark: int, sines: NDArray[np.int64], sums: Floats, flags: NDArray[np.bool_]
 ) -> None:
-    """Write to ``sums`` (5, pixels) and ``flags`` (2, pixels) what ``Sample`` has beside its images ``grey`` (n,
-    pixels), in its order."""
+    """Write the levels of ``grey`` (n, pixels) to ``sums`` (5, pixels) and ``flags`` (2, pixels), as in ``Sample``."""
     for i in range(grey.shape[1]):
         light, black = np.float32(grey[bright, i]), np.float32(grey[dark, i])
-        top, least = light, np.float32(np.inf)
+        top, modulation = light, np.float32(np.inf)
         for d in range(2):
             s0, s1 = np.float32(grey[sines[d, 0], i]), np.float32(grey[sines[d, 1], i])
             s2, s3 = np.float32(grey[sines[d, 2], i]), np.float32(grey[sines[d, 3], i])
             top = max(top, max(max(s0, s1), max(s2, s3)))
             # Four steps of 90° make twice the modulation the length of (I0 − I2, I3 − I1).
-            least = min(least, np.float32(0.5) * np.sqrt((s0 - s2) * (s0 - s2) + (s3 - s1) * (s3 - s1)))
-        sums[0, i], sums[1, i], sums[2, i], sums[3, i], sums[4, i] = light, black, light - black, least, top
+            modulation = min(modulation, np.float32(0.5) * np.sqrt((s0 - s2) * (s0 - s2) + (s3 - s1) * (s3 - s1)))
+        sums[0, i], sums[1, i], sums[2, i], sums[3, i], sums[4, i] = light, black, light - black, modulation, top
         illuminated = light - black >= MIN_CONTRAST_DN or light >= FULL_DN
         flags[0, i], flags[1, i] = illuminated, illuminated and top >= FULL_DN
 
 
 def _places(size_px: int, stride: int) -> NDArray[np.intp]:
-    """Return one of each ``stride`` pixels, not at equal distances: those would meet the fringes at a few phases
-    only."""
+    """Return one of each ``stride`` pixels, at unequal distances.
+
+    Equal ones would sample only a few phases of the fringes.
+    """
     number = np.arange(-(-size_px // stride))
     return np.minimum((stride * (number + GOLDEN * number % 1.0)).astype(np.intp), size_px - 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """One camera's light in numbers. Shares are of illuminated pixels, 0..1; ``None``: nothing is illuminated."""
+    """Light of one camera's images. Shares are of illuminated pixels, 0..1; ``None``: no pixel is illuminated."""
 
     illuminated_share: float
     """Illuminated pixels as a share of all pixels."""
     saturated: float | None
     burnt: float | None
-    """Saturated, and light from elsewhere takes half of the scale there: no exposure helps."""
+    """Saturated, with ambient light of more than half of the scale: no exposure helps."""
     where: str
     """Part of the image that holds most of the saturation."""
     weak: float | None
-    """Fringes are there, but too weak to measure by."""
+    """Fringes are visible, but too weak for decoding."""
     modulation_dn: float | None
     """Median of illuminated pixels that are not saturated."""
     modulation_tenth_dn: float | None
-    """Nine of ten have more."""
+    """Lower decile."""
     ambient_dn: float
-    """Median of the dark frame over the black level where illuminated; of all pixels where nothing is."""
+    """Median of the dark frame over the black level where illuminated; of all pixels if none is."""
     ambient_ratio: float | None
     """Median of ambient light over the projector's."""
     ambient_beyond: float | None
-    """Share with more light from elsewhere than from the projector."""
+    """Share with more ambient light than light of the projector."""
     ambient_peak: float | None
-    """The ratio in the tenth with the most: a torch shows as a peak far above the median."""
+    """Upper decile of the ratio: with a torch it is far above the median."""
     top_dn: float
     """Level over black that ``TOP_SHARE`` of all pixels exceed in the bright frame, or would, were it not saturated."""
 
@@ -186,15 +189,15 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
     weak = int((dim & (s.modulation_dn >= DIM_MODULATION_DN)).sum())
     ratio = ambient[illuminated] / np.maximum(s.contrast_dn[illuminated], 1.0)
     modulation = s.modulation_dn[clear & ~dim]
-    known = modulation.size > 0
+    has_modulation = modulation.size > 0
     return Levels(
         illuminated_share=count / illuminated.size,
         saturated=float(saturated.sum()) / count,
         burnt=float((saturated & (2.0 * ambient > FULL_DN - noise.black_dn)).sum()) / count,
         where=_where(saturated),
         weak=weak / count,
-        modulation_dn=median(modulation) if known else None,
-        modulation_tenth_dn=quantile(s.modulation_dn[clear], 0.1) if known else None,
+        modulation_dn=median(modulation) if has_modulation else None,
+        modulation_tenth_dn=quantile(s.modulation_dn[clear], 0.1) if has_modulation else None,
         ambient_dn=median(ambient[illuminated]),
         ambient_ratio=median(ratio),
         ambient_beyond=float(np.mean(ratio > 1.0)),
@@ -204,8 +207,10 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
 
 
 def _top_dn(s: Sample, sequence: PatternSequence, black_dn: float) -> float:
-    """Return the level that ``TOP_SHARE`` of the pixels exceed. The share is of all pixels, not of the illuminated
-    ones: how many are illuminated depends on the exposure, which this decides."""
+    """Return the level that ``TOP_SHARE`` of all pixels exceed.
+
+    The share is not of the illuminated pixels: their number depends on the exposure, which this decides.
+    """
     level = np.where((s.contrast_dn >= SEEN_DN) | (s.bright_dn >= FULL_DN), s.bright_dn - np.float32(black_dn), 0.0)
     clipped = s.bright_dn >= FULL_DN
     if clipped.any():
@@ -214,32 +219,32 @@ def _top_dn(s: Sample, sequence: PatternSequence, black_dn: float) -> float:
 
 
 def _true_bright_dn(s: Sample, sequence: PatternSequence, clipped: NDArray[np.bool_], black_dn: float) -> Floats:
-    """Compute how bright saturated pixels would be, over the black level, from the two darkest of four sine images.
+    """Compute the level of saturated pixels over the black level from the two darkest of four sine images.
 
     At the least value the sine is A − mA cos t, and a quarter period beside A − mA sin t with 0 ≤ t ≤ 45°; two
-    equations for A and t. Where the second one is saturated as well, A is at least what t = 45° makes it.
+    equations for A and t. If the second one is saturated as well, t = 45° gives a lower limit of A.
     """
     m = AMPLITUDE_CODE / MEAN_CODE
     dark = s.dark_dn[clipped]
-    found = np.zeros(dark.shape, np.float32)
+    light_dn = np.zeros(dark.shape, np.float32)
     for direction in Direction:
         values = np.stack([s.grey[k][clipped] for k in sequence.axis(direction).sine]).astype(np.float32)
-        least = values.argmin(axis=0)
+        darkest = values.argmin(axis=0)
         columns = np.arange(dark.size)
-        beside = np.minimum(values[(least + 1) % 4, columns], values[(least - 1) % 4, columns])
-        u = np.maximum(values[least, columns] - dark, 0.5)
+        beside = np.minimum(values[(darkest + 1) % 4, columns], values[(darkest - 1) % 4, columns])
+        u = np.maximum(values[darkest, columns] - dark, 0.5)
         w = np.maximum(beside - dark, 1.0)
         # u = A (1 − m cos t), w = A (1 − m sin t): cos² + sin² = 1 leaves a quadratic in A.
         squares = u * u + w * w
         root = np.sqrt(np.maximum((u + w) ** 2 - (2.0 - m * m) * squares, 0.0))
         solved = np.maximum(squares / np.maximum(u + w - root, 1e-3), w)
-        # Only the least value is below saturation: A is smallest where it lies at t = 45°.
+        # If only the least value is below saturation, t = 45° gives the smallest A.
         at_least = np.maximum(u / (1.0 - m / np.sqrt(2.0)), w)
         mean = np.where(beside < FULL_DN, solved, at_least)
-        mean = np.where(values[least, columns] < FULL_DN, mean, CENSORED_FACTOR * FULL_DN / 2.0)
-        # Both directions see the same light: one that is known beats one that is at least something.
-        found = np.where(beside < FULL_DN, mean, np.maximum(found, mean)).astype(np.float32)
-    return np.asarray(np.maximum(2.0 * found + dark, FULL_DN) - black_dn, np.float32)
+        mean = np.where(values[darkest, columns] < FULL_DN, mean, CENSORED_FACTOR * FULL_DN / 2.0)
+        # Both directions see the same light: a solution is better than a lower limit.
+        light_dn = np.where(beside < FULL_DN, mean, np.maximum(light_dn, mean)).astype(np.float32)
+    return np.asarray(np.maximum(2.0 * light_dn + dark, FULL_DN) - black_dn, np.float32)
 
 
 def _where(saturated: NDArray[np.bool_]) -> str:
@@ -252,10 +257,12 @@ def _where(saturated: NDArray[np.bool_]) -> str:
 
 
 def light_of(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> tuple[Floats, Floats]:
-    """Return the brightest level over black and the modulation of the pixels with light of the projector; grey
-    values, above the scale where that was saturated."""
-    # Light without fringes is scattered by the water, whatever the exposure.
-    seen = ((s.illuminated | (s.contrast_dn >= FAINT_DN)) & (s.modulation_dn >= DIM_MODULATION_DN)) | s.saturated
+    """Return the brightest level over black and the modulation of the pixels with light of the projector.
+
+    Both are in grey values, and exceed the scale where that was saturated.
+    """
+    # Light without fringes is scattered by the water, with any exposure.
+    has_light = ((s.illuminated | (s.contrast_dn >= FAINT_DN)) & (s.modulation_dn >= DIM_MODULATION_DN)) | s.saturated
     top, modulation = s.top_dn - np.float32(noise.black_dn), s.modulation_dn.copy()
     clear = s.illuminated & ~s.saturated & (s.contrast_dn > 0.0)
     depth = median(s.modulation_dn[clear] / s.contrast_dn[clear]) if clear.any() else 0.5
@@ -263,4 +270,4 @@ def light_of(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> tuple[
     if clipped.any():
         top[clipped] = np.maximum(_true_bright_dn(s, sequence, clipped, noise.black_dn), FULL_DN - noise.black_dn)
     modulation[s.saturated] = np.float32(depth) * top[s.saturated]
-    return np.asarray(top[seen], np.float32), np.asarray(modulation[seen], np.float32)
+    return np.asarray(top[has_light], np.float32), np.asarray(modulation[has_light], np.float32)

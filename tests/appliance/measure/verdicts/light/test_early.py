@@ -35,9 +35,9 @@ def said(frames: Frames, early: bool, spoil: int | None = None) -> str:
     taken = sample(frames, IMAGES.sequence)
     fitted = fit_early(taken.grey, IMAGES.sequence) if early else None
     if fitted is not None and spoil is not None:
-        found = fitted.found.copy()
-        found[0, spoil] += 1.0
-        fitted = replace(fitted, found=found)
+        coefficients = fitted.coefficients.copy()
+        coefficients[0, spoil] += 1.0
+        fitted = replace(fitted, coefficients=coefficients)
     return repr(measure_changes(taken, IMAGES.sequence, TYPICAL, fitted))
 
 
