@@ -119,7 +119,7 @@ class SequenceProcessor:
             yield from self._steps(tasks, begun_s, even_if_wrong)
 
     def _steps(self, tasks: WorkList, reported_s: float, even_if_wrong: bool) -> Iterator[SequenceFact]:
-        """Yield the facts; ``told_s``: processor time up to which facts have reported their time."""
+        """Yield the facts; ``reported_s``: processor time up to which facts have reported their time."""
         pipeline, settings, rig = self._pipeline, self._settings, self._calibration.rig
         samples = {side: gatherer.finish() for side, gatherer in self._gatherers.items()}
         lines = {side: result.lines for side, result in samples.items()}

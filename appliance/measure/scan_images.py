@@ -30,7 +30,7 @@ class PixelGrid:
         self.down_px = self.across_px = 1
         """Distance of the rows, and of the columns."""
         self.grey = np.empty((len(self._indices), 0, 0), np.uint8)
-        """(wanted, rows, columns): grey values, in the order of ``wanted``."""
+        """(images, rows, columns): grey values, in the order of ``indices``."""
 
     @property
     def at(self) -> tuple[slice, slice]:

@@ -66,14 +66,14 @@ class FeatureBook:
 
     def _words(self, feature: Settable) -> list[str]:
         selector = None if feature.selector is None else self._settable[feature.selector]
-        return list(selector.words) if isinstance(selector, Choice) else [""]
+        return list(selector.codes) if isinstance(selector, Choice) else [""]
 
     def word_at(self, name: str, instance: str = "") -> str:
         """Return the name of the current choice."""
         feature = self._settable[name]
         assert isinstance(feature, Choice)
         number = self._values[name, instance]
-        return next(word for word, code in feature.words.items() if code == number)
+        return next(word for word, code in feature.codes.items() if code == number)
 
     def number(self, name: str, instance: str = "", otherwise: float = 0) -> float:
         """Return a number; ``otherwise`` if the camera has no such feature."""
@@ -109,7 +109,7 @@ class FeatureBook:
     def _allows(self, feature: Settable, value: int | float) -> bool:
         match feature:
             case Choice():
-                return value in feature.words.values()
+                return value in feature.codes.values()
             case Switch():
                 return value in (0, 1)
             case Real():
@@ -208,7 +208,7 @@ class FeatureBook:
             edge = FALLING_WORDS.get(edge, edge)
         selectors = self._settable["TriggerSelector"]
         assert isinstance(selectors, Choice)
-        active_triggers = [word for word in selectors.words if word != FRAME_START and self._on(word)]
+        active_triggers = [word for word in selectors.codes if word != FRAME_START and self._on(word)]
         # A trigger that begins or ends an exposure has no line here: a host that turns it on waits for ever.
         acquisition_triggers = [word for word in active_triggers if word in (BURST, "AcquisitionStart")]
         sources = [self._source(word) for word in acquisition_triggers] + [NOWHERE] * (

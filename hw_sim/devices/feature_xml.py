@@ -134,7 +134,7 @@ class _Writer:
         register = f"{feature.name}Reg"
         match feature:
             case Choice():
-                for word, number in feature.words.items():
+                for word, number in feature.codes.items():
                     entry = ElementTree.SubElement(node, _tag("EnumEntry"), {"Name": word, "NameSpace": "Standard"})
                     ElementTree.SubElement(entry, _tag("Value")).text = str(number)
                 put("pValue", register)

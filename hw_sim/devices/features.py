@@ -32,18 +32,18 @@ class Feature:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice(Feature):
-    """One of several names; ``words`` gives the number of each."""
+    """One of several names; ``codes`` gives the number of each."""
 
-    words: Mapping[str, int]
+    codes: Mapping[str, int]
     factory: str
     differing: Mapping[str, str] = field(default_factory=dict)
     """Factory values of instances that differ from ``factory``, by the value of the selector."""
 
     def code(self, value: Value) -> int:
         """Return the number of a name. Raises ValueError."""
-        if not isinstance(value, str) or value not in self.words:
-            raise ValueError(f"{self.name} = {value!r:.80}; allowed are {', '.join(self.words)}")
-        return self.words[value]
+        if not isinstance(value, str) or value not in self.codes:
+            raise ValueError(f"{self.name} = {value!r:.80}; allowed are {', '.join(self.codes)}")
+        return self.codes[value]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

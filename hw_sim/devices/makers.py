@@ -143,7 +143,7 @@ def _common(
             name="PixelFormat",
             category=IMAGE,
             tip="Format of a pixel on the wire.",
-            words={"Mono8": mono8, **{word: PIXEL_FORMATS[word] for word in formats}},
+            codes={"Mono8": mono8, **{word: PIXEL_FORMATS[word] for word in formats}},
             factory="Mono8",
             shapes=True,
         ),
@@ -151,14 +151,14 @@ def _common(
             name="TestPattern",
             category=IMAGE,
             tip="Sends a drawn picture instead of the sensor's.",
-            words=numbered("Off", "GreyHorizontalRamp", "GreyVerticalRamp"),
+            codes=numbered("Off", "GreyHorizontalRamp", "GreyVerticalRamp"),
             factory="Off",
         ),
         Choice(
             name="AcquisitionMode",
             category=ACQUISITION,
             tip="How many frames an acquisition has.",
-            words=numbered("Continuous", "SingleFrame", "MultiFrame"),
+            codes=numbered("Continuous", "SingleFrame", "MultiFrame"),
             factory="Continuous",
             shapes=True,
         ),
@@ -199,7 +199,7 @@ def _common(
             name="TriggerSelector",
             category=ACQUISITION,
             tip="Which trigger the trigger features are about.",
-            words=numbered(*selectors),
+            codes=numbered(*selectors),
             factory=selector,
         ),
         Choice(
@@ -207,7 +207,7 @@ def _common(
             category=ACQUISITION,
             tip="Whether that trigger is waited for.",
             selector="TriggerSelector",
-            words=numbered("Off", "On"),
+            codes=numbered("Off", "On"),
             factory="Off",
         ),
         Choice(
@@ -215,7 +215,7 @@ def _common(
             category=ACQUISITION,
             tip="Where the trigger comes from.",
             selector="TriggerSelector",
-            words={**numbered(*lines), "Software": 16},
+            codes={**numbered(*lines), "Software": 16},
             factory=source,
         ),
         Choice(
@@ -223,7 +223,7 @@ def _common(
             category=ACQUISITION,
             tip="Edge of the line that triggers.",
             selector="TriggerSelector",
-            words=numbered(*activations),
+            codes=numbered(*activations),
             factory="RisingEdge",
         ),
         Real(
@@ -246,14 +246,14 @@ def _common(
             name="ExposureMode",
             category=ACQUISITION,
             tip="What ends an exposure.",
-            words=numbered("Timed", "TriggerWidth"),
+            codes=numbered("Timed", "TriggerWidth"),
             factory="Timed",
         ),
         Choice(
             name="ExposureAuto",
             category=ACQUISITION,
             tip="Whether the camera chooses the exposure time.",
-            words=numbered("Off", "Once", "Continuous"),
+            codes=numbered("Off", "Once", "Continuous"),
             factory=autos,
         ),
         Real(
@@ -270,14 +270,14 @@ def _common(
             name="GainSelector",
             category=ANALOG,
             tip="Which gain the gain features are about.",
-            words=numbered("All"),
+            codes=numbered("All"),
             factory="All",
         ),
         Choice(
             name="GainAuto",
             category=ANALOG,
             tip="Whether the camera chooses the gain.",
-            words=numbered("Off", "Once", "Continuous"),
+            codes=numbered("Off", "Once", "Continuous"),
             factory=autos,
         ),
         Real(
@@ -295,7 +295,7 @@ def _common(
             name="BlackLevelSelector",
             category=ANALOG,
             tip="Which black level is meant.",
-            words=numbered("All"),
+            codes=numbered("All"),
             factory="All",
         ),
         Real(
@@ -312,7 +312,7 @@ def _common(
             name="LineSelector",
             category=DIGITAL_IO,
             tip="Which line the line features are about.",
-            words=numbered(*lines),
+            codes=numbered(*lines),
             factory=lines[0],
         ),
         Choice(
@@ -320,7 +320,7 @@ def _common(
             category=DIGITAL_IO,
             tip="Whether the line is an input or an output.",
             selector="LineSelector",
-            words=numbered("Input", "Output"),
+            codes=numbered("Input", "Output"),
             factory="Input",
             differing=line_modes,
         ),
@@ -342,7 +342,7 @@ def _common(
             name="UserSetSelector",
             category=USER_SET,
             tip="Which set of values the commands are about.",
-            words=numbered(DEFAULT_SET, OWNERS_SET),
+            codes=numbered(DEFAULT_SET, OWNERS_SET),
             factory=DEFAULT_SET,
         ),
         Press(name="UserSetLoad", category=USER_SET, tip="Takes over all values of the set."),
@@ -363,7 +363,7 @@ def _limit_mode() -> Choice:
         name="DeviceLinkThroughputLimitMode",
         category=DEVICE,
         tip="Whether DeviceLinkThroughputLimit counts.",
-        words=numbered("Off", "On"),
+        codes=numbered("Off", "On"),
         factory="On",
     )
 
@@ -408,7 +408,7 @@ BLACKFLY = Maker(
             category=ACQUISITION,
             tip="Whether a trigger is taken while the last frame is read out.",
             selector="TriggerSelector",
-            words=numbered("Off", "ReadOut"),
+            codes=numbered("Off", "ReadOut"),
             factory="Off",
         ),
         Switch(name="GammaEnable", category=ANALOG, tip="Whether Gamma counts.", factory=True),
@@ -461,7 +461,7 @@ ACE = Maker(
             name="OverlapMode",
             category=ACQUISITION,
             tip="Whether an exposure may begin while the last frame is read out.",
-            words=numbered("Off", "On"),
+            codes=numbered("Off", "On"),
             factory="On",
         ),
         Real(
@@ -531,7 +531,7 @@ def check_saved(maker: Maker, saved: Mapping[str, Value]) -> None:
             raise ValueError(f"saved: {maker.model} has no feature '{name}'; {remedy}")
         if word is not None:
             selector = None if feature.selector is None else settable[feature.selector]
-            if not isinstance(selector, Choice) or word not in selector.words:
-                allowed = ", ".join(selector.words) if isinstance(selector, Choice) else "none"
+            if not isinstance(selector, Choice) or word not in selector.codes:
+                allowed = ", ".join(selector.codes) if isinstance(selector, Choice) else "none"
                 raise ValueError(f"saved: {name}[{word}]; allowed in brackets are {allowed}")
         feature.code(value)

@@ -1,1 +1,1 @@
-"""The people who act on the world: a diver with a script, a trainer at a console, a mouse user."""
+"""The people in the world: a diver with a script, a trainer at a console, a mouse user."""

@@ -130,7 +130,7 @@ def do(world: World, verb: str, arguments: tuple[str, ...], status: Path) -> Non
 
 
 def adjusted(beamer: Beamer, assignments: Sequence[str]) -> Beamer:
-    """Return a projector changed by ``words`` like ``gamma=2.2``, with values as in a rig file.
+    """Return a projector changed by ``assignments`` like ``gamma=2.2``, with values as in a rig file.
 
     ``off`` is the usual projector. Raises ValueError.
     """

@@ -1,4 +1,4 @@
-"""A diver who follows the arrow on the screen, step by step, until it shows SCAN NOW."""
+"""A diver that follows the arrow on the screen, step by step, until it shows SCAN NOW."""
 
 from __future__ import annotations
 

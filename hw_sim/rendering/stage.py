@@ -87,7 +87,7 @@ class Stage:
     def geometry(self, camera: str, scene: Scene, pose: Pose, is_lit: bool = True) -> Geometry:
         """Return the geometry of ``camera`` for the scene's object at ``pose``.
 
-        Without ``lit`` it is for a dark projector: half the work. The latest of each camera is cached: 53 MB.
+        Without ``is_lit`` it is for a dark projector: half the work. The latest of each camera is cached: 53 MB.
         """
         texture, per_m = TEXTURES[scene.texture], scene.water.attenuation_per_m
 

@@ -1,1 +1,1 @@
-"""All that is between instrument and object: water that dims and scatters, and what drifts, rises and swims in it."""
+"""The water between instrument and object: attenuation, scattering, and particles, bubbles and fish in it."""

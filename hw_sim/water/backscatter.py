@@ -1,15 +1,15 @@
-"""Owns backscatter: projected light that the water between throws straight into a camera.
+"""Backscatter: projected light that the water sends straight into a camera.
 
-Single scattering. Along each camera ray, the water inside the projector's beam sends back light in proportion to what
-falls on it there; near the window the ray has not yet entered the beam, behind a surface there is no more water. Backscatter
-is smooth, so it is computed on a coarse lattice of rays.
+Single scattering. Along each camera ray, the water inside the projector's beam sends back light in proportion to the
+light that reaches it. Near the port the ray has not yet entered the beam; behind a surface there is no more water.
+Backscatter is smooth, so it is computed on a coarse lattice of rays.
 """
 
 # Symbols in the kernels:
 #   depths    lengths along a camera ray, mm, at the middles of DEPTHS equal steps
-#   place     column and row in the shrunk, padded light, and the share of white light that comes back from there
-#   u, v      pattern coordinate of the place; i, j, s, t the same in the shrunk light, whole part and rest
-#   ends      length of each ray to the surface, NaN where it meets none
+#   place     column and row in the shrunk, padded light, and the share of white light that returns from there
+#   u, v      pattern coordinate of the place; i, j, s, t integer and fractional part of it in the shrunk light
+#   ends      length of each ray to the surface, NaN for none
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ CELL_PX = 32
 DEPTHS = 128
 FIRST_MM, LAST_MM = 120.0, 1000.0
 SHRINK = 16
-"""The light is averaged over squares of so many projector px; between them it is interpolated, so that
+"""Edge, projector px, of the squares over which the light is averaged. Between them it is interpolated, so that
 backscatter has no steps where a ray enters the beam."""
 
 
 class Backscatter:
-    """Backscatter as one camera of a rig sees it, at rest or in motion: the beam moves with the camera."""
+    """The backscatter in one camera of a rig, at rest or in motion: the beam moves with the camera."""
 
     def __init__(self, rays: Array, lamp: Lamp, attenuation_per_m: float) -> None:
         h, w = rays.shape[:2]
@@ -58,12 +58,14 @@ class Backscatter:
 
     @property
     def lit_water_mm(self) -> float:
-        """Length of clear lit water before the middle on the middle ray, weighted with how much brighter it is lit."""
+        """Length of clear water in the beam before the middle on the middle ray, weighted with brightness."""
         return self._unit * float(self._depths_mm[1] - self._depths_mm[0])
 
     def seen(self, light: NDArray[np.float32], distance_mm: Array) -> NDArray[np.float32]:
-        """Return the backscatter (h, w) float32 of the projected ``light`` (768, 1024), in units of the middle ray's of white
-        light."""
+        """Return the backscatter (h, w) float32 of the projected ``light`` (768, 1024).
+
+        Its unit is the backscatter of white light on the middle ray.
+        """
         size = (light.shape[1] // SHRINK, light.shape[0] // SHRINK)
         small = np.pad(np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), np.float32), 1)
         ends = distance_mm[np.ix_(self._rows, self._columns)]
@@ -87,7 +89,7 @@ def _places(
                 u, v = look_up(lamp, table, px, py, pz)
                 place = out[y, x, k]
                 place[0], place[1], place[2] = 0.0, 0.0, 0.0
-                # Centres of the shrunk pixels lie at whole numbers, shifted by the one dark pixel of padding.
+                # Centres of the shrunk pixels lie at integers, shifted by the dark pixel of padding.
                 i, j = (u + 0.5) / SHRINK + 0.5, (v + 0.5) / SHRINK + 0.5
                 if not (0.0 < i < lamp[WIDTH] / SHRINK + 1.0 and 0.0 < j < lamp[HEIGHT] / SHRINK + 1.0):
                     continue
@@ -104,15 +106,15 @@ def _places(
 def _gather(
     places: NDArray[np.float32], depths: Array, ends: Array, light: NDArray[np.float32], out: NDArray[np.float32]
 ) -> None:
-    """Fill ``out`` (rows, columns) with the light that comes back along each ray before it ends."""
+    """Fill ``out`` (rows, columns) with the light that returns along each ray before its end."""
     step = depths[1] - depths[0]
     for y in range(ends.shape[0]):
         for x in range(ends.shape[1]):
             total = 0.0
             for k in range(depths.size):
                 share = 1.0
-                if ends[y, x] < depths[k] + 0.5 * step:  # not so where nothing is hit: NaN
-                    # The surface cuts this step: only the share before it counts, so backscatter changes smoothly with
+                if ends[y, x] < depths[k] + 0.5 * step:  # false for NaN: no surface
+                    # The surface cuts this step. Only the share before it counts, so that backscatter is smooth in
                     # depth.
                     share = (ends[y, x] - depths[k]) / step + 0.5
                     if share <= 0.0:

@@ -1,7 +1,7 @@
-"""Owns what floats, rises and swims in the water: how much of it, and where each piece is at a moment.
+"""Particles, bubbles and fish in the water: their amounts, and their positions at a moment.
 
-Places are those of the water, which is the rig's frame at time 0; the same pieces fill the box before the rig wherever
-the hands take it. They go by the world's clock, whether the hands move or not.
+Positions are those in the water, in the rig's frame of time 0; the same pieces fill the box before the rig wherever it
+is moved. They move by the world's clock, also while the hands are still.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 
 LIMITS = {"particles_per_l": (0.0, 2000.0), "bubbles": (0, 5000), "fish": (0, 20)}
 BOX_MM = np.array([[-230.0, -150.0, 80.0], [230.0, 150.0, 700.0]])
-"""A box before the rig that holds all the water that any camera sees: 86 litres."""
+"""A box before the rig that contains the field of every camera: 86 litres."""
 SNOW_MM, SNOW_POWER = (0.1, 1.0), 3.0
-"""Diameters of marine snow, and the power by which larger ones are rarer."""
+"""Range of diameters of marine snow, and the exponent of their power law."""
 STRAY_MM_S = 2.0
-"""Water is never quite still: speed of each speck (sigma, each direction)."""
+"""Random speed of each speck, as water is never quite still (sigma, each direction)."""
 BUBBLE_MM, RISE_MM_S = (1.0, 4.0), (100.0, 250.0)
 BUBBLE_BOX_MM = np.array([[-180.0, -150.0, 220.0], [180.0, 150.0, 500.0]])
 FISH_MM, SWIM_MM_S = (60.0, 120.0), (80.0, 250.0)
@@ -32,26 +32,26 @@ SNOW, BUBBLE = 0, 1
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """The amounts of what is between instrument and object. Off by default. Raises ValueError for impossible amounts (``LIMITS``)."""
+    """The amounts of particles, bubbles and fish. Off by default. Raises ValueError outside of ``LIMITS``."""
 
     particles_per_l: float = 0.0
     """Marine snow: soft specks of 0.1 to 1 mm."""
     bubbles: int = 0
-    """Number of bubbles in sight or about to be, of 1 to 4 mm, rising with 100 to 250 mm/s."""
+    """Number of bubbles in or near the view, of 1 to 4 mm, rising with 100 to 250 mm/s."""
     fish: int = 0
-    """Number of fish of 60 to 120 mm, swimming to and fro across the view; each is in sight for about half of the time."""
+    """Number of fish of 60 to 120 mm, swimming to and fro across the view; each is in view about half of the time."""
     current_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Velocity of the water, with all that is in it but fish."""
+    """Velocity of the water with snow and bubbles; fish are independent of it."""
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
     """Direction in which bubbles rise, rig frame."""
     seed: int = 1
 
     def __post_init__(self) -> None:
-        for name, (least, most) in LIMITS.items():
+        for name, (lowest, highest) in LIMITS.items():
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"drift: {name} = {value}; allowed are {least:g}..{most:g}")
-            if isinstance(least, int) and value != int(value):
+            if not lowest <= value <= highest:
+                raise ValueError(f"drift: {name} = {value}; allowed are {lowest:g}..{highest:g}")
+            if isinstance(lowest, int) and value != int(value):
                 raise ValueError(f"drift: {name} = {value}; give a whole number")
         for name in ("current_mm_s", "up"):
             value = getattr(self, name)
@@ -67,13 +67,13 @@ class Drift:
 
     @property
     def specks(self) -> bool:
-        """The water holds something small: snow or bubbles."""
+        """The water contains snow or bubbles."""
         return bool(self.particles_per_l or self.bubbles)
 
 
 @dataclass(frozen=True, slots=True)
 class Specks:
-    """Small things at a moment; n of them, the furthest first."""
+    """Specks at a moment; n of them, the furthest first."""
 
     places_mm: Array
     """(n, 3), rig frame."""
@@ -107,8 +107,8 @@ class Swarm:
         up = np.array(drift.up) / np.linalg.norm(drift.up)
         largest = rng.uniform(size=snow)
         # Inverse transform sampling of a density ∝ d^−power between the two diameters (Junge's law).
-        least, most = (d ** (1.0 - SNOW_POWER) for d in SNOW_MM)
-        diameter = (least + largest * (most - least)) ** (1.0 / (1.0 - SNOW_POWER))
+        lowest, highest = (d ** (1.0 - SNOW_POWER) for d in SNOW_MM)
+        diameter = (lowest + largest * (highest - lowest)) ** (1.0 / (1.0 - SNOW_POWER))
         self._snow = _Cloud(
             BOX_MM,
             rng.uniform(BOX_MM[0], BOX_MM[1], (snow, 3)),
@@ -136,42 +136,44 @@ class Swarm:
             heading * self._speed_mm_s[:, None],
         )
 
-    def specks(self, clock_s: float, pose: Pose, rest: Pose) -> Specks:
-        """Return snow and bubbles at ``clock_s`` in the frame of the rig whose object is at ``pose``, and was at ``rest`` when
-        places were named; the furthest first."""
-        turn = pose.R @ rest.R.T
+    def specks(self, clock_s: float, pose: Pose, initial_pose: Pose) -> Specks:
+        """Return snow and bubbles at ``clock_s`` in the present frame of the rig; the furthest first.
+
+        The object is at ``pose`` there; ``initial_pose`` is its pose at time 0.
+        """
+        rotation = pose.R @ initial_pose.R.T
         clouds = (self._snow, self._bubbles)
-        places = np.concatenate([cloud.places(clock_s, pose, rest) for cloud in clouds])
-        velocity = np.concatenate([cloud.velocity for cloud in clouds]) @ turn.T
+        places = np.concatenate([cloud.places(clock_s, pose, initial_pose) for cloud in clouds])
+        velocity = np.concatenate([cloud.velocity for cloud in clouds]) @ rotation.T
         order = np.argsort(-places[:, 2], kind="stable")
         return Specks(places[order], velocity[order], self._radius_mm[order], self._kind[order])
 
-    def school(self, clock_s: float, pose: Pose, rest: Pose) -> School:
+    def school(self, clock_s: float, pose: Pose, initial_pose: Pose) -> School:
         """Return the fish at ``clock_s``, in the same frame as ``specks``."""
-        turn = pose.R @ rest.R.T
-        # Right-handed: ahead, up, aside; fish keep their backs up as far as their heading lets them.
+        rotation = pose.R @ initial_pose.R.T
+        # Right-handed: ahead, up, aside; fish keep their backs up as far as their heading allows.
         aside = np.cross(self._heading, self._up)
         aside /= np.maximum(np.linalg.norm(aside, axis=1)[:, None], 1e-9)
         axes = np.stack([self._heading, np.cross(aside, self._heading), aside], axis=1)
         half = self._lengths_mm[:, None] * np.array([0.5, 0.17, 0.09])
-        return School(self._fish.places(clock_s, pose, rest), axes @ turn.T, half, self._speed_mm_s)
+        return School(self._fish.places(clock_s, pose, initial_pose), axes @ rotation.T, half, self._speed_mm_s)
 
 
 @dataclass(frozen=True, slots=True)
 class _Cloud:
-    """Things that move straight; what leaves the box before the rig on one side enters on the other."""
+    """Pieces that move straight; one that leaves the box before the rig on one side enters on the other."""
 
     box_mm: Array
     places_mm: Array
     velocity: Array
 
-    def places(self, clock_s: float, pose: Pose, rest: Pose) -> Array:
+    def places(self, clock_s: float, pose: Pose, initial_pose: Pose) -> Array:
         """Return the places (n, 3), mm, in the frame of the rig now."""
-        turn = pose.R @ rest.R.T
-        # x_now = turn x_then + shift, for the object stands still in the water.
-        shift = pose.t - turn @ rest.t
-        middle = turn.T @ (self.box_mm.mean(axis=0) - shift)
+        rotation = pose.R @ initial_pose.R.T
+        # x_now = rotation x_then + shift, as the object stands still in the water.
+        shift = pose.t - rotation @ initial_pose.t
+        middle = rotation.T @ (self.box_mm.mean(axis=0) - shift)
         size = self.box_mm[1] - self.box_mm[0]
-        # Wrap around the box as the rig has it now: pieces never run out, wherever the hands go.
+        # Wrap around the box at the present rig, so that pieces never run out.
         away = self.places_mm + self.velocity * clock_s - middle
-        return np.asarray((middle + away - size * np.rint(away / size)) @ turn.T + shift)
+        return np.asarray((middle + away - size * np.rint(away / size)) @ rotation.T + shift)

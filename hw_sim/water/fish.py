@@ -1,9 +1,9 @@
-"""Owns the fish before the object: ellipsoids that cameras and projector meet first, traced like the object itself."""
+"""Fish before the object: ellipsoids that rays of cameras and projector meet first, traced like the object."""
 
 # Symbols:
 #   o, d      origin and unit direction of a ray, rig frame
 #   a, b, c   of |p + far d|² = 1 in units of the half axes: a far² + 2 b far + c = 0
-#   w, n      point met and its normal (not unit); s the way to the projector's window, length = |s|
+#   w, n      point met and its normal (not unit); s the path to the projector's port, length = |s|
 #   ahead, up place on the body in units of its half axes
 
 from __future__ import annotations
@@ -28,26 +28,29 @@ FIN_AT, FIN_HALF = -1.08, (0.2, 1.0, 0.25)
 
 
 def before(
-    rays: Array, geometry: Geometry, school: School, lamp: Lamp, attenuation_per_m: float, lit: bool
+    rays: Array, geometry: Geometry, school: School, lamp: Lamp, attenuation_per_m: float, is_lit: bool
 ) -> Geometry:
-    """Return what a camera with ``rays`` (h, w, 6) meets where fish swim before the scene; their shadow falls on the object."""
+    """Return the geometry of a camera with ``rays`` (h, w, 6) with fish before the scene.
+
+    Their shadow falls on the object.
+    """
     places = np.concatenate([school.places_mm, school.places_mm + school.axes[:, 0] * FIN_AT * school.half_mm[:, :1]])
     axes = np.concatenate([school.axes, school.axes])
     half = np.concatenate([school.half_mm, school.half_mm * np.array(FIN_HALF)])
-    seen = Geometry(geometry.distance_mm.copy(), geometry.pixels.copy())
+    with_fish = Geometry(geometry.distance_mm.copy(), geometry.pixels.copy())
     _before(
-        rays, places, axes, half, lit, attenuation_per_m / 1000.0, lamp.eye, lamp.table, lamp.window, lamp.depth_mm,
-        seen.distance_mm, seen.pixels,
+        rays, places, axes, half, is_lit, attenuation_per_m / 1000.0, lamp.eye, lamp.table, lamp.window, lamp.depth_mm,
+        with_fish.distance_mm, with_fish.pixels,
     )  # fmt: skip
-    return seen
+    return with_fish
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _meet(
     places: Array, axes: Array, half: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[int, float]:
-    """Return the number of the ellipsoid that a ray meets first, and after how many mm; (−1, inf) for none."""
-    which, least = -1, math.inf
+    """Return the index of the ellipsoid that a ray meets first, and the distance in mm; (−1, inf) for none."""
+    which, nearest = -1, math.inf
     for i in range(places.shape[0]):
         px, py, pz = ox - places[i, 0], oy - places[i, 1], oz - places[i, 2]
         along = px * dx + py * dy + pz * dz
@@ -63,9 +66,9 @@ def _meet(
         inside = b * b - a * c
         if inside > 0.0:
             far = (-b - math.sqrt(inside)) / a
-            if 0.0 < far < least:
-                which, least = i, far
-    return which, least
+            if 0.0 < far < nearest:
+                which, nearest = i, far
+    return which, nearest
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -76,20 +79,20 @@ def _skin(ahead: float, up: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _before(
-    rays: Array, places: Array, axes: Array, half: Array, lit: bool, per_mm: float, lamp: Array, table: Array,
+    rays: Array, places: Array, axes: Array, half: Array, is_lit: bool, per_mm: float, lamp: Array, table: Array,
     window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Put the fish into ``distance`` (h, w) and ``pixels`` (h, w, CHANNELS), in place."""
+    """Draw the fish into ``distance`` (h, w) and ``pixels`` (h, w, CHANNELS), in place."""
     width, height = lamp[WIDTH], lamp[HEIGHT]
     for y in range(distance.shape[0]):
         for x in range(distance.shape[1]):
             ray, out = rays[y, x], pixels[y, x]
             which, far = _meet(places, axes, half, ray[0], ray[1], ray[2], ray[3], ray[4], ray[5])
             if which < 0 or far > distance[y, x]:
-                if lit and out[LIT] > 0.0:
+                if is_lit and out[LIT] > 0.0:
                     far = distance[y, x]
                     wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
-                    # The object is seen here: is a fish between it and the projector's window?
+                    # The object is visible here: is a fish between it and the projector's port?
                     start = window[nearest(out[Q]), nearest(out[P])]
                     sx, sy, sz = start[0] - wx, start[1] - wy, start[2] - wz
                     length = math.sqrt(sx * sx + sy * sy + sz * sz)
@@ -102,20 +105,20 @@ def _before(
             for k in range(3):
                 axis = axes[which, k]
                 # The normal is the gradient of Σ (p · axis / half)².
-                at = (px * axis[0] + py * axis[1] + pz * axis[2]) / half[which, k]
+                coordinate = (px * axis[0] + py * axis[1] + pz * axis[2]) / half[which, k]
                 nx, ny, nz = (
-                    nx + at / half[which, k] * axis[0],
-                    ny + at / half[which, k] * axis[1],
-                    nz + at / half[which, k] * axis[2],
+                    nx + coordinate / half[which, k] * axis[0],
+                    ny + coordinate / half[which, k] * axis[1],
+                    nz + coordinate / half[which, k] * axis[2],
                 )
                 if k == 0:
-                    ahead = at
+                    ahead = coordinate
                 elif k == 1:
-                    up = at
+                    up = coordinate
             grey = _skin(ahead, up) * math.exp(-per_mm * far)
             distance[y, x] = far
             out[P], out[Q], out[LIT], out[SOFT], out[GREY] = OUTSIDE, OUTSIDE, 0.0, 0.0, grey
-            if not lit:
+            if not is_lit:
                 continue
             u, v = look_up(lamp, table, wx, wy, wz)
             if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):

@@ -1,4 +1,4 @@
-"""Owns the simulated water: its index (own evaluation of Quan and Fry's empirical formula) and how it dims light."""
+"""The simulated water: its index (own evaluation of Quan and Fry's empirical formula) and attenuation."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ class Water:
     temperature_c: float = 20.0
     salinity_psu: float = 0.0
     attenuation_per_m: float = 0.4
-    """Attenuation: exp(−attenuation · path) of the light goes on, and none comes from elsewhere."""
+    """The share exp(−attenuation · path) of the light goes on; no scattered light is added."""
     backscatter: float = 0.01
-    """Backscatter of a white pattern before the middle of the volume in otherwise clear water, as a fraction of what a
-    surface of albedo 0.6 there sends back."""
+    """Backscatter of a white pattern before the middle of the volume in otherwise clear water, as a fraction of the
+    reflection of a surface of albedo 0.6 there."""
     blur_px_per_m: float = 0.3
     """Forward scattering: Gaussian sigma per metre of path, in px of 1600."""
 
     def __post_init__(self) -> None:
-        for name, (least, most) in LIMITS.items():
+        for name, (lowest, highest) in LIMITS.items():
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"water: {name} = {value}; allowed are {least:g}..{most:g}")
+            if not lowest <= value <= highest:
+                raise ValueError(f"water: {name} = {value}; allowed are {lowest:g}..{highest:g}")
 
     @property
     def index(self) -> float:
@@ -63,23 +63,23 @@ class Water:
 
 
 AIR = Water(attenuation_per_m=0.0, backscatter=0.0, blur_px_per_m=0.0)
-"""Air dims, scatters and blurs nothing. That it does not refract is the matter of ``truth.in_air``."""
+"""Air does not attenuate, scatter or blur; its index is in ``truth.in_air``."""
 
 
 def turbid(
     attenuation_per_m: float, scattering_share: float = 0.8, temperature_c: float = 20.0, salinity_psu: float = 0.0
 ) -> Water:
-    """Return natural water of a beam attenuation c (1/m, what a transmissometer says) of which the share b/c is scattering.
+    """Return natural water of a beam attenuation c, 1/m, with the share b/c of it due to scattering.
 
-    Attenuation, backscatter and blur then belong together (``scattering``): some of the scattered light is turned so little that
-    it still carries the fringes, a little softer; what is turned further is gone, and some comes straight back. Clear
-    ocean has c = 0.1, coast 0.4 (share 0.55), a harbour 2 (share 0.8). Raises ValueError.
+    c is that of a transmissometer. Attenuation, backscatter and blur then belong together (``scattering``): light
+    scattered by small angles still carries the fringes, a little softer; light scattered further is lost, and a part of
+    it is backscatter. Clear ocean has c = 0.1, coast 0.4 (share 0.55), a harbour 2 (share 0.8). Raises ValueError.
     """
     if not 0.0 <= scattering_share <= 1.0:
         raise ValueError(f"water: scattering_share = {scattering_share}; allowed are 0..1 (single-scattering albedo)")
     if not 0.0 <= attenuation_per_m <= LIMITS["attenuation_per_m"][1]:
-        least, most = LIMITS["attenuation_per_m"]
-        raise ValueError(f"water: attenuation_per_m = {attenuation_per_m}; allowed are {least:g}..{most:g}")
+        lowest, highest = LIMITS["attenuation_per_m"]
+        raise ValueError(f"water: attenuation_per_m = {attenuation_per_m}; allowed are {lowest:g}..{highest:g}")
     scattering_per_m = attenuation_per_m * scattering_share
     given_back_per_m, sigma_mm = seen_in_fringes(scattering_per_m)
     return Water(

@@ -1,16 +1,16 @@
-"""Owns how particles of natural water scatter, and what that does to fringes, to the picture's sharpness, and as backscatter.
+"""Scattering by particles of natural water, and its effect on fringes, sharpness and backscatter.
 
 The phase function is the mean of T. J. Petzold's measurements in San Diego harbour (Volume Scattering Functions for
-Selected Ocean Waters, SIO Ref. 72-78, 1972) as tabulated by C. D. Mobley, Light and Water (1994), table 3.10; below 0.1°
-it goes on with its power there. What it does to a pattern of a given fineness is the small-angle theory of W. H. Wells
-(J. Opt. Soc. Am. 59 (1969) 686): light turned by θ somewhere on its way of length s arrives displaced by θ u s, u evenly
-in 0..1, so of a fringe with wave number κ the mean of J0(κ θ u s) survives.
+Selected Ocean Waters, SIO Ref. 72-78, 1972) as tabulated by C. D. Mobley, Light and Water (1994), table 3.10; below
+0.1° it is continued with its power there. Its effect on a pattern of a given period is the small-angle theory of W. H.
+Wells (J. Opt. Soc. Am. 59 (1969) 686): light scattered by θ somewhere on its path of length s arrives displaced by θ u
+s, with u evenly distributed in 0..1, so of a fringe with wave number κ the mean of J0(κ θ u s) survives.
 """
 
 # Symbols:
 #   b, c      scattering and attenuation coefficients, 1/m (here named scattering_per_m and attenuation_per_m)
 #   θ         scattering angle; p(θ) the phase function, 1/sr, of integral 1 over the sphere
-#   s, u      length of the way, and the share of it that is still to go behind the scattering, 0..1
+#   s, u      length of the path, and the share of it behind the scattering, 0..1
 #   κ         wave number of a fringe, 2π / period; S(κ) the share of scattered light that still carries it (survival)
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WAY_MM = 487.5
-"""Path from a window to the middle of the volume."""
+"""Path from a port to the middle of the volume."""
 FRINGE_MM = 4.08
-"""A fringe of 16 projector px there. What is fitted is true of it and of one half as long."""
+"""Period of 16 projector px there. The fit is exact for it and for half of it."""
 BACKSCATTER_MM, BACKSCATTER_DEG, BACKSCATTER_ALBEDO = 576.0, 159.4, 0.6
-"""The water before the middle that a camera sees inside the projector's beam: its length, weighted with how much brighter
-it is lit than the middle; the weighted angle by which its light is turned; and the albedo that backscatter is compared to."""
+"""The water before the middle in a camera's view and inside the projector's beam: its length, weighted with its
+brightness relative to the middle; the weighted scattering angle; and the albedo to which backscatter is compared."""
 _POWER = -1.346
 _DEG = (*(0.1, 0.126, 0.158, 0.200, 0.251, 0.316, 0.398, 0.501, 0.631, 0.794, 1.000, 1.259, 1.585, 1.995, 2.512, 3.162,
           3.981, 5.012, 6.310, 7.943), *range(10, 181, 5))  # fmt: skip
@@ -43,9 +43,9 @@ _PER_SR = (
 
 def phase_function(angle_rad: Array) -> Array:
     """Return the share of the scattered light per steradian at scattering angles 0..π (0 excluded)."""
-    known = np.log(np.radians(_DEG))
+    log_angles = np.log(np.radians(_DEG))
     # Between the table's angles the function is close to a power: interpolate logarithms.
-    inside = np.exp(np.interp(np.log(angle_rad), known, np.log(_PER_SR)))
+    inside = np.exp(np.interp(np.log(angle_rad), log_angles, np.log(_PER_SR)))
     first = math.radians(_DEG[0])
     return np.where(angle_rad < first, _PER_SR[0] * (angle_rad / first) ** _POWER, inside)
 
@@ -64,10 +64,10 @@ def survival(period_mm: float, way_mm: float = WAY_MM) -> float:
 
 
 def seen_in_fringes(scattering_per_m: float) -> tuple[float, float]:
-    """Return what scattering gives back of the light it takes, and how it blurs: the rate per metre by which fringes are
-    dimmed less than by beam attenuation, and the Gaussian sigma in mm after ``WAY_MM``.
+    """Return the rate per metre at which scattering returns light to fringes, and its Gaussian sigma in mm.
 
-    Together they dim fringes of ``FRINGE_MM`` and of half of it as ``survival`` says.
+    Fringes are dimmed less than by beam attenuation by that rate; sigma is that after ``WAY_MM``. Together they dim
+    fringes of ``FRINGE_MM`` and of half of it as ``survival`` says.
     """
     coarse, fine = survival(FRINGE_MM), survival(0.5 * FRINGE_MM)
     depth = scattering_per_m * WAY_MM / 1000.0
@@ -79,10 +79,12 @@ def seen_in_fringes(scattering_per_m: float) -> tuple[float, float]:
 
 
 def backscatter(scattering_per_m: float) -> float:
-    """Return the backscatter of white light before the middle, single scattering, as a fraction of what a surface of
-    ``BACKSCATTER_ALBEDO`` there sends back."""
+    """Return the single-scattering backscatter of white light before the middle.
+
+    It is a fraction of the reflection of a surface of ``BACKSCATTER_ALBEDO`` there.
+    """
     angles = np.geomspace(1e-7, math.pi, 4000)
-    whole = float(np.trapezoid(2.0 * math.pi * phase_function(angles) * np.sin(angles), angles))
-    per_sr = float(phase_function(np.array([math.radians(BACKSCATTER_DEG)]))[0]) / whole
+    integral = float(np.trapezoid(2.0 * math.pi * phase_function(angles) * np.sin(angles), angles))
+    per_sr = float(phase_function(np.array([math.radians(BACKSCATTER_DEG)]))[0]) / integral
     # b L p(θ), against a Lambertian surface, which sends albedo / π per steradian.
     return scattering_per_m * BACKSCATTER_MM / 1000.0 * per_sr * math.pi / BACKSCATTER_ALBEDO

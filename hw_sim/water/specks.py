@@ -1,13 +1,12 @@
-"""Owns how marine snow and bubbles look: lit by what the projector shows where they are, sharp or soft as the lens has it,
-covering what is behind.
+"""The images of marine snow and bubbles: lit by the pattern, defocused, and covering the background.
 
-A speck is a disc; what is smaller than a pixel keeps its light and loses its form. Specks cast no shadows: the projector's
-window is wider than most of them.
+A speck is a disc; one smaller than a pixel keeps its light and loses its form. Specks cast no shadows, as the
+projector's aperture is wider than most of them.
 """
 
 # Symbols in the kernels:
-#   drawn     per speck: U, V its middle, px; MOVED_U, MOVED_V its way during the exposure; RADIUS, SIGMA size and defocus, px;
-#             FAR its distance, mm; KIND snow or bubble; SEEN
+#   drawn     per speck: U, V its middle, px; MOVED_U, MOVED_V its path in the exposure; RADIUS, SIGMA size and defocus,
+#             px; FAR its distance, mm; KIND snow or bubble; SEEN
 #   samples   per speck and place of LOOKS: the channels of geometry.Geometry.pixels
 #   p, q      pattern coordinate; reduced the optical distance, mm: water counts by 1 / index
 #   r, sigma  radius and softness, px; cover, hides, shines shares of a pixel
@@ -35,18 +34,18 @@ DEFOCUS_SIGMA = 0.25
 """Gaussian sigma of an out-of-focus disc, against its diameter."""
 SNOW_ALBEDO, SNOW_OPACITY = 0.5, 0.7
 BALL = 2.0 / 3.0
-"""Mean brightness of a matt ball that is lit from where it is looked at, against a disc."""
+"""Mean brightness of a matt ball lit from the direction of view, against a disc."""
 BUBBLE_ALBEDO = 0.5
 RIM, RIM_LIGHT, CORE_OPACITY = 0.75, 1.0, 0.3
-"""Share of a bubble's radius beyond which light is totally reflected (1/1.333); how bright that is; what the rest hides."""
+"""Share of a bubble's radius beyond which light is totally reflected (1/1.333); brightness of that; opacity inside."""
 SPOT_AT, SPOT_RADIUS, SPOT_LIGHT = 0.35, 0.16, 4.0
 """The projector's reflex, in radii."""
 LOOKS = ((0.0, 0.0), (0.7, 0.0), (0.35, 0.606), (-0.35, 0.606), (-0.7, 0.0), (-0.35, -0.606), (0.35, -0.606))
 """Places on a speck at which the light is sampled, in radii."""
 LEAST_SIGMA_PX = 0.3
-"""Softness of what is in focus, so that its place within a pixel is not lost before the lens blurs the picture."""
+"""Softness in focus, so that a speck's position within a pixel is not lost before the lens blurs the image."""
 MOST_STEPS = 24
-"""A speck's way during one exposure is drawn in at most so many steps."""
+"""Largest number of steps in which a speck's path during one exposure is drawn."""
 U, V, MOVED_U, MOVED_V, RADIUS, SIGMA, FAR, KIND, SEEN = range(9)
 
 
@@ -68,8 +67,8 @@ def scatter(
 ) -> None:
     """Put specks before the mean ``electrons`` (h, w) of an instant of ``duration_s``, in place.
 
-    ``softened`` is the projected light as ``projector.soften`` gives it, and ``first`` what it meets first; ``None``: dark.
-    ``covered`` (h, w), if wanted, gets the share of each pixel that is hidden.
+    ``softened``: projected light from ``projector.soften``; ``first``: its first intersections; ``None``: dark.
+    ``covered`` (h, w), if given, receives the hidden share of each pixel.
     """
     count, per_mm = len(specks.radius_mm), attenuation_per_m / 1000.0
     drawn = np.empty((count, 9))
@@ -80,21 +79,21 @@ def scatter(
         softened is not None, shade, lamp.eye, lamp.table, lamp.window, lamp.depth_mm, per_mm, np.array(LOOKS),
         drawn, samples,
     )  # fmt: skip
-    seen = drawn[:, SEEN] > 0.0
-    drawn, samples = drawn[seen], samples[seen]
+    visible = drawn[:, SEEN] > 0.0
+    drawn, samples = drawn[visible], samples[visible]
     light = np.zeros(samples.shape[:2], np.float32)
     if softened is None:
         light += np.float32(ambient_e) * samples[..., GREY]
     else:
         collect(samples, softened, np.float32(white_e), np.float32(ambient_e), np.zeros_like(light), light)
     hidden = np.empty((0, 0), np.float32) if covered is None else covered
-    own, glow = np.zeros_like(electrons), np.zeros_like(electrons)
-    _draw(drawn, light.mean(axis=1), geometry.distance_mm, own, glow, electrons, hidden)
+    opacity, glow = np.zeros_like(electrons), np.zeros_like(electrons)
+    _draw(drawn, light.mean(axis=1), geometry.distance_mm, opacity, glow, electrons, hidden)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _pixel(eye: Array, table: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the pixel at which a point is seen: from the table, or exactly where that does not reach."""
+    """Return the pixel of a point: from the table, or exactly where that does not reach."""
     u, v = look_up(eye, table, x, y, z)
     if u <= OUTSIDE:
         return project_point(eye, x, y, z)
@@ -104,10 +103,10 @@ def _pixel(eye: Array, table: Array, x: float, y: float, z: float) -> tuple[floa
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _place(
     places: Array, moved: Array, radius: Array, kind: NDArray[np.int64], eye: Array, table: Array, rays: Array,
-    lit: bool, first: Picture, lamp: Array, lamp_table: Array, window: Picture, depth_mm: float, per_mm: float,
+    is_lit: bool, first: Picture, lamp: Array, lamp_table: Array, window: Picture, depth_mm: float, per_mm: float,
     looks: Array, drawn: Array, samples: Picture,
 ) -> None:  # fmt: skip
-    """Fill ``drawn`` (n, 9) and ``samples`` (n, len(LOOKS), CHANNELS): where each speck is seen, and what lights it."""
+    """Fill ``drawn`` (n, 9) and ``samples`` (n, len(LOOKS), CHANNELS): image and illumination of each speck."""
     h, w = rays.shape[:2]
     behind_glass = eye[DISTANCE] + eye[THICKNESS] / eye[GLASS]
     focus_mm = behind_glass + MIDDLE_MM / eye[WATER]
@@ -117,7 +116,7 @@ def _place(
         out = drawn[i]
         out[SEEN] = 0.0
         x, y, z = places[i, 0], places[i, 1], places[i, 2]
-        # Far beside the picture: not worth an exact look.
+        # Far outside of the image: no exact computation.
         bx, by, bz = x - middle[0], y - middle[1], z - middle[2]
         depth = bx * middle[3] + by * middle[4] + bz * middle[5]
         if depth < 10.0:
@@ -145,7 +144,7 @@ def _place(
         grey = BUBBLE_ALBEDO if kind[i] == BUBBLE else SNOW_ALBEDO * BALL
         grey *= math.exp(-per_mm * far)
         p, q, light, soft, length = OUTSIDE, OUTSIDE, 0.0, 0.0, 0.0
-        if lit:
+        if is_lit:
             p, q = look_up(lamp, lamp_table, x, y, z)
             if 0.0 < p < lamp[WIDTH] - 1.0 and 0.0 < q < lamp[HEIGHT] - 1.0:
                 start = window[nearest(q), nearest(p)]
@@ -156,7 +155,7 @@ def _place(
                     light = grey * spread * spread * start[3] * math.exp(-per_mm * length)
                     away = (z - lamp[FOCUS]) / FAR_MM
                     soft = min(away * away, 1.0)
-        # Large specks cross several fringes, so the pattern is sampled all over them.
+        # Large specks extend over several fringes, so the pattern is sampled all over them.
         wide = radius[i] * lamp[FOCAL] / (lamp_behind + length / lamp[WATER])
         for k in range(looks.shape[0]):
             sample = samples[i, k]
@@ -173,29 +172,29 @@ def _step(edge: float, sigma: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _draw(
-    drawn: Array, light: Picture, distance: Array, own: Picture, glow: Picture, electrons: Picture, hidden: Picture
+    drawn: Array, light: Picture, distance: Array, opacity: Picture, glow: Picture, electrons: Picture, hidden: Picture
 ) -> None:
     """Draw the specks over ``electrons`` (h, w), the furthest first.
 
-    ``own`` (what of a pixel is hidden by this speck) and ``glow`` (what it adds), both (h, w), are zero, and left so.
+    ``opacity`` and ``glow`` of the present speck, both (h, w), are zero at the beginning and at the end.
     """
     h, w = electrons.shape
     root = math.sqrt(2.0)
     for i in range(drawn.shape[0]):
         speck = drawn[i]
         r, sigma, bubble = speck[RADIUS], max(speck[SIGMA], LEAST_SIGMA_PX), speck[KIND] == BUBBLE
-        way = math.hypot(speck[MOVED_U], speck[MOVED_V])
-        steps = min(MOST_STEPS, 1 + int(way / max(0.7, sigma, 0.1 * r if bubble else 0.5 * r)))
+        path_px = math.hypot(speck[MOVED_U], speck[MOVED_V])
+        steps = min(MOST_STEPS, 1 + int(path_px / max(0.7, sigma, 0.1 * r if bubble else 0.5 * r)))
         # A small speck is a Gaussian with the disc's own variance r²/4 added; a large one a disc with soft edges.
         formless = r < 2.0 * sigma
         spread = math.sqrt(sigma * sigma + 0.25 * r * r)
-        reach = 0.5 * way + (4.0 * spread + 1.0 if formless else r + 4.0 * sigma + 1.0)
+        reach = 0.5 * path_px + (4.0 * spread + 1.0 if formless else r + 4.0 * sigma + 1.0)
         x0, x1 = max(0, int(speck[U] - reach)), min(w - 1, int(speck[U] + reach) + 1)
         y0, y1 = max(0, int(speck[V] - reach)), min(h - 1, int(speck[V] + reach) + 1)
         if x0 > x1 or y0 > y1:
             continue
         area = math.pi * r * r
-        disc = math.sqrt(max(r * r - sigma * sigma, 0.0))  # a soft edge adds to the area what this takes
+        disc = math.sqrt(max(r * r - sigma * sigma, 0.0))  # compensates the area of a soft edge
         for k in range(steps):
             along = (k + 0.5) / steps - 0.5
             cu, cv = speck[U] + along * speck[MOVED_U], speck[V] + along * speck[MOVED_V]
@@ -230,13 +229,14 @@ def _draw(
                             wide = SPOT_RADIUS * SPOT_RADIUS * r * r + sigma * sigma
                             bright = SPOT_LIGHT * SPOT_RADIUS * SPOT_RADIUS * r * r / wide
                             shines = RIM_LIGHT * (cover - core) + bright * math.exp(-0.5 * spot * spot / wide)
-                    own[y, x] += hides / steps
+                    opacity[y, x] += hides / steps
                     glow[y, x] += shines / steps
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
-                # Painter's algorithm: what is behind counts as far as this speck leaves it, unless the object is nearer.
-                hides, shines = min(own[y, x], np.float32(1.0)), glow[y, x]
-                own[y, x], glow[y, x] = 0.0, 0.0
+                # Painter's algorithm: the background shines through this speck's transparency, unless the object is
+                # nearer.
+                hides, shines = min(opacity[y, x], np.float32(1.0)), glow[y, x]
+                opacity[y, x], glow[y, x] = 0.0, 0.0
                 if distance[y, x] < speck[FAR]:
                     continue
                 electrons[y, x] += shines * light[i] - hides * electrons[y, x]

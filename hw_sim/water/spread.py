@@ -1,7 +1,8 @@
-"""Owns what forward scattering of the world ``outside`` does to the projected light and to a camera's picture: a spike that is
-not scattered, a core, and a halo as wide as the way is long (``particles.Transfer``), as one convolution.
+"""Forward scattering of the world ``outside`` in the projected light and in a camera's image.
 
-The way is that to the middle of the volume for everything in the picture; how much is dimmed on it is each point's own.
+It is one convolution: an unscattered spike, a core, and a halo whose width grows with the path
+(``particles.Transfer``). The path is that to the middle of the volume for the whole image; the attenuation on it is
+each point's own.
 """
 
 from __future__ import annotations
@@ -22,32 +23,32 @@ Picture = NDArray[np.float32]
 PROJECTOR_PX_MM = 0.255
 """Size of a projector px in the middle of the volume."""
 DARK_BORDER, SEEN_BORDER = 0.25, 0.15
-"""Borders around the light, which is dark there, and around a picture, which goes on there, as shares of their sizes: what the
-halo throws out at one side must not come in at the other."""
+"""Borders, as shares of the size, around the light (dark there) and around an image (continued there), so that the halo
+does not wrap around."""
 
 
 class ForwardSpread:
-    """Convolutions by the point spread of one way through the water; their sums grow by the light that was turned forwards."""
+    """Convolutions by the point spread of one path through the water; sums grow by forward scattering."""
 
     def __init__(self, particles: Particles, attenuation_per_m: float) -> None:
         self._transfer = Transfer(particles, attenuation_per_m)
 
     @property
     def gain(self) -> float:
-        """Factor of evenly spread light: all that arrives after one way, against what was not scattered."""
+        """Factor of uniform light: all light that arrives after one path over the unscattered light."""
         return float(self._transfer(MIDDLE_MM, np.array(0.0)))
 
     def light(self, light: Picture) -> Picture:
-        """Return projected light (h, w) as it arrives in the middle of the volume; around it is darkness."""
+        """Return projected light (h, w) in the middle of the volume; it is dark around it."""
         return self._spread(light, PROJECTOR_PX_MM, DARK_BORDER, cv2.BORDER_CONSTANT)
 
     def picture(self, picture: Picture) -> Picture:
-        """Return a camera's picture (h, w) of what is in the middle of the volume; around it the scene goes on as at its edge."""
+        """Return a camera's image (h, w) of the middle of the volume; its edges continue outside."""
         return self._spread(picture, PX_MM * 1600.0 / picture.shape[1], SEEN_BORDER, cv2.BORDER_REPLICATE)
 
     def _spread(self, image: Picture, px_mm: float, border: float, beyond: int) -> Picture:
         h, w = image.shape
-        # Half of the border on each side; the spectrum takes both for neighbours.
+        # Half of the border on each side; they are neighbours for the spectrum.
         top, left = math.ceil(0.5 * border * h), math.ceil(0.5 * border * w)
         rows, columns = fast_length(h, border), fast_length(w, border)
         around = cv2.copyMakeBorder(image, top, rows - h - top, left, columns - w - left, beyond, value=0.0)
@@ -58,5 +59,5 @@ class ForwardSpread:
 
 
 def fast_length(size: int, border: float) -> int:
-    """Return a length that is quickly transformed, of at least ``size`` and a ``border`` (share of it) on both sides together."""
+    """Return a length with a fast transform that holds ``size`` and a total ``border`` (share of it)."""
     return int(scipy.fft.next_fast_len(size + 2 * math.ceil(0.5 * border * size), real=True))

@@ -1,20 +1,20 @@
-"""Owns the backscatter of the world ``outside``: what lit water throws into a camera, resolved along both directions of the
-pattern, with a phase function, with light that was scattered more than once, and with a projector that is out of focus there.
+"""Backscatter of the world ``outside``, resolved along both directions of the pattern.
 
-Along each camera ray the pattern coordinate across the fringes runs through many of them, so that they nearly cancel; along the
-other it stands nearly still, so that fringes in rows stay. Both follow from one integral along the ray. It is taken in closed
-form within each step: the light is summed along its rows once, and a step takes the difference of two sums, however many
-fringes it crosses.
+It has a phase function, multiple scattering, and a projector that is out of focus in the water before the object. Along
+each camera ray the pattern coordinate across the fringes runs through many of them, so that they nearly cancel; along
+the other it is nearly constant, so that fringes in rows remain. Both follow from one integral along the ray. It is
+taken in closed form within each step: the light is summed along its rows once, and a step takes the difference of two
+sums, however many fringes it crosses.
 
-Scattering once by a large angle, and any number of times by small ones before and after (H. R. Gordon, Appl. Opt. 12 (1973)
-2803, quasi-single scattering): light spreads on its way from the projector as ``particles.Transfer`` says, at each depth by
-its own; on the way to the camera a part keeps its direction and the rest is a glow.
+Scattering once by a large angle, and any number of times by small ones before and after (H. R. Gordon, Appl. Opt. 12
+(1973) 2803, quasi-single scattering): light spreads on its path from the projector by ``particles.Transfer``, at each
+depth by its own; on the path to the camera a part keeps its direction and the remainder is a glow.
 """
 
 # Symbols in the kernels:
 #   s         length along a camera ray, mm, at NODES nodes whose logarithms are equally far apart; far, the surface's
 #   u, v      pattern coordinate at a node, in px of the shrunk light; level: its depth in the stack of softened light
-#   sharp     light that comes back from 1 mm of water at a node and keeps its direction; wide what turns a little
+#   sharp     light from 1 mm of water at a node that keeps its direction; wide light scattered by small angles
 #   sums      the stack's light, summed along its rows up to each column's left edge
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
 FIRST_MM, LAST_MM, NODES = 60.0, 1000.0, 112
-"""Length of the camera rays in water that is looked at."""
+"""Range of the integral along camera rays, and its nodes."""
 ROW_PX, COLUMN_PX = 4, 8
 """Lattice of camera rays that is integrated, px of 1600: a fringe of 16 projector px is 25 px high in the picture."""
 PLACES = 33
-"""Camera rays in each direction whose places are computed exactly; between them they are interpolated, to 0.02 px."""
+"""Camera rays in each direction with exact pattern coordinates; others are interpolated, to 0.02 px."""
 SHRINK = 2
-"""The light is averaged over squares of so many projector px, which spreads it as pixel and lens do: 1/3 px² of variance."""
+"""Edge, projector px, of the squares over which the light is averaged: like pixel and lens, 1/3 px² of variance."""
 LEVELS = 9
 """Depths at which the light's softness is computed."""
 GLOW_PX = 40.0
-"""Gaussian sigma, px of 1600, of veil light that is turned on its way to the camera."""
+"""Gaussian sigma, px of 1600, of backscatter that is scattered again on its path to the camera."""
 FRINGE_DEG = 0.48
-"""Period of a fringe of 16 projector px in the picture. What does not carry it to the camera any more counts as glow."""
+"""Period of a fringe of 16 projector px in the image. Light that no longer carries it to the camera counts as glow."""
 BORDER = 0.25
-"""Dark border around the light, as a share of its size: what the halo throws out at one side must not come in at the other."""
+"""Dark border around the light, as a share of its size, so that the halo does not wrap around."""
 
 
 class Veil:
-    """The backscatter that one camera of a rig sees, at rest or in motion: the beam moves with the camera.
+    """The backscatter in one camera of a rig, at rest or in motion: the beam moves with the camera.
 
     ``rays`` (h, w, 6) are the camera's; ``defocus``: the projector has a focus to lose.
     """
@@ -76,26 +76,29 @@ class Veil:
         transfer = Transfer(particles, attenuation_per_m)
         angles = np.radians(np.arange(0.5, 181.0))
         phase = np.ascontiguousarray(particles.phase(angles))
-        kept, all_of_it = _camera_way(transfer, self._lengths_mm)
+        unscattered, total = _camera_way(transfer, self._lengths_mm)
         per_mm = attenuation_per_m / 1000.0
         self._places = np.empty((*coarse.shape[:2], NODES, 5), np.float32)
         _places(
-            coarse, self._lengths_mm, lamp.eye, lamp.window, lamp.depth_mm, per_mm, phase, kept, all_of_it,
+            coarse, self._lengths_mm, lamp.eye, lamp.window, lamp.depth_mm, per_mm, phase, unscattered, total,
             self._levels_mm, self._places,
         )  # fmt: skip
         self._unit = _unit(rays[h // 2, w // 2], lamp, phase)
-        """White light that comes back from perfectly clear water before the middle on the middle ray, scattered once."""
+        """White light, scattered once, from perfectly clear water before the middle on the middle ray."""
         self._width, self._height = int(lamp.eye[WIDTH]), int(lamp.eye[HEIGHT])
         self._filters = self._softening(transfer, lamp, defocus)
 
     @property
     def unit_mm_per_sr(self) -> float:
-        """Unit of what ``seen`` returns: ∫ p(θ) E ds of clear white water before the middle on the middle ray, once scattered."""
+        """Unit of ``seen``: ∫ p(θ) E ds of clear white water before the middle on the middle ray."""
         return self._unit
 
     def seen(self, light: Picture, distance_mm: Array) -> Picture:
-        """Return the backscatter (h, w) float32 of the projected ``light`` (768, 1024) before surfaces at ``distance_mm``
-        (h, w; NaN: none), in units of the middle ray's of white light, as ``backscatter.Backscatter`` does."""
+        """Return the backscatter (h, w) float32 of the projected ``light`` (768, 1024).
+
+        Surfaces lie at ``distance_mm`` (h, w; NaN: none). The unit is the middle ray's backscatter of white light, as
+        in ``backscatter.Backscatter``.
+        """
         ends = np.ascontiguousarray(distance_mm[np.ix_(self._rows, self._columns)])
         coarse = np.zeros((2, *ends.shape), np.float32)
         _gather(self._places, self._lengths_mm, *self._at, ends, self._sums(light), coarse)
@@ -109,7 +112,7 @@ class Veil:
         return self._enlarged(np.asarray(sharp + glow, np.float32))
 
     def _enlarged(self, coarse: Picture) -> Picture:
-        """Return the lattice's values at all pixels, between its rays by cubics."""
+        """Return the lattice's values at all pixels, by cubic interpolation."""
         h, w = self._shape
         first_x, first_y = float(self._columns[0]), float(self._rows[0])
         step_x, step_y = float(self._columns[1]) - first_x, float(self._rows[1]) - first_y
@@ -123,12 +126,12 @@ class Veil:
         )
 
     def _softening(self, transfer: Transfer, lamp: Lamp, defocus: bool) -> list[Picture]:
-        """Return for each level the factors of the light's spectrum: water's transfer, and the projector's defocus there."""
+        """Return for each level the factors of the light's spectrum: water and the projector's defocus."""
         size = self._spectrum_size()
         fy = np.abs(scipy.fft.fftfreq(size[0], SHRINK))[:, None]
         fx = scipy.fft.rfftfreq(size[1], SHRINK)[None]
         wave_per_px = 2.0 * math.pi * np.hypot(fy, fx)
-        # Straight lines between rows soften by sinc²; that is given back beforehand, but not to the finest stripes.
+        # Linear interpolation between rows softens by sinc²; that is compensated here, but not for the finest stripes.
         between_rows = np.maximum(np.sinc(SHRINK * fy) ** 2, 0.6)
         factors = []
         for way_mm in self._levels_mm:
@@ -160,17 +163,17 @@ def _lattice(size: int, step: int) -> NDArray[np.int64]:
 
 
 def _within(lattice: NDArray[np.int64], places: NDArray[np.int64]) -> Array:
-    """Return where each row or column of the lattice lies among the places: whole part and rest."""
+    """Return the position of each row or column of the lattice among the places: integer part and fraction."""
     return np.interp(lattice, places, np.arange(len(places), dtype=np.float64))
 
 
 def _camera_way(transfer: Transfer, lengths_mm: Array) -> tuple[Array, Array]:
-    """Return, for each length of the way to the camera, the factors of what keeps its direction, and of all that arrives."""
-    # κ s of a fringe is 2π over its angle, whatever the way: both grow with it.
+    """Return, for each length of the path to the camera, the factors of unscattered light and of all light."""
+    # κ s of a fringe is 2π over its angle for every path, as both grow with it.
     wave = 2.0 * math.pi / math.radians(FRINGE_DEG)
-    kept = np.array([float(transfer(s, np.array(wave / s))) for s in lengths_mm])
-    every = np.array([float(transfer(s, np.array(0.0))) for s in lengths_mm])
-    return kept, every
+    unscattered = np.array([float(transfer(s, np.array(wave / s))) for s in lengths_mm])
+    total = np.array([float(transfer(s, np.array(0.0))) for s in lengths_mm])
+    return unscattered, total
 
 
 def _unit(ray: Array, lamp: Lamp, phase: Array) -> float:
@@ -183,14 +186,14 @@ def _unit(ray: Array, lamp: Lamp, phase: Array) -> float:
         np.array([1.0, 2000.0]), places,
     )  # fmt: skip
     u, v, light = places[0, 0, :, 0], places[0, 0, :, 1], places[0, 0, :, 2].astype(np.float64)
-    lit = (u > 0.0) & (u < lamp.eye[WIDTH] / SHRINK) & (v > 0.0) & (v < lamp.eye[HEIGHT] / SHRINK)
-    return float(np.trapezoid(np.where(lit, light, 0.0), lengths_mm))
+    is_lit = (u > 0.0) & (u < lamp.eye[WIDTH] / SHRINK) & (v > 0.0) & (v < lamp.eye[HEIGHT] / SHRINK)
+    return float(np.trapezoid(np.where(is_lit, light, 0.0), lengths_mm))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _places(
     rays: Array, lengths: Array, lamp: Array, window: Picture, depth_mm: float, per_mm: float, phase: Array,
-    kept: Array, every: Array, levels: Array, out: Picture,
+    unscattered: Array, total: Array, levels: Array, out: Picture,
 ) -> None:  # fmt: skip
     """Fill ``out`` (rows, columns, NODES, 5) with u, v, sharp, wide and level of each ray at each length."""
     step = math.log(levels[1] / levels[0])
@@ -202,7 +205,7 @@ def _places(
                 px, py, pz = ray[0] + s * ray[3], ray[1] + s * ray[4], ray[2] + s * ray[5]
                 u, v = project_point(lamp, px, py, pz)
                 if math.isnan(u):
-                    # Behind the projector's window: far outside of its picture.
+                    # Behind the projector's port: far outside of its image.
                     place[0], place[1], place[2], place[3], place[4] = -1e4, -1e4, 0.0, 0.0, 0.0
                     continue
                 a, b = min(max(u, 0.0), lamp[WIDTH] - 1.0), min(max(v, 0.0), lamp[HEIGHT] - 1.0)
@@ -214,12 +217,12 @@ def _places(
                 turned = math.degrees(math.acos(min(max(cosine, -1.0), 1.0))) - 0.5
                 i = min(max(int(turned), 0), phase.size - 2)
                 scattered = phase[i] + (turned - i) * (phase[i + 1] - phase[i])
-                # Inverse squares from the apparent source, the lamp's own field, Beer and Lambert on both ways.
+                # Inverse squares from the apparent source, the lamp's field, Beer and Lambert on both paths.
                 spread = (MIDDLE_MM + depth_mm) / (path + depth_mm)
                 light = scattered * spread * spread * start[3] * math.exp(-per_mm * (path + s))
                 # Pixel centres at integers; a column's left edge is the place of its sum.
                 place[0], place[1] = (u + 0.5) / SHRINK, (v + 0.5) / SHRINK
-                place[2], place[3] = light * kept[k], light * (every[k] - kept[k])
+                place[2], place[3] = light * unscattered[k], light * (total[k] - unscattered[k])
                 place[4] = min(max(math.log(path / levels[0]) / step, 0.0), levels.size - 1.002)
 
 
@@ -230,16 +233,16 @@ def _summed(sums: Picture, level: int, j: int, t: np.float32, u: np.float32) -> 
     u = min(max(u, np.float32(0.0)), np.float32(columns) - np.float32(1e-3))
     i = int(u)
     r = u - np.float32(i)
-    one = sums[level, j, i] + r * (sums[level, j, i + 1] - sums[level, j, i])
-    other = sums[level, j + 1, i] + r * (sums[level, j + 1, i + 1] - sums[level, j + 1, i])
-    return np.float32(one + t * (other - one))
+    upper = sums[level, j, i] + r * (sums[level, j, i + 1] - sums[level, j, i])
+    lower = sums[level, j + 1, i] + r * (sums[level, j + 1, i + 1] - sums[level, j + 1, i])
+    return np.float32(upper + t * (lower - upper))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _gather(
     places: Picture, lengths: Array, at_y: Array, at_x: Array, ends: Array, sums: Picture, out: Picture
 ) -> None:
-    """Fill ``out`` (2, rows, columns) with the light that comes back along each ray before it ends: sharp, and glow."""
+    """Fill ``out`` (2, rows, columns) with the returning light of each ray: sharp, and glow."""
     half, rows = np.float32(0.5), sums.shape[1]
     last = np.float32(sums.shape[2] - 1) - np.float32(1e-3)
     line = np.empty((places.shape[1], places.shape[2], 5), np.float32)
@@ -258,13 +261,13 @@ def _gather(
             sharp, glow = np.float32(0.0), np.float32(0.0)
             u0, v0, a0, w0, l0 = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
             for k in range(lengths.size):
-                one, other = line[n, k], line[n + 1, k]
-                u1, v1 = one[0] + share * (other[0] - one[0]), one[1] + share * (other[1] - one[1])
-                a1, w1 = one[2] + share * (other[2] - one[2]), one[3] + share * (other[3] - one[3])
-                l1 = one[4] + share * (other[4] - one[4])
+                left, right = line[n, k], line[n + 1, k]
+                u1, v1 = left[0] + share * (right[0] - left[0]), left[1] + share * (right[1] - left[1])
+                a1, w1 = left[2] + share * (right[2] - left[2]), left[3] + share * (right[3] - left[3])
+                l1 = left[4] + share * (right[4] - left[4])
                 if k > 0:
                     length = lengths[k] - lengths[k - 1]
-                    # The surface cuts this step: only what is before it counts, to the fraction of a fringe.
+                    # The surface cuts this step: only the part before it counts, to the fraction of a fringe.
                     cut = np.float32(1.0)
                     if far < lengths[k]:
                         cut = np.float32((far - lengths[k - 1]) / length)
@@ -272,7 +275,7 @@ def _gather(
                             break
                     end = u0 + cut * (u1 - u0)
                     v = v0 + half * cut * (v1 - v0) - half
-                    # Beside the picture there is no light: sums on both sides of it are equal.
+                    # Outside of the projector's image it is dark: sums on both sides of it are equal.
                     beside = max(u0, end) <= np.float32(0.0) or min(u0, end) >= last
                     if not beside and v > -half and v < np.float32(rows) - half:
                         v = min(max(v, np.float32(0.0)), np.float32(rows) - np.float32(1.002))

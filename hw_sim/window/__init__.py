@@ -1,6 +1,6 @@
-"""Windows into the simulated world, and a keyboard for its key pad: what ``kingfisher sim --window`` opens.
+"""Windows into the simulated world, and a keyboard for its key pad: ``kingfisher sim --window``.
 
-The windows live in a process of their own, so that drawing them takes nothing from the instrument's.
+They are in a process of their own, so that drawing takes no time of the instrument's.
 """
 
 from hw_sim.window.feed import WindowError, open_windows

@@ -1,6 +1,6 @@
-"""The windows' own process: shows what it is handed, tells what the keyboard does, and ends with its parent.
+"""The windows' process: it shows images, reports keyboard and mouse, and ends with its parent.
 
-Its one argument is the descriptor of the pictures' memory; it talks over standard input and output (``talk.py``).
+Its one argument is the descriptor of the images' memory; it talks over standard input and output (``talk.py``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import glfw
 from hw_sim.window.keyboard import MEANING, QUIT, Keyboard
 from hw_sim.window.panes import LAYOUTS, Pane, last_error
 from hw_sim.window.pictures import Pictures
-from hw_sim.window.talk import Lines, say, words_as_sizes
+from hw_sim.window.talk import Lines, parse_sizes, say
 
 CAMERAS = ("left", "right")
 TICK_S = 0.01
@@ -51,9 +51,9 @@ def main(descriptor: int) -> int:
 
 
 def open_panes() -> list[Pane]:
-    """Open all windows. Raises ValueError with what the window system says, and with the remedy."""
+    """Open all windows. Raises ValueError with the window system's reason, and a remedy."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the error says it better
+        warnings.simplefilter("ignore")  # the error has the same reason
         if not glfw.init():
             raise ValueError(f"{last_error() or 'no display server'}: {NO_SERVER}")
         for hint, value in (
@@ -70,7 +70,7 @@ def open_panes() -> list[Pane]:
 
 
 class Mouse:
-    """The mouse in the cameras' window: one button held shifts the instrument, the other turns it."""
+    """The mouse in the cameras' window: one button held shifts the instrument, the other rotates it."""
 
     def __init__(self, tell: Callable[..., None]) -> None:
         self._tell = tell
@@ -123,7 +123,7 @@ class WindowLoop:
             line = self._input.read(0.0)
             self._over |= self._input.ended
             if line is not None:
-                self._show(words_as_sizes(line.split()[1:]))
+                self._show(parse_sizes(line.split()[1:]))
             for pane in self._panes:
                 pane.draw()
 
@@ -145,8 +145,8 @@ class WindowLoop:
         if change is not None:
             self._tell("down" if change.down else "up", change.key, str(real_ns))
 
-    def _tell(self, *words: str) -> None:
-        self._over |= not say(1, *words)
+    def _tell(self, *message: str) -> None:
+        self._over |= not say(1, *message)
 
     def _spoiler(self, pane: Pane) -> Callable[[Any], None]:
         return lambda _window: pane.spoil()

@@ -1,4 +1,4 @@
-"""Owns the world's side of the windows: it starts their process, hands it pictures, and lays fingers on the keys."""
+"""The world's side of the windows: it starts their process, sends it images, and applies the keys."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from hw_sim.scene import Scene
 from hw_sim.window.fingers import Fingers
 from hw_sim.window.keyboard import HELP
 from hw_sim.window.pictures import ROOMS, Picture, Pictures, Writer
-from hw_sim.window.talk import Lines, say, sizes_as_words
+from hw_sim.window.talk import Lines, format_sizes, say
 
 LOG = logging.getLogger(__name__)
 START_S = 30.0
-"""A loaded machine needs this long for Python and a software renderer."""
+"""Limit for the start of Python and a software renderer on a loaded machine."""
 LOOK_S = 0.1
-"""The feed looks so often whether it is to end."""
+"""Interval at which the feed checks for its end."""
 END_S = 5.0
 
 
 class WindowError(Exception):
-    """No window can be shown, or they are gone; the text says why and what helps."""
+    """No window can be opened, or they have failed; the text has reason and remedy."""
 
     exit_code = 1
 
 
-class Seen(Protocol):
-    """The part of a world that is shown, and the part that is touched."""
+class ShownWorld(Protocol):
+    """The part of a world that windows show and control."""
 
     @property
     def time_ns(self) -> int: ...
@@ -64,16 +64,16 @@ class Seen(Protocol):
 
 
 def interrupt() -> None:
-    """Do to this process what Ctrl-C in a terminal does."""
+    """Interrupt this process, like Ctrl-C in a terminal."""
     os.kill(os.getpid(), signal.SIGINT)
 
 
 @contextmanager
-def open_windows(world: Seen, quit_wanted: Callable[[], None] = interrupt) -> Iterator[None]:
+def open_windows(world: ShownWorld, quit_wanted: Callable[[], None] = interrupt) -> Iterator[None]:
     """Windows of ``world`` and its keyboard, as long as the context lasts.
 
-    ``quit_wanted`` is called, in another thread, when the person at the keyboard wants to end it, and when the windows
-    have failed. Raises WindowError at once where no window can be opened, and at the end where they have failed.
+    ``quit_wanted`` is called, in another thread, when the user ends it, and when the windows have failed. Raises
+    WindowError at once if no window can be opened, and at the end if they have failed.
     """
     pictures = Pictures.create()
     try:
@@ -90,9 +90,9 @@ def open_windows(world: Seen, quit_wanted: Callable[[], None] = interrupt) -> It
 
 
 class Feed:
-    """The process of the windows and the thread that talks to it."""
+    """The process of the windows and the thread that communicates with it."""
 
-    def __init__(self, world: Seen, pictures: Pictures, quit_wanted: Callable[[], None]) -> None:
+    def __init__(self, world: ShownWorld, pictures: Pictures, quit_wanted: Callable[[], None]) -> None:
         self._world = world
         self._writer = Writer(pictures)
         self._quit_wanted = quit_wanted
@@ -155,7 +155,7 @@ class Feed:
     def _heard(self, line: str) -> None:
         match line.split():
             case ["want"]:
-                say(self._to.fileno(), "show", *sizes_as_words(self._writer.write(self._pictures())))
+                say(self._to.fileno(), "show", *format_sizes(self._writer.write(self._pictures())))
             case [("down" | "up") as change, key, real_ns]:
                 down = change == "down"
                 at_ns = self._fingers.at(key, down, int(real_ns), self._world.time_ns)

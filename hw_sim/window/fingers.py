@@ -1,17 +1,17 @@
-"""Owns how a person's real time becomes world time: a key is held as long in the world as it was on the keyboard.
+"""Conversion of a person's real time to world time: a key is held as long in the world as on the keyboard.
 
-A world may be slower than real time while images are made. What was pressed then happens now, but its end keeps its
-distance to its beginning, and quick changes keep theirs to each other: a long press stays one, a tap stays a tap.
+A world may be slower than real time while images are made. A press then happens now, but its end keeps its distance to
+its beginning, and quick changes keep theirs to each other: a long press remains one, a tap remains a tap.
 """
 
 from __future__ import annotations
 
 GAP_NS = 100_000_000
-"""Real pauses longer than this need not be kept between two presses."""
+"""Longer real pauses between two presses need not be preserved."""
 
 
 class Fingers:
-    """The moments at which changes of the keyboard happen in the world. Times in ns: real ones monotonic, world ones the world's."""
+    """The moments of the keyboard's changes in the world. Times in ns: real ones monotonic, world ones the world's."""
 
     def __init__(self) -> None:
         self._pressed: dict[str, tuple[int, int]] = {}
@@ -27,7 +27,7 @@ class Fingers:
             self._pressed[key] = (real_ns, world_ns)
         elif key in self._pressed:
             pressed_real_ns, pressed_world_ns = self._pressed.pop(key)
-            # A hold keeps its length: whether a press is a long one decides what it means.
+            # A hold keeps its length, as a long press has another meaning.
             world_ns = max(world_ns, pressed_world_ns + real_ns - pressed_real_ns)
         self._last = (real_ns, world_ns)
         return world_ns

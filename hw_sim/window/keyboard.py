@@ -1,4 +1,4 @@
-"""Owns which key of the keyboard stands for which key of the pad, and when a key of the pad is held."""
+"""The keyboard's keys for each key of the pad, and the state of the pad's keys."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ HELP = "S, Enter: scan/OK    B, Backspace: back    ↑ ↓    Q, Esc: quit"
 
 @dataclass(frozen=True, slots=True)
 class PadChange:
-    """A key of the pad is pressed or let go."""
+    """A key of the pad is pressed or released."""
 
     key: str
     down: bool
 
 
 class Keyboard:
-    """Two keys that mean the same hold one key of the pad together: it is let go with the last of them."""
+    """The pressed keys: two with the same meaning hold one key of the pad, until the last is released."""
 
     def __init__(self) -> None:
         self._held: dict[str, set[str]] = {}
 
     def change(self, name: str, down: bool) -> PadChange | None:
-        """Return what a change of the keyboard's key ``name`` does to the pad; ``None`` for nothing, as for ``quit``."""
+        """Return the pad's change for one of the keyboard's key ``name``; ``None`` without one, as for ``quit``."""
         key = MEANING.get(name, QUIT)
         if key == QUIT:
             return None

@@ -1,4 +1,4 @@
-"""Owns one window: the pictures it shows side by side, as large as the window lets them be."""
+"""One window: its images side by side, as large as the window allows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A window: its title, which pictures it shows, and the colours of each (as OpenGL's swizzles name them)."""
+    """A window: its title, its images, and the colours of each (as OpenGL's swizzles name them)."""
 
     title: str
     pictures: tuple[str, ...]
@@ -55,7 +55,7 @@ LAYOUTS = (
 
 
 class Pane:
-    """A window with a context of its own. Raises ValueError where the window system gives none."""
+    """A window with a context of its own. Raises ValueError if the window system gives none."""
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
@@ -64,7 +64,7 @@ class Pane:
             raise ValueError(last_error() or "no reason given")
         glfw.set_window_pos(self.handle, *layout.place_px)
         glfw.make_context_current(self.handle)
-        glfw.swap_interval(0)  # three windows that each wait for a blank would show a third of them
+        glfw.swap_interval(0)  # waiting for a blank in each of three windows would divide the rate by three
         try:
             self._context = moderngl.create_context(require=330, context=_FUNCTIONS_BY_GLFW)
         except Exception as error:  # the library raises nothing more particular
@@ -83,7 +83,7 @@ class Pane:
             if texture is not None:
                 texture.release()
             texture = self._context.texture((width, height), channels, alignment=1)
-            # One channel in red serves grey and green pictures alike: the swizzle says where it goes.
+            # One channel in red serves grey and green images alike: the swizzle moves it.
             texture.swizzle = self.layout.colours
             texture.repeat_x = texture.repeat_y = False
             self._textures[name] = texture
@@ -109,12 +109,12 @@ class Pane:
         self._drawn_px = size_px
 
     def spoil(self) -> None:
-        """Draw anew next time: the window system has lost what the window showed."""
+        """Draw anew next time, as the window system has lost the window's content."""
         self._drawn_px = None
 
 
 def fit(picture_px: tuple[int, int], window_px: tuple[int, int], k: int, count: int) -> Box:
-    """Return (left, bottom, width, height), px, of the ``k``-th of ``count`` pictures side by side: whole, centred, undistorted."""
+    """Return (left, bottom, width, height), px, of the ``k``-th of ``count`` images side by side, undistorted."""
     column = window_px[0] / count
     scale = min(column / picture_px[0], window_px[1] / picture_px[1])
     width, height = (max(1, round(scale * size)) for size in picture_px)
@@ -122,13 +122,13 @@ def fit(picture_px: tuple[int, int], window_px: tuple[int, int], k: int, count: 
 
 
 def last_error() -> str:
-    """Return what the window library says about its last failure."""
-    said: Any = glfw.get_error()[1]  # bytes, although its type stub says str
-    return said.decode("utf-8", "replace") if isinstance(said, bytes) else str(said or "")
+    """Return the window library's text for its last failure."""
+    message: Any = glfw.get_error()[1]  # bytes, although its type stub says str
+    return message.decode("utf-8", "replace") if isinstance(message, bytes) else str(message or "")
 
 
 class _FunctionsByGlfw:
-    """Tells moderngl where the GL functions of the current context are."""
+    """Gives moderngl the GL functions of the current context."""
 
     def load_opengl_function(self, name: str) -> Any:
         return glfw.get_proc_address(name) or 0

@@ -1,4 +1,4 @@
-"""Owns the memory that both processes share: one picture after the other, each as large as it can become."""
+"""The memory that both processes share: the images in sequence, with room for the largest of each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """The most that a picture may need; ``channels`` is 3 (RGB) or 1."""
+    """The largest size of an image; ``channels`` is 3 (RGB) or 1."""
 
     width_px: int
     height_px: int
@@ -36,7 +36,7 @@ ROOMS = {
 
 
 class Pictures:
-    """A view of the shared memory behind a file descriptor. Who writes and who reads when is agreed on elsewhere."""
+    """A view of the shared memory behind a file descriptor. Turns of writing and reading are agreed elsewhere."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
@@ -49,18 +49,18 @@ class Pictures:
 
     @classmethod
     def create(cls) -> Self:
-        """New memory, black; gone with the last process that has it."""
+        """New memory, black; freed with the last process that has it."""
         descriptor = os.memfd_create("kingfisher-windows")
         os.ftruncate(descriptor, sum(room.size_bytes for room in ROOMS.values()))
         return cls(descriptor)
 
     def close(self) -> None:
-        """Give the memory back."""
+        """Unmap the memory."""
         self._memory.close()
         os.close(self.descriptor)
 
     def view(self, name: str, width_px: int, height_px: int) -> Picture:
-        """(height, width, channels) view of a picture. Raises ValueError where it does not fit its room."""
+        """(height, width, channels) view of an image. Raises ValueError if it does not fit its room."""
         room = ROOMS[name]
         if not (0 < width_px <= room.width_px and 0 < height_px <= room.height_px):
             raise ValueError(f"{name} {width_px}x{height_px}; allowed are 1x1 to {room.width_px}x{room.height_px}")
@@ -70,20 +70,20 @@ class Pictures:
 
 
 class Writer:
-    """Puts pictures into the memory and says which have changed."""
+    """Writes images into the memory and reports the changed ones."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
         self._size: dict[str, tuple[int, int]] = {}
 
     def write(self, new: Mapping[str, Picture]) -> dict[str, tuple[int, int]]:
-        """Name → (width, height) of those that differ from what is there."""
+        """Write ``new``; return name → (width, height) of the changed ones."""
         changed = {}
         for name, picture in new.items():
             height, width = picture.shape[:2]
-            there = self._pictures.view(name, width, height)
-            picture = picture.reshape(there.shape)
-            if self._size.get(name) != (width, height) or not np.array_equal(there, picture):
-                there[...] = picture
+            stored = self._pictures.view(name, width, height)
+            picture = picture.reshape(stored.shape)
+            if self._size.get(name) != (width, height) or not np.array_equal(stored, picture):
+                stored[...] = picture
                 self._size[name] = changed[name] = (width, height)
         return changed

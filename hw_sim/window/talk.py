@@ -1,10 +1,10 @@
-"""Owns the lines that the windows' process and the world's exchange over its standard input and output.
+"""The lines between the windows' process and the world's, over its standard input and output.
 
     windows → world   open · failed TEXT · want · down KEY NS · up KEY NS · quit TEXT
-                      shift X Y NS · turn X Y NS · wheel N NS: the mouse, in px of a camera's picture
-    world → windows   show [NAME=WIDTHxHEIGHT …]: the answer to each want, with the pictures that have changed
+                      shift X Y NS · turn X Y NS · wheel N NS: the mouse, in px of a camera's image
+    world → windows   show [NAME=WIDTHxHEIGHT …]: the answer to each want, with the images that have changed
 
-The memory of the pictures belongs to the world's process from ``want`` to ``show``, otherwise to the windows'.
+The memory of the images belongs to the world's process from ``want`` to ``show``, otherwise to the windows'.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ class Lines:
             data = os.read(self._descriptor, LONGEST_LINE)
             self.ended = not data
             self._come += data
-        line, newline, rest = self._come.partition(b"\n")
+        line, newline, remainder = self._come.partition(b"\n")
         if not newline:
             if len(line) > LONGEST_LINE:
                 raise ValueError(f"a line of more than {LONGEST_LINE} bytes")
             return None
-        self._come = rest
+        self._come = remainder
         return line.decode("utf-8", "replace")
 
 
-def say(descriptor: int, *words: str) -> bool:
-    """Write one line; false where nobody is there any more."""
-    line = " ".join(" ".join(words).split()) + "\n"
+def say(descriptor: int, *message: str) -> bool:
+    """Write one line; return False if the reader is gone."""
+    line = " ".join(" ".join(message).split()) + "\n"
     try:
         os.write(descriptor, line.encode()[:LONGEST_LINE])
     except BrokenPipeError:
@@ -50,16 +50,16 @@ def say(descriptor: int, *words: str) -> bool:
     return True
 
 
-def sizes_as_words(sizes: Mapping[str, tuple[int, int]]) -> list[str]:
+def format_sizes(sizes: Mapping[str, tuple[int, int]]) -> list[str]:
     """``name=WxH`` of each."""
     return [f"{name}={width}x{height}" for name, (width, height) in sizes.items()]
 
 
-def words_as_sizes(words: list[str]) -> dict[str, tuple[int, int]]:
+def parse_sizes(texts: list[str]) -> dict[str, tuple[int, int]]:
     """The inverse. Raises ValueError."""
     sizes = {}
-    for word in words:
-        name, _, size = word.partition("=")
+    for text in texts:
+        name, _, size = text.partition("=")
         width, height = size.split("x")
         sizes[name] = (int(width), int(height))
     return sizes

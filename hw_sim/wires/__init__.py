@@ -1,4 +1,4 @@
-"""The wires of the simulated rig: thin ends under the real driver libraries, all leading to one world."""
+"""The wires of the simulated rig: thin ends below the real driver libraries, all of one world."""
 
 from hw_sim.wires.in_process import ScriptFailedError, SimWires, open  # the name that rig files use
 

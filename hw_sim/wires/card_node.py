@@ -1,4 +1,4 @@
-"""Owns the product's end of the graphics card: system calls on an opened node, waiting in world time."""
+"""The product's end of the graphics card: system calls on an opened node, waiting in world time."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ class SimCardNode:
             self._file = CardFile(card)
 
     def ioctl(self, request: int, buffer: bytearray) -> None:
-        """Do what ``fcntl.ioctl(fd, request, buffer, True)`` does; pointers are addresses of this process. Raises OSError."""
+        """``fcntl.ioctl(fd, request, buffer, True)``; pointers are addresses of this process. Raises OSError."""
         with self._time.condition:
             self._file.ioctl(request, buffer)
 
     def map(self, length: int, offset: int) -> memoryview:
-        """Return what ``mmap`` of a dumb buffer does: its memory, writable and shared. Raises OSError."""
+        """Map a dumb buffer like ``mmap``; return its memory, writable and shared. Raises OSError."""
         with self._time.condition:
             return self._file.map(length, offset)
 
     def read(self, size: int) -> bytes:
-        """Return what ``os.read`` does on a non-blocking descriptor. Raises BlockingIOError when nothing is there."""
+        """Read like ``os.read`` on a non-blocking descriptor. Raises BlockingIOError without data."""
         with self._time.condition:
             return self._file.read(size)
 
@@ -37,6 +37,6 @@ class SimCardNode:
             return self._file.readable
 
     def close(self) -> None:
-        """Give the card back; may be called again."""
+        """Close the node; may be called again."""
         with self._time.condition:
             self._file.close()

@@ -1,4 +1,4 @@
-"""Owns the hidapi end of the key pad's wire: an object of the shape of hidapi's module ``hidraw``."""
+"""The hidapi end of the key pad's wire: an object of the shape of hidapi's module ``hidraw``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hw_sim.devices.keypad import Keypad
 from hw_sim.timing.world_time import WorldTime
 
 REPORTS_KEPT = 63
-"""The kernel's hidraw has a ring of 64 that is never quite full: when nobody reads, the newest reports are lost."""
+"""The kernel's hidraw has a ring of 64, one of them unused; without a reader the newest reports are lost."""
 BUS_TYPE_USB = 1
 
 
@@ -43,7 +43,7 @@ class HidrawModule:
             ]
 
     def _path(self) -> bytes:
-        # Every appearance has another path, as udev numbers them: an old path never leads to the new device.
+        # Each time the device appears it has another path, as with udev: an old path never leads to the new device.
         return b"/dev/hidraw%d" % self._keypad.enumeration
 
     def device(self) -> HidDevice:
@@ -75,9 +75,9 @@ class HidDevice:
 
     def open(self, vendor_id: int = 0, product_id: int = 0, serial_number: str | None = None) -> None:
         """Open the first that matches."""
-        for found in self._module.enumerate(vendor_id, product_id):
-            if serial_number in (None, found["serial_number"]):
-                self.open_path(found["path"])
+        for device in self._module.enumerate(vendor_id, product_id):
+            if serial_number in (None, device["serial_number"]):
+                self.open_path(device["path"])
                 return
         raise OSError("open failed")
 

@@ -1,4 +1,4 @@
-"""Owns the in-process wires: what ``[rig] wires = "hw_sim.wires:open"`` resolves to."""
+"""The in-process wires: ``[rig] wires = "hw_sim.wires:open"``."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SCRIPT_GRACE_S = 5.0
 
 
 class ScriptFailedError(Exception):
-    """The diver's script did not come to its end; the text says at which step."""
+    """The diver's script did not come to its end; the text has the failed step."""
 
     exit_code = 3
 
 
 class SimWires:
-    """Ends of the wires into one world, in the shape the product asks for (``docs/protocols/wires.md``)."""
+    """Ends of the wires into one world, in the shape of ``docs/protocols/wires.md``."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -46,11 +46,11 @@ class SimWires:
         self.calendar = world.calendar
 
     def cards(self) -> tuple[str, ...]:
-        """Paths of all cards: the one, unless it is gone."""
+        """Paths of all cards: one, unless it is gone."""
         return (CARD,) if self._world.card.present else ()
 
     def open_card(self, path: str) -> SimCardNode:
-        """Open the one card that there is. Raises FileNotFoundError for another path, and while it is gone."""
+        """Open the card. Raises FileNotFoundError for another path, and while it is gone."""
         if path != CARD or not self._world.card.present:
             raise FileNotFoundError(2, "No such file or directory", path)
         return SimCardNode(self._world.card, self._world.time)
@@ -58,42 +58,42 @@ class SimWires:
 
 @contextmanager
 def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
-    """Open wires into the world that ``options`` name; it is made, and ends with them, unless it exists already.
+    """Open wires into the world of ``options``; unless it exists already it is made, and ends with them.
 
     Raises OptionError, ScriptError, WindowError; at the end ScriptFailedError when a script was given and did not
     succeed, WindowError when the windows failed.
     """
-    wanted = options_from(options)
+    world_options = options_from(options)
     with ExitStack() as stack:
-        world = registry.find(wanted.world)
+        world = registry.find(world_options.world)
         if world is None:
-            world = stack.enter_context(World(wanted))
+            world = stack.enter_context(World(world_options))
         stack.enter_context(_serial_protocol())
-        if wanted.window:
+        if world_options.window:
             stack.enter_context(open_windows(world))
-        if wanted.console:
-            stack.enter_context(reading(world, _status(wanted, "a console"), sys.stdin.fileno()))
-        diver = _diver(wanted, world)
+        if world_options.console:
+            stack.enter_context(reading(world, _status(world_options, "a console"), sys.stdin.fileno()))
+        diver = _diver(world_options, world)
         if diver is not None:
             stack.enter_context(_acting(diver))
         yield SimWires(world)
 
 
-def _diver(wanted: WorldOptions, world: World) -> Operator | None:
-    """Return the diver who holds the instrument; ``None`` if nobody does."""
-    if wanted.script is None and not wanted.chaos:
+def _diver(world_options: WorldOptions, world: World) -> Operator | None:
+    """Return the diver that operates the instrument; ``None`` without one."""
+    if world_options.script is None and not world_options.chaos:
         return None
-    status = _status(wanted, "a diver")
-    if wanted.script is not None:
-        return Diver(world, read_script(Path(wanted.script)), status)
-    chaos = wanted.chaos
+    status = _status(world_options, "a diver")
+    if world_options.script is not None:
+        return Diver(world, read_script(Path(world_options.script)), status)
+    chaos = world_options.chaos
     return ChaosDiver(world, status, int(chaos["seed"]), int(chaos["scans"]), Path(chaos["report"]))
 
 
-def _status(wanted: WorldOptions, who: str) -> Path:
-    if wanted.status is None:
+def _status(world_options: WorldOptions, who: str) -> Path:
+    if world_options.status is None:
         raise OptionError(f"{who} needs the option status: the path of the service's status file")
-    return Path(wanted.status)
+    return Path(world_options.status)
 
 
 @contextmanager
@@ -111,7 +111,7 @@ def _acting(diver: Operator) -> Iterator[None]:
 
 @contextmanager
 def _serial_protocol() -> Iterator[None]:
-    """Make pyserial know ``kfsim://`` as long as the wires are open; several may be open at once."""
+    """Register ``kfsim://`` with pyserial as long as the wires are open; several may be open at once."""
     packages: list[str] = serial.protocol_handler_packages
     packages.append(SERIAL_PROTOCOLS)
     try:

@@ -1,4 +1,4 @@
-"""Owns the pyserial end of the board's wire: the port behind ``kfsim://<world>/board``.
+"""The pyserial end of the board's wire: the port behind ``kfsim://<world>/board``.
 
 pyserial finds this module by its name, as long as its package is in ``serial.protocol_handler_packages``.
 """
@@ -18,7 +18,7 @@ _GONE = "device reports readiness to read but returned no data (device disconnec
 
 
 class Serial(SerialBase):  # type: ignore[misc]
-    """A serial port into a simulated world; timeouts count world time, line settings mean nothing."""
+    """A serial port into a simulated world; timeouts count world time, line settings have no effect."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._board: Board | None = None
@@ -28,7 +28,7 @@ class Serial(SerialBase):  # type: ignore[misc]
         super().__init__(*args, **kwargs)
 
     def open(self) -> None:
-        """Open the port. Raises SerialException where there is no such world, or the port is taken."""
+        """Open the port. Raises SerialException if there is no such world, or the port is taken."""
         if self.is_open:
             raise SerialException("Port is already open.")
         if self._port is None:
@@ -38,7 +38,7 @@ class Serial(SerialBase):  # type: ignore[misc]
         if world is None or parts.path != "/board":
             raise SerialException(2, f"could not open port {self._port}: [Errno 2] No such file or directory")
         with world.time.condition:
-            # The kernel lets a port be opened twice; pyserial's exclusive mode does not, and one host is what a board has.
+            # The kernel allows two openings of a port; pyserial's exclusive mode does not, and a board has one host.
             if world.board.open:
                 raise SerialException(16, f"could not open port {self._port}: [Errno 16] Device or resource busy")
             world.board.open = True
@@ -100,40 +100,40 @@ class Serial(SerialBase):  # type: ignore[misc]
         return len(data)
 
     def flush(self) -> None:
-        """Do nothing: everything is sent at once."""
+        """No effect, as bytes are sent at once."""
         self._ends()
 
     def reset_input_buffer(self) -> None:
-        """Forget what was received."""
+        """Discard received bytes."""
         board, time = self._ends()
         with time.condition:
             board.take(board.waiting)
 
     def reset_output_buffer(self) -> None:
-        """Do nothing: nothing waits to be sent."""
+        """No effect, as bytes are sent at once."""
         self._ends()
 
     def cancel_read(self) -> None:
-        """Let a waiting read return what it has."""
+        """Let a waiting read return with the bytes so far."""
         _, time = self._ends()
         with time.condition:
             self._cancelled = True
             time.condition.notify_all()
 
     def cancel_write(self) -> None:
-        """Do nothing: no write waits."""
+        """No effect, as writes never wait."""
 
     def _reconfigure_port(self) -> None:
-        """Do nothing: USB has no baud rate."""
+        """No effect, as USB has no baud rate."""
 
     def _update_break_state(self) -> None:
-        """Do nothing: there is no such line."""
+        """No effect, as there is no such line."""
 
     def _update_rts_state(self) -> None:
-        """Do nothing: there is no such line."""
+        """No effect, as there is no such line."""
 
     def _update_dtr_state(self) -> None:
-        """Do nothing: there is no such line."""
+        """No effect, as there is no such line."""
 
     @property
     def cts(self) -> bool:
@@ -152,5 +152,5 @@ class Serial(SerialBase):  # type: ignore[misc]
 
     @property
     def cd(self) -> bool:
-        """Always there."""
+        """Always present."""
         return True

@@ -1,4 +1,4 @@
-"""Owns the pyusb end of the cameras' wires: transfers, timeouts in world time, and errors as libusb words them."""
+"""The pyusb end of the cameras' wires: transfers, timeouts in world time, and libusb's errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BUS = 2
 
 
 class Handle:
-    """An opened device; of no more use once the device has left the bus, even if it comes back."""
+    """An opened device; invalid once the device has left the bus, even if it comes back."""
 
     def __init__(self, camera: U3vCamera) -> None:
         self.camera = camera
@@ -54,7 +54,7 @@ def _not_found() -> USBError:
 
 
 def _memory(buffer: array[int]) -> memoryview:
-    """Return the bytes behind an array, by address and length as libusb takes them."""
+    """Return the bytes of an array, by address and length as libusb takes them."""
     address, length = buffer.buffer_info()
     size = length * buffer.itemsize
     return memoryview((ctypes.c_ubyte * size).from_address(address)).cast("B") if size else memoryview(bytearray())
@@ -81,7 +81,7 @@ class UsbBackend(usb.backend.IBackend):  # type: ignore[misc]
     def get_device_descriptor(self, dev: U3vCamera) -> SimpleNamespace:
         with self._time.condition:
             port = self._cameras.index(dev) + 1
-            # The kernel gives every appearance a new address; 1 is the root hub.
+            # The kernel assigns a new address each time a device appears; 1 is the root hub.
             address = 2 + port + len(self._cameras) * dev.enumeration
             where = {"bus": BUS, "address": address, "port_number": port, "port_numbers": (port,)}
             return SimpleNamespace(**parse_device(dev.device_descriptor()), **where, speed=int(dev.speed))
@@ -135,7 +135,7 @@ class UsbBackend(usb.backend.IBackend):  # type: ignore[misc]
             camera = self._check(dev_handle)
             if intf >= len(parse_configuration(camera.configuration_descriptor())[1]):
                 raise _not_found()
-            # Claims belong to one appearance on the bus: a device that comes back is claimed by nobody.
+            # A claim ends when the device leaves the bus: one that comes back is unclaimed.
             key = (camera.name, camera.enumeration, intf)
             if self._claims.setdefault(key, dev_handle) is not dev_handle:
                 raise _busy()
@@ -173,7 +173,7 @@ class UsbBackend(usb.backend.IBackend):  # type: ignore[misc]
         self._request(dev_handle, 0x02, 0x01, 0, ep, 0)
 
     def reset_device(self, dev_handle: Handle) -> None:
-        """Reset the port: the device stays the same one, with its registers as after plugging in."""
+        """Reset the port: the device remains the same one, with its registers as after plugging in."""
         with self._time.condition:
             camera = self._check(dev_handle)
             camera.restart()
@@ -234,7 +234,7 @@ class UsbBackend(usb.backend.IBackend):  # type: ignore[misc]
                 raise _pipe_error() from None
             except Overflow:
                 raise _overflow() from None
-        # As libusb: a transfer that timed out half way gives what it has.
+        # As in libusb, a transfer that timed out half way returns the data so far.
         if not done and not filled:
             raise _timed_out()
         return filled

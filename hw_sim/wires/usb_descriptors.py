@@ -1,4 +1,4 @@
-"""Owns the reading of a device's descriptors into named fields, grouped as libusb groups them."""
+"""Parsing of a device's descriptors into named fields, grouped as in libusb."""
 
 from __future__ import annotations
 
@@ -53,17 +53,17 @@ def parse_device(raw: bytes) -> dict[str, Any]:
 def parse_configuration(raw: bytes) -> tuple[dict[str, Any], list[Interface]]:
     """Return the fields of a configuration and its interfaces, by the names of the USB specification.
 
-    What is neither configuration, interface nor endpoint goes into ``extra_descriptors`` of the one before it.
+    Other descriptors go into ``extra_descriptors`` of the one before them.
     """
     configuration: dict[str, Any] = {}
     interfaces: list[Interface] = []
     latest: dict[str, Any] = {}
-    at = 0
-    while at < len(raw):
-        # Every descriptor begins with its length and type, so that unknown ones can be stepped over.
-        length, kind = raw[at], raw[at + 1]
-        piece = raw[at : at + length]
-        at += length
+    offset = 0
+    while offset < len(raw):
+        # Every descriptor begins with its length and type, so that unknown ones can be skipped.
+        length, kind = raw[offset], raw[offset + 1]
+        piece = raw[offset : offset + length]
+        offset += length
         if kind not in (_CONFIGURATION, _INTERFACE, _ENDPOINT):
             latest["extra_descriptors"] += list(piece)
             continue

@@ -87,10 +87,10 @@ def close_axis(
 ) -> None:
     """Close the illuminated part (h, 2) of one direction's (h, w) maps and mask its edges, row by row.
 
-    ``other`` is the map of the direction that was closed before (in the second one): a pixel that fails now loses its
-    coordinate there too. Each pixel is judged by its four neighbours as they were before edges were masked: three rows
-    are kept in scratch, and row y − 1 is judged and written when row y is closed. Beyond its illuminated part, a row in
-    scratch is NaN.
+    ``first_coordinate`` is the map of the direction that was closed before (in the second one): a pixel that fails now
+    loses its coordinate there too. Each pixel is judged by its four neighbours as they were before edges were masked:
+    three rows are kept in scratch, and row y − 1 is judged and written when row y is closed. Beyond its illuminated
+    part, a row in scratch is NaN.
     """
     # Borrowed, since each row takes a dozen views.
     i0, i1, i2, i3, half_period = borrowed(i0), borrowed(i1), borrowed(i2), borrowed(i3), borrowed(half_period)

@@ -102,8 +102,9 @@ def choose_fringes(
 ) -> None:
     """Write the places in px of the best fringes that begin before ``end_px``, and their disagreement.
 
-    ``results`` (2, n): places, and sums of the squared disagreement of the other phases, in turns. ``others`` (m, n)
-    are these phases in turns, or their ``cosines``; ``conventions`` (2, m) their periods in px and beginnings in turns.
+    ``results`` (2, n): places, and sums of the squared disagreement of the other phases, in turns. ``other_phases``
+    (m, n) are these phases in turns, or their ``cosines``; ``conventions`` (2, m) their periods in px and beginnings in
+    turns.
     """
     best_px, best = results
     best_px[:], best[:] = _ZERO, _FAR

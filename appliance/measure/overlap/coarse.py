@@ -58,7 +58,7 @@ class Guess:
 
 
 def guess_by_features(a: Features, b: Features, count_limit: int = 3, seed: int = 0) -> list[Guess]:
-    """Return at most ``most`` distinct poses on which enough features agree, the best first."""
+    """Return at most ``count_limit`` distinct poses on which enough features agree, the best first."""
     pairs = matches(a.descriptors, b.descriptors)
     if len(pairs) < ENOUGH_INLIERS:
         return []
@@ -153,7 +153,7 @@ def same(first: Rigid, second: Rigid, within_mm: float = DISTINCT_MM, depth_mm: 
 
 
 def guess_by_shape(a: Prepared, b: Prepared, near: Rigid | None = None, count_limit: int = 6) -> list[Guess]:
-    """Return at most ``most`` distinct poses of B on A that fit by shape, the best first.
+    """Return at most ``count_limit`` distinct poses of B on A that fit by shape, the best first.
 
     ``a`` and ``b`` have coarse patches of some 4 mm. ``near``: an approximate pose of B, such as that of the scan
     before; ``None``: any pose within ``SHIFTS_MM`` of the same view.

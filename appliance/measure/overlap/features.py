@@ -63,7 +63,7 @@ class Keypoints:
 
 
 def find_keypoints(picture: NDArray[np.uint8], count_limit: int) -> Keypoints:
-    """Find some 2 × ``most`` keypoints of an image (h, w) uint8, in no order."""
+    """Find some 2 × ``count_limit`` keypoints of an image (h, w) uint8, in no order."""
     even = cv2.createCLAHE(4.0, (8, 8)).apply(picture)
     sift: Any = cv2.SIFT_create  # type: ignore[attr-defined]  # the stubs do not know it
     keypoints, descriptors = sift(nfeatures=2 * count_limit, contrastThreshold=0.02).detectAndCompute(even, None)

@@ -166,8 +166,8 @@ def coarse_view(
 ) -> CoarseView:
     """Return the view of a scan by which it is compared.
 
-    ``cloud``: the point of every ``stride_px``-th pixel; ``bright`` (h, w) uint8; ``others`` (n, h, w): frames whose
-    mean has the same light. The arrays are copied.
+    ``cloud``: the point of every ``stride_px``-th pixel; ``bright`` (h, w) uint8; ``same_light`` (n, h, w): frames
+    whose mean has the same light. The arrays are copied.
     """
     h, w = bright.shape
     gh, gw = -(-h // stride_px), -(-w // stride_px)

@@ -168,7 +168,7 @@ class ReadyScan:
         return bool(self.resistance.significance.min() >= HELD)
 
     def common_keypoints(self, second: ReadyScan, pose: Rigid) -> int:
-        """Return the number of keypoints that this scan shares with ``other`` at ``pose``."""
+        """Return the number of keypoints that this scan shares with ``second`` at ``pose``."""
         return len(in_common(self.features, second.features, pose))
 
     __repr__ = one_line

@@ -62,7 +62,7 @@ class Below(NamedTuple):
 def surface_of(cloud: Cloud, second_cloud: Cloud, shape: tuple[int, int]) -> Surface:
     """Return ``cloud`` (not empty) as a surface over the camera's (h, w) pixels.
 
-    ``other``: another cloud of the scene, to whose pixels the projection is fitted, too.
+    ``second_cloud``: another cloud of the scene, to whose pixels the projection is fitted, too.
     """
     index = np.full(shape[0] * shape[1], -1, np.int32)
     index[cloud.pixel] = np.arange(len(cloud.pixel), dtype=np.int32)
@@ -86,7 +86,7 @@ def surface_of(cloud: Cloud, second_cloud: Cloud, shape: tuple[int, int]) -> Sur
 
 
 def thinned(n: int, count: int) -> NDArray[np.int64]:
-    """Return at most ``most`` of the numbers 0 … n - 1, evenly."""
+    """Return at most ``count`` of the numbers 0 … n - 1, evenly."""
     return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64)) if n else np.empty(0, np.int64)
 
 

@@ -44,7 +44,7 @@ class Cloud:
     """Signed gaps before any limit; only in a full cloud."""
 
     def thinned(self, count: int) -> Cloud:
-        """Return at most about ``most`` of its points, evenly over the image; ``summary`` does not change."""
+        """Return at most about ``count`` of its points, evenly over the image; ``summary`` does not change."""
         k = slice(None, None, max(1, -(-len(self.pixel) // count)))
         return Cloud(
             self.points_mm[k],

@@ -1,1 +1,1 @@
-"""The wires of the simulated rig as device nodes: usbfs, hidraw, a terminal and DRM, for programs of other processes."""
+"""The wires of the simulated rig as device nodes for other processes: usbfs, hidraw, a terminal and DRM."""

@@ -1,4 +1,4 @@
-"""Owns the DRM node in front of the simulated card: system calls of another process, scan-out memory shared with it."""
+"""The DRM node of the simulated card: another process's system calls, and scan-out memory shared with it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from hw_sim.timing.world_time import WorldTime
 from hw_sim.wires.umockdev.preload import HostMemory
 
 SLOT_BYTES = 1 << 26
-"""Distance of two buffers in the node, more than the largest one."""
+"""Distance of two buffers in the node, larger than any buffer."""
 SLOTS = 4096
 HELD_S = 0.005
-"""A regular file is always ready for ``poll``, so that reads come when there is nothing: they are answered with EAGAIN
-this late, lest the host spins, and no later, since a descriptor's other calls wait behind."""
+"""A regular file is always ready for ``poll``, so that reads come without events. They get EAGAIN after this delay,
+lest the host spins; it is short, as the descriptor's other calls wait behind."""
 
 
 class CardMemory:
@@ -57,8 +57,8 @@ class CardMemory:
 class HostClock:
     """The kernel's clock at moments of world time.
 
-    While a sequence is recorded that waits for its host (pace ``attended`` and ``lockstep``), the display's time stands
-    still with the world's, so that blanks keep their distance; behind it the two are brought together again.
+    While a sequence is recorded that waits for its host (pace ``attended`` and ``lockstep``), the display's time stops
+    with the world's, so that blanks keep their distance; after it the two are aligned again.
     """
 
     def __init__(self, world: WorldTime, recording: Callable[[], bool]) -> None:
@@ -85,7 +85,7 @@ class DrmFile:
 
     @property
     def memory(self) -> UserMemory:
-        """Every call names its caller's memory; there is no other."""
+        """Memory of this process; unused, as every call has its caller's."""
         return OwnMemory()
 
     def time_ns(self, world_ns: int) -> int:
@@ -97,7 +97,7 @@ class DrmFile:
     # -- system calls
 
     def ioctl(self, request: int, argument: int, memory: HostMemory) -> int:
-        # The size stands in the request (_IOC_SIZE); the kernel, too, copies the argument in and out as a whole.
+        # The size is in the request (_IOC_SIZE); the kernel, too, copies the argument in and out in one piece.
         buffer = bytearray(memory.copy_from_user(argument, request >> 16 & 0x3FFF))
         with self._time.condition:
             self._check()
@@ -106,7 +106,7 @@ class DrmFile:
         return 0
 
     def read(self, size: int) -> bytes:
-        """Return whole events. Raises OSError(EAGAIN), a little late, where there is none."""
+        """Return complete events. Raises OSError(EAGAIN), after HELD_S, without one."""
         with self._time.condition:
             self._check()
             if not self._file.readable:

@@ -1,4 +1,4 @@
-"""Owns the kernel's hidraw in front of the simulated key pad: one report for each read, and what the pad is.
+"""The kernel's hidraw for the simulated key pad: one report for each read, and the pad's description.
 
 Source: Linux ``include/uapi/linux/hidraw.h`` and ``drivers/hid/hidraw.c``.
 """
@@ -17,7 +17,7 @@ from hw_sim.wires.umockdev.preload import HostMemory
 from hw_sim.wires.umockdev.readiness import Readiness
 
 REPORTS_KEPT = 63
-"""A ring of 64 that is never quite full: when nobody reads, the newest reports are lost."""
+"""A ring of 64, one of them unused; without a reader the newest reports are lost."""
 BUS_USB = 3
 _TYPE = ord("H")
 DESCRIPTOR_SIZE, DESCRIPTOR, RAW_INFO, RAW_NAME, RAW_PHYS, RAW_UNIQUE = 1, 2, 3, 4, 5, 8
@@ -25,7 +25,7 @@ PHYS = "usb-0000:00:14.0-1/input0"
 
 
 class PluggedPad:
-    """The state that all openings of the pad share while it stays plugged in."""
+    """The state that all openings of the pad share while it is plugged in."""
 
     def __init__(self, keypad: Keypad, time: WorldTime, ready: Readiness) -> None:
         self.keypad, self.time, self.ready = keypad, time, ready
@@ -34,11 +34,11 @@ class PluggedPad:
 
     @property
     def present(self) -> bool:
-        """True while the pad has not left the bus. Asked with the lock held."""
+        """True while the pad has not left the bus. The caller holds the lock."""
         return not self.time.closed and self.keypad.plugged and self.keypad.enumeration == self.enumeration
 
     def changed(self) -> None:
-        """Note that some file's reports have changed, or that the pad is gone. The caller holds the lock."""
+        """Note a change of some file's reports, or the pad's removal. The caller holds the lock."""
         self.ready.set(not self.present or any(file.reports for file in self.files))
 
 
@@ -64,7 +64,7 @@ class HidFile:
             self._device.files.remove(self)
 
     def read(self, size: int) -> bytes:
-        """Return one report, cut to ``size``; waits for it. Raises OSError(EIO) when the pad is gone."""
+        """Wait for one report and return it, cut to ``size``. Raises OSError(EIO) when the pad is gone."""
         time = self._device.time
         with time.condition:
             while not self.reports:
@@ -91,8 +91,8 @@ class HidFile:
             case 1:
                 memory.copy_to_user(argument, struct.pack("<I", len(descriptor)))
             case 2:
-                (wanted,) = struct.unpack("<I", memory.copy_from_user(argument, 4))
-                memory.copy_to_user(argument + 4, descriptor[:wanted])
+                (size,) = struct.unpack("<I", memory.copy_from_user(argument, 4))
+                memory.copy_to_user(argument + 4, descriptor[:size])
             case 3:
                 memory.copy_to_user(argument, struct.pack("<IHH", BUS_USB, pad.VENDOR, pad.PRODUCT))
             case 4:

@@ -1,4 +1,4 @@
-"""Owns where each device of the instrument is plugged in, in the words of sysfs."""
+"""The plug of each device of the instrument, as paths and attributes of sysfs."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ CARD = SysDevice(
 
 
 def bus_of(device: U3vCamera) -> int:
-    """Return the bus that the camera's speed belongs to."""
+    """Return the bus of the camera's speed."""
     return SUPER_SPEED_BUS if device.speed is Speed.SUPER else HIGH_SPEED_BUS
 
 
 def camera(device: U3vCamera, port: int, address: int) -> SysDevice:
-    """Return a camera on its port; every appearance has another ``address``."""
+    """Return a camera on its port; ``address`` is new each time it appears."""
     bus = bus_of(device)
     descriptors = device.device_descriptor() + device.configuration_descriptor()
     # drivers/usb/core: the minor number of a device node holds bus and address.
@@ -65,7 +65,10 @@ def camera(device: U3vCamera, port: int, address: int) -> SysDevice:
 
 
 def keypad(pad: ModuleType, number: int, address: int) -> list[SysDevice]:
-    """Return the pad's chain from the bus to ``hidrawN``; parents first. Its USB device has no node: no library asks for one."""
+    """Return the pad's chain from the bus to ``hidrawN``; parents first.
+
+    Its USB device has no node, as no library opens one.
+    """
     root = f"{PCI}/0000:00:14.0/usb{PAD_BUS}/{PAD_BUS}-5"
     interface = f"{root}/{PAD_BUS}-5:1.0"
     name = f"0003:{pad.VENDOR:04X}:{pad.PRODUCT:04X}.{address:04X}"

@@ -1,8 +1,8 @@
-"""Owns the conversation with umockdev's preload library: system calls on opened device nodes come in, answers go out.
+"""The protocol of umockdev's preload library: system calls on opened device nodes, and their answers.
 
 ``libumockdev-preload.so`` in the host's process connects to ``<root>/ioctl/<node>`` for each opening of a node that has
-a socket there, and asks for each ``ioctl``, ``read`` and ``write``; until it is answered, its memory can be read and
-written. Source: umockdev 0.17, ``src/libumockdev-preload.c`` (remote_emulate).
+a socket there, and sends each ``ioctl``, ``read`` and ``write``; until the answer, its memory can be read and written.
+Source: umockdev 0.17, ``src/libumockdev-preload.c`` (remote_emulate).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PACKET = struct.Struct("<QqQ")
 _ANSWER = struct.Struct("<Qqq")
 _DONE, _RUN, _READ_MEMORY, _WRITE_MEMORY = 3, 4, 5, 6
 ANSWER_TIMEOUT_S = 10.0
-"""A host that is being asked for its memory is waiting, so that it answers at once unless it is stopped."""
+"""A host whose memory is read is waiting for an answer, so that it replies at once unless it is stopped."""
 SOCKET_PATH_BYTES = 107
 
 
@@ -30,11 +30,11 @@ class HostGone(Exception):
 
 
 class NotOurs(Exception):
-    """The node has no answer: the host's own system call is to be made, on the file that stands for the node."""
+    """The call has no answer here: the host makes its own system call, on the file in place of the node."""
 
 
 class HostMemory:
-    """Memory of the process whose system call is being answered. Raises HostGone; OSError(EFAULT) for no address."""
+    """Memory of the process with the system call. Raises HostGone; OSError(EFAULT) for no address."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
@@ -60,13 +60,16 @@ class HostMemory:
 
 
 class OpenedNode(Protocol):
-    """One opening of a device node: the kernel's end of it. Each call raises OSError as the system call does."""
+    """One opening of a device node: the kernel's end of it. Raises OSError as the system calls do."""
 
     def ioctl(self, request: int, argument: int, memory: HostMemory) -> int:
-        """Do the call; ``argument`` is the third one as it came, mostly an address in ``memory``. Raises NotOurs."""
+        """Do the call. Raises NotOurs.
+
+        ``argument`` is the third one as it came, mostly an address in ``memory``.
+        """
 
     def read(self, size: int) -> bytes:
-        """Return the bytes that are put into the reader's buffer."""
+        """Return the bytes for the reader's buffer."""
 
     def write(self, data: bytes) -> int:
         """Take ``data``; return the number of bytes taken."""
@@ -76,7 +79,7 @@ class OpenedNode(Protocol):
 
 
 class Plain:
-    """A node without a kernel driver of ours, as a terminal is: its file does everything by itself."""
+    """A node without a kernel driver of ours, such as a terminal: all calls go to its file."""
 
     def ioctl(self, request: int, argument: int, memory: HostMemory) -> int:
         raise NotOurs
@@ -88,15 +91,15 @@ class Plain:
         raise NotOurs
 
     def close(self) -> None:
-        """Do nothing: nothing is kept."""
+        """No effect, as it has no state."""
 
 
 OTHER_NODES = "_default"
-"""Answers for every node that has no server of its own; the preload library wants it to be there."""
+"""The node whose server answers for all nodes without a server; the preload library needs it."""
 
 
 class NodeServer:
-    """Answers for one device node until it is closed; openings outlive it, as they outlive an unplugged device."""
+    """Answers for one device node until it is closed; openings outlive it, as they do an unplugged device."""
 
     def __init__(self, root: Path, node: str, opened: Callable[[], OpenedNode]) -> None:
         """``node``: path below ``/dev``, or OTHER_NODES. ``opened`` is called for each opening."""
@@ -134,7 +137,7 @@ class NodeServer:
                 while True:
                     connection.settimeout(None)
                     packet = _PACKET.unpack(_receive(connection, _PACKET.size))
-                    # Between calls the host may do anything for any time; during one it is stopped in ours and answers
+                    # Between calls the host may be silent without limit; during one it waits for our answer and replies
                     # at once.
                     connection.settimeout(ANSWER_TIMEOUT_S)
                     try:

@@ -1,4 +1,4 @@
-"""Owns the answer of ``poll`` for a device node: a named pipe stands for it, and is kept full or empty to say no."""
+"""The answer of ``poll`` for a device node: a named pipe in its place, kept full or empty."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _PAGE = 4096
 
 
 class Readiness:
-    """``poll`` on the node says readable (``POLLIN``), or with ``for_writing`` writable (``POLLOUT``), while it is set.
+    """``poll`` reports readable (``POLLIN``), or with ``for_writing`` writable (``POLLOUT``), while it is set.
 
-    All openings of a node share it: whoever is called in vain gets EAGAIN, as after any other spurious wake-up.
+    All openings of a node share it: a call in vain gets EAGAIN, as after any other spurious wake-up.
     """
 
     def __init__(self, node: Path, for_writing: bool = False) -> None:
@@ -29,7 +29,7 @@ class Readiness:
             self._fill()
 
     def set(self, ready: bool) -> None:
-        """Let ``poll`` say ``ready`` from now on; after ``close`` this does nothing."""
+        """Let ``poll`` report ``ready`` from now on; no effect after ``close``."""
         with self._lock:
             if ready == self._ready or self._fd < 0:
                 return
@@ -43,7 +43,7 @@ class Readiness:
         os.write(self._fd, bytes(_PAGE if self._for_writing else 1))
 
     def close(self) -> None:
-        """The node is gone; who still has it open finds it ready, so that its next call learns why."""
+        """Remove the node. Files that are still open on it become ready, so that their next call fails."""
         self.set(True)
         with self._lock:
             os.close(self._fd)

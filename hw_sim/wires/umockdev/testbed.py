@@ -1,6 +1,7 @@
-"""Owns the test bed: a world's devices as nodes of ``/dev`` and ``/sys``, for programs under umockdev's preload library.
+"""The test bed: a world's devices as nodes of ``/dev`` and ``/sys``, for programs under umockdev.
 
-Devices that leave the world's buses leave the test bed, and those that come back appear anew, as udev would tell.
+The programs run with umockdev's preload library. Devices that leave the world's buses leave the test bed, and those
+that come back appear anew, as with udev.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class _Plugged:
 
 
 class Testbed:
-    """A context manager; end the programs that use it before it ends. ``tap`` hears of every URB, lock held."""
+    """A context manager; end the programs that use it before it ends. ``tap`` gets every URB, lock held."""
 
     __test__ = False
 
@@ -90,7 +91,7 @@ class Testbed:
 
     @property
     def environment(self) -> dict[str, str]:
-        """The variables that a program's environment needs beside its own."""
+        """The variables to add to a program's environment."""
         return {"LD_PRELOAD": PRELOAD, "UMOCKDEV_DIR": str(self.root)}
 
     # ------------------------------------------------------------------------------------------ coming and going
@@ -110,23 +111,23 @@ class Testbed:
                     continue
             self._look()
 
-    def _wanted(self) -> dict[str, int]:
-        """Return what is on a bus, by name, and its enumeration. The caller holds the lock."""
+    def _expected(self) -> dict[str, int]:
+        """Return the devices on a bus, by name, with their enumeration. The caller holds the lock."""
         world = self._world
-        wanted = {camera.name: camera.enumeration for camera in world.cameras.values() if camera.plugged}
+        expected = {camera.name: camera.enumeration for camera in world.cameras.values() if camera.plugged}
         if world.keypad.plugged:
-            wanted["keypad"] = world.keypad.enumeration
-        return wanted
+            expected["keypad"] = world.keypad.enumeration
+        return expected
 
     def _stale(self) -> bool:
-        return self._wanted() != {name: plugged.enumeration for name, plugged in self._plugged.items()}
+        return self._expected() != {name: plugged.enumeration for name, plugged in self._plugged.items()}
 
     def _look(self) -> None:
         with self._world.time.condition:
-            wanted = self._wanted()
-        for name in [n for n, p in self._plugged.items() if wanted.get(n) != p.enumeration]:
+            expected = self._expected()
+        for name in [n for n, p in self._plugged.items() if expected.get(n) != p.enumeration]:
             self._pull(name)
-        for name, enumeration in wanted.items():
+        for name, enumeration in expected.items():
             if name not in self._plugged:
                 camera = next((c for c in self._world.cameras.values() if c.name == name), None)
                 plugged = self._plug_keypad(enumeration) if camera is None else self._plug_camera(camera, enumeration)

@@ -1,4 +1,4 @@
-"""Owns the files that stand for ``/sys`` and ``/dev``: which devices there are, and what is told about them."""
+"""The files in place of ``/sys`` and ``/dev``: the present devices, and messages about them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BUSES = ("usb", "hid", "pci")
 
 @dataclass(frozen=True, slots=True)
 class SysDevice:
-    """A device as sysfs shows it. ``path`` begins with ``devices/``; ``node`` lies below ``/dev``."""
+    """A device in sysfs. ``path`` begins with ``devices/``; ``node`` lies below ``/dev``."""
 
     path: str
     subsystem: str
@@ -30,15 +30,15 @@ class SysDevice:
     properties: Mapping[str, str] = field(default_factory=dict)
 
     def all_properties(self, dev: str = "/dev/") -> dict[str, str]:
-        """Return the properties as udev tells them; the kernel's own ``uevent`` file names the node without ``/dev/``."""
-        found = {"SUBSYSTEM": self.subsystem}
+        """Return the properties as in udev; the kernel's own ``uevent`` file has the node without ``/dev/``."""
+        properties = {"SUBSYSTEM": self.subsystem}
         if self.kind is not None:
-            found["DEVTYPE"] = self.kind
+            properties["DEVTYPE"] = self.kind
         if self.node is not None:
-            found["DEVNAME"] = f"{dev}{self.node}"
+            properties["DEVNAME"] = f"{dev}{self.node}"
         if self.number is not None:
-            found["MAJOR"], found["MINOR"] = map(str, self.number)
-        return {**found, **self.properties}
+            properties["MAJOR"], properties["MINOR"] = map(str, self.number)
+        return {**properties, **self.properties}
 
 
 class Tree:
@@ -55,7 +55,7 @@ class Tree:
         return self.root / "dev" / name
 
     def add(self, device: SysDevice) -> None:
-        """Let a device appear and tell all who listen. Its node is made by who answers for it, before this."""
+        """Add a device and notify all listeners. Its node is made before, by its server."""
         place = self.root / "sys" / device.path
         place.mkdir(parents=True, exist_ok=True)
         below = "../" * (len(Path(device.path).parts))
@@ -86,11 +86,11 @@ class Tree:
         return listed
 
     def _number(self, node: str) -> Path:
-        """Return the path at which the preload library looks for a node's numbers."""
+        """Return the path of a node's numbers for the preload library."""
         return self.root / "dev" / ".node" / node.replace("/", "_")
 
     def remove(self, device: SysDevice) -> None:
-        """Remove a device with its node and all below it, and tell all who listen."""
+        """Remove a device with its node and all below it, and notify all listeners."""
         group = ("bus" if device.subsystem in BUSES else "class", device.subsystem)
         for link in self._lists(device, group):
             link.unlink(missing_ok=True)

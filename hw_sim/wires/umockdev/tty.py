@@ -1,4 +1,4 @@
-"""Owns the serial line in front of the simulated board: a pseudo terminal whose far end is the board's firmware."""
+"""The serial line of the simulated board: a pseudo terminal whose far end is the board's firmware."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from hw_sim.timing.world_time import WorldTime
 
 CHUNK = 4096
 LOOK_S = 0.02
-"""A host that opens the port, or leaves it, is noticed so soon."""
+"""Largest delay at which a host's opening or closing of the port is noticed."""
 
 
 class BoardLine:
-    """``/dev/ttyACM0`` as a link to a pseudo terminal; the board learns when a host has it open."""
+    """``/dev/ttyACM0`` as a link to a pseudo terminal; the board is notified when a host opens it."""
 
     def __init__(self, node: Path, board: Board, time: WorldTime) -> None:
         """``node`` must not exist yet."""
@@ -27,7 +27,7 @@ class BoardLine:
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self.terminal = os.ttyname(slave)
-        # Linux hangs the master up (POLLHUP) while nobody has the slave open: so the board knows of its host.
+        # Linux hangs the master up (POLLHUP) while no process has the slave open, so that the host is noticed.
         os.close(slave)
         os.set_blocking(self._master, False)
         self._ending = threading.Event()
@@ -58,7 +58,7 @@ class BoardLine:
             events = dict(poll.poll(LOOK_S * 1000)).get(self._master, 0)
             self._set_open(not events & select.POLLHUP)
             if events & select.POLLIN:
-                with contextlib.suppress(OSError):  # the host has just closed it: the next look says so
+                with contextlib.suppress(OSError):  # the host has just closed it: found at the next look
                     data = os.read(self._master, CHUNK)
                     with self._time.condition:
                         self._board.receive(data)

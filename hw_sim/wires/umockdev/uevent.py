@@ -1,4 +1,4 @@
-"""Owns the messages that tell programs of devices that come and go, as udev sends them.
+"""Messages to programs about devices that come and go, as udev sends them.
 
 Listeners' sockets lie in the test bed's root, where the preload library puts them in place of netlink. Source: systemd
 252, ``src/libsystemd/sd-device/device-monitor.c`` (monitor_netlink_header), ``src/basic/MurmurHash2.c``.
@@ -19,21 +19,24 @@ _M = 0x5BD1E995
 
 
 def murmur_hash(text: bytes) -> int:
-    """Return MurmurHash2 with seed 0, 32 bits, which a listener's filter in the kernel compares."""
+    """Return MurmurHash2 with seed 0, 32 bits, for comparison by a listener's filter in the kernel."""
     h = len(text)
-    whole = len(text) // 4 * 4
-    for (k,) in struct.iter_unpack("<I", text[:whole]):
+    aligned_size = len(text) // 4 * 4
+    for (k,) in struct.iter_unpack("<I", text[:aligned_size]):
         k = k * _M & 0xFFFFFFFF
         k = (k ^ k >> 24) * _M & 0xFFFFFFFF
         h = (h * _M & 0xFFFFFFFF) ^ k
-    if text[whole:]:
-        h = (h ^ int.from_bytes(text[whole:], "little")) * _M & 0xFFFFFFFF
+    if text[aligned_size:]:
+        h = (h ^ int.from_bytes(text[aligned_size:], "little")) * _M & 0xFFFFFFFF
     h = (h ^ h >> 13) * _M & 0xFFFFFFFF
     return h ^ h >> 15
 
 
 def message(action: str, device: str, number: int, properties: Mapping[str, str]) -> bytes:
-    """Return a message to listeners. ``device``: path below ``/sys``; ``properties`` hold SUBSYSTEM and, where there is one, DEVTYPE."""
+    """Return a message to listeners.
+
+    ``device``: path below ``/sys``; ``properties`` contain SUBSYSTEM and, if there is one, DEVTYPE.
+    """
     head = {"ACTION": action, "DEVPATH": f"/{device}", "SEQNUM": str(number)}
     body = b"".join(f"{key}={value}\0".encode() for key, value in {**head, **properties}.items())
     kind = properties.get("DEVTYPE")
@@ -49,7 +52,7 @@ def message(action: str, device: str, number: int, properties: Mapping[str, str]
 
 
 def tell(root: Path, data: bytes) -> None:
-    """Send a message to all who listen; sockets that nobody listens to any more are removed."""
+    """Send a message to all listeners, and remove sockets without a listener."""
     for listener in sorted(root.glob("event[0-9]*")):
         with socket.socket(socket.AF_UNIX, socket.SOCK_RAW | socket.SOCK_NONBLOCK) as sender:
             try:
@@ -57,4 +60,4 @@ def tell(root: Path, data: bytes) -> None:
             except ConnectionRefusedError:
                 listener.unlink(missing_ok=True)
             except (BlockingIOError, FileNotFoundError):
-                continue  # one that does not read loses messages, as with the kernel's socket; one has just gone
+                continue  # a full socket loses messages, as the kernel's does; another has just gone

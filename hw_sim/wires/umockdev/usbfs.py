@@ -1,4 +1,4 @@
-"""Owns the kernel's usbfs in front of a simulated camera: interfaces claimed, URBs submitted, completed and reaped.
+"""The kernel's usbfs for a simulated camera: interfaces claimed, URBs submitted, completed and reaped.
 
 Source: Linux ``include/uapi/linux/usbdevice_fs.h`` and ``drivers/usb/core/devio.c``, on 64 bits.
 """
@@ -56,11 +56,11 @@ class Urb:
     buffer: int
     length: int
     data: bytearray = field(default_factory=bytearray)
-    """The data that came, or that go."""
+    """The data received, or to send."""
     done: int = 0
     status: int = 0
     setup: bytes = b""
-    """Set-up packet of a control transfer; it lies in the host's buffer before the data."""
+    """Set-up packet of a control transfer, before the data in the host's buffer."""
 
     @property
     def is_in(self) -> bool:
@@ -72,12 +72,12 @@ Tap = Callable[[str, "UsbDevice", Urb], None]
 
 
 class UsbDevice:
-    """The state that all openings of one camera share while it stays plugged in: who claimed which interface."""
+    """The state that all openings of one camera share while it is plugged in: claims of interfaces."""
 
     def __init__(
         self, camera: U3vCamera, time: WorldTime, ready: Readiness, bus: int, address: int, tap: Tap | None = None
     ) -> None:
-        """``tap`` hears of each URB that is submitted (``S``) or complete (``C``), with the lock held."""
+        """``tap`` gets each URB that is submitted (``S``) or complete (``C``), with the lock held."""
         self.camera, self.time, self.ready, self.tap = camera, time, ready, tap
         self.bus, self.address = bus, address
         self.enumeration = camera.enumeration
@@ -86,11 +86,11 @@ class UsbDevice:
 
     @property
     def present(self) -> bool:
-        """True while the camera has not left the bus. Asked with the lock held."""
+        """True while the camera has not left the bus. The caller holds the lock."""
         return not self.time.closed and self.camera.plugged and self.camera.enumeration == self.enumeration
 
     def completed(self) -> None:
-        """Note that some file's finished transfers have changed. The caller holds the lock."""
+        """Note a change of some file's finished transfers. The caller holds the lock."""
         self.ready.set(not self.present or any(file.finished for file in self.files))
 
 
@@ -112,7 +112,7 @@ class UsbFile:
         self._pump.start()
 
     def close(self) -> None:
-        """Give up everything under way and release every interface."""
+        """Cancel all pending transfers and release all interfaces."""
         with self._time.condition:
             self._closed = True
             self._device.files.remove(self)
@@ -122,11 +122,11 @@ class UsbFile:
         self._pump.join(5.0)
 
     def read(self, size: int) -> bytes:
-        """Return the descriptors, as usbfs gives them."""
+        """Return the descriptors in the format of usbfs."""
         with self._time.condition:
             self._check()
-            whole = self._camera.device_descriptor() + self._camera.configuration_descriptor()
-            part = whole[self._at : self._at + size]
+            descriptors = self._camera.device_descriptor() + self._camera.configuration_descriptor()
+            part = descriptors[self._at : self._at + size]
             self._at += len(part)
             return part
 
@@ -138,7 +138,7 @@ class UsbFile:
         if request >> 8 & 0xFF != _TYPE:
             raise _error(errno.ENOTTY)
         number = request & 0xFF
-        # What the host finished before the device left can still be reaped.
+        # Transfers that ended before the device left can still be reaped.
         match number:
             case 12 | 13:
                 return self._reap(argument, memory, wait=number == REAP)
@@ -205,7 +205,7 @@ class UsbFile:
         return 0
 
     def _driver_ioctl(self, argument: int, memory: HostMemory) -> int:
-        """Refuse to attach or detach a kernel driver: none wants these interfaces. Raises OSError(ENODATA)."""
+        """Refuse to attach or detach a kernel driver: these interfaces have none. Raises OSError(ENODATA)."""
         raise _error(errno.ENODATA)
 
     def _set_interface(self, argument: int, memory: HostMemory) -> int:
@@ -316,7 +316,7 @@ class UsbFile:
             self._time.condition.notify_all()
 
     def _may_use(self, endpoint: int) -> None:
-        """Check the claim as the kernel does: an interface that nobody claimed is claimed by its first transfer."""
+        """Check the claim like the kernel: an unclaimed interface is claimed by its first transfer."""
         interface = _interface_of(self._camera.configuration_descriptor(), endpoint)
         if interface is None:
             raise _error(errno.ENOENT)
@@ -330,13 +330,13 @@ class UsbFile:
                     self._time.condition.wait(LONGEST_WAIT_S)
 
     def _advance(self) -> bool:
-        """Fill what waits as far as there is data; return whether anything ended. The caller holds the lock."""
+        """Fill waiting transfers with the available data; return True if any ended. The caller holds the lock."""
         ended = False
         if not self._device.present:
             for queue in self._waiting.values():
                 while queue:
                     urb = queue.popleft()
-                    # The kernel's word for transfers of a device that has left the bus.
+                    # The kernel's status for transfers of a device that has left the bus.
                     urb.status = -errno.ESHUTDOWN
                     self._finish(urb)
                     ended = True
@@ -349,7 +349,7 @@ class UsbFile:
         return ended
 
     def _fill(self, endpoint: int, urb: Urb) -> bool:
-        """Fill a transfer as far as there is data; return whether it ended."""
+        """Fill a transfer with the available data; return True if it ended."""
         try:
             filled, ends = self._camera.read(endpoint, memoryview(urb.data)[urb.done :])
         except Stall:
@@ -359,7 +359,7 @@ class UsbFile:
             urb.status = -errno.EOVERFLOW
             return True
         urb.done += filled
-        # URB_SHORT_NOT_OK: the host calls a transfer that ends early an error.
+        # URB_SHORT_NOT_OK: a transfer that ends early is an error for the host.
         if ends and urb.flags & SHORT_NOT_OK and urb.done < urb.length:
             urb.status = -errno.EREMOTEIO
         return ends
@@ -389,7 +389,7 @@ class UsbFile:
                 raise _error(errno.EAGAIN if self._device.present else errno.ENODEV)
             urb = self.finished.popleft()
             self._device.completed()
-        # The host waits for this answer, nobody else touches the URB: the world goes on meanwhile.
+        # The host waits for this answer, and no other thread uses the URB, so the lock is free meanwhile.
         if urb.is_in:
             memory.copy_to_user(urb.buffer + len(urb.setup), memoryview(urb.data)[: urb.done])
         memory.copy_to_user(urb.address + _STATUS_AT, struct.pack("<i", urb.status))
@@ -414,13 +414,13 @@ def _error(number: int) -> OSError:
 
 
 def _interface_of(configuration: bytes, endpoint: int) -> int | None:
-    """Return the interface that an endpoint belongs to; ``None``: no such endpoint."""
-    at, interface = 0, None
-    while at < len(configuration):
-        length, kind = configuration[at], configuration[at + 1]
+    """Return the interface of an endpoint; ``None``: no such endpoint."""
+    offset, interface = 0, None
+    while offset < len(configuration):
+        length, kind = configuration[offset], configuration[offset + 1]
         if kind == 4:
-            interface = configuration[at + 2]
-        elif kind == 5 and configuration[at + 2] == endpoint:
+            interface = configuration[offset + 2]
+        elif kind == 5 and configuration[offset + 2] == endpoint:
             return interface
-        at += length
+        offset += length
     return None

@@ -1,4 +1,4 @@
-"""Owns the record of what goes over the cameras' bus, as the kernel's usbmon writes it: a pcap file for foreign eyes.
+"""A record of the traffic on the cameras' bus in the format of the kernel's usbmon: a pcap file.
 
 Source: Linux ``Documentation/usb/usbmon.rst`` (binary format), pcap link type 220 (``USB_LINUX_MMAPPED``).
 """
@@ -20,7 +20,7 @@ _PACKET = struct.Struct("<QBBBBHBBqiiII8siiII")
 """Id, event, transfer type, endpoint, device, bus, no setup, no data, s, µs, status, length, captured, setup, …"""
 LINK_TYPE = 220
 LARGEST = 262_144
-"""Bytes of a packet that Wireshark reads."""
+"""Largest packet that Wireshark reads, bytes."""
 _CONTROL, _BULK = 2, 3
 _IN = 0x80
 _GET_DESCRIPTOR = 0x06
@@ -47,7 +47,7 @@ class Usbmon:
         """Write one event: ``S``, the host submitted ``urb``, or ``C``, it is complete."""
         where = device.bus, device.address
         if where not in self._met:
-            # A listener that came after the kernel's own questions would not know what the endpoints are.
+            # A listener that starts after the kernel's enumeration would not know the endpoints.
             self._met.add(where)
             self._enumerated(where, 1, device.camera.device_descriptor())
             self._enumerated(where, 2, device.camera.configuration_descriptor())
@@ -56,8 +56,8 @@ class Usbmon:
         carries = (event == "C") == is_in
         data = memoryview(urb.data)[: urb.done if is_in else None] if carries else memoryview(b"")
         setup = urb.setup if control and event == "S" else b""
-        asked = urb.length - (SETUP.size if control else 0)
-        length = asked if event == "S" else urb.done
+        requested = urb.length - (SETUP.size if control else 0)
+        length = requested if event == "S" else urb.done
         status = -errno.EINPROGRESS if event == "S" else urb.status
         endpoint = (urb.setup[0] & _IN) if control else urb.endpoint
         self._packet(urb.address, event, where, _CONTROL if control else _BULK, endpoint, status, length, setup, data)
@@ -90,4 +90,4 @@ class Usbmon:
         self._file.write(_RECORD.pack(seconds, rest_ns // 1000, size, _PACKET.size + len(data)))
         self._file.write(_PACKET.pack(*head, *tail))
         self._file.write(part)
-        self._file.flush()  # whoever reads the file meanwhile finds whole packets
+        self._file.flush()  # a reader finds complete packets at any time

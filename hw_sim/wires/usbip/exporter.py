@@ -1,6 +1,6 @@
-"""Owns the door: a socket on the loopback interface behind which each device of a world can be imported once at a time.
+"""The exporter: a loopback socket at which each device of a world can be imported once at a time.
 
-USB/IP asks nobody who he is, so the door opens to this machine alone; a virtual machine reaches it through its host.
+USB/IP has no authentication, so the socket is open to this machine only; a virtual machine reaches it through its host.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from hw_sim.world import World
 LOG = logging.getLogger(__name__)
 LOOPBACK = "127.0.0.1"
 PORT = 3240
-"""The port at which ``usbip attach`` looks by itself."""
+"""The default port of ``usbip attach``."""
 MOST_CONNECTIONS = 16
 ACCEPT_SLICE_S = 0.2
 GREETING_TIMEOUT_S = 10.0
 
 
 class Exporter:
-    """Exports a world's devices as long as it is entered; ``port`` 0 picks a free one. Raises OSError."""
+    """Exports a world's devices in its context; ``port`` 0 selects a free one. Raises OSError."""
 
     def __init__(self, world: World, port: int = PORT) -> None:
         self._world = world
@@ -50,12 +50,12 @@ class Exporter:
 
     @property
     def imported(self) -> frozenset[str]:
-        """Bus ids of the devices that a host has now."""
+        """Bus ids of the devices that a host has imported."""
         with self._lock:
             return frozenset(self._imported)
 
     def cut(self) -> None:
-        """Take its devices from every host, as when its machine is reset: USB/IP itself would never notice that."""
+        """Disconnect all devices from their hosts, as when a host is reset, which USB/IP would never notice."""
         with self._lock:
             connections = list(self._connections)
         for connection in connections:
@@ -97,12 +97,12 @@ class Exporter:
     def _serve(self, connection: socket.socket) -> None:
         try:
             with connection:
-                # Small replies must not wait for each other: the host's kernel asks again only when it has the answer.
+                # Small replies must not wait for each other: the host's kernel sends a request only after the reply.
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 connection.settimeout(GREETING_TIMEOUT_S)
                 self._answer(connection)
         except (Gone, OSError):
-            pass  # the host went away
+            pass  # the host is gone
         except ProtocolError as error:
             LOG.warning("USB/IP: %s", error)
         finally:
@@ -123,8 +123,8 @@ class Exporter:
         with self._lock:
             free = [port for port in self._ports.values() if port.bus_id not in self._imported]
         with self._world.time.condition:
-            found = [self._record(port, True) for port in free if port.function.plugged]
-        return messages.operation(messages.REPLY_LIST) + len(found).to_bytes(4, "big") + b"".join(found)
+            records = [self._record(port, True) for port in free if port.function.plugged]
+        return messages.operation(messages.REPLY_LIST) + len(records).to_bytes(4, "big") + b"".join(records)
 
     def _record(self, port: Port, with_interfaces: bool) -> bytes:
         function = port.function
@@ -147,7 +147,7 @@ class Exporter:
                 connection.sendall(messages.operation(messages.REPLY_IMPORT, messages.REFUSED))
                 return
             connection.sendall(messages.operation(messages.REPLY_IMPORT) + record)
-            # From here on the host may be silent for as long as it likes; ``cut`` and the end of the world wake the reader.
+            # From here on the host may be silent without limit; ``cut`` and the end of the world wake the reader.
             connection.settimeout(None)
             Session(connection, port.function, self._world.time, bus_id).serve()
         finally:

@@ -1,4 +1,4 @@
-"""Owns the bytes of USB/IP 1.1.1, as the kernel's ``Documentation/usb/usbip_protocol.rst`` lays them out.
+"""The bytes of USB/IP 1.1.1, as in the kernel's ``Documentation/usb/usbip_protocol.rst``.
 
 All numbers are big endian; the eight bytes of a set-up packet are as on the bus.
 """
@@ -14,10 +14,10 @@ OK, REFUSED = 0, 1
 CMD_SUBMIT, CMD_UNLINK, RET_SUBMIT, RET_UNLINK = 1, 2, 3, 4
 OPERATION_BYTES, BUS_ID_BYTES, PATH_BYTES, HEADER_BYTES = 8, 32, 256, 48
 SHORT_NOT_OK = 0x0001
-"""The host calls a transfer that ends early an error."""
+"""A transfer that ends early is an error for the host."""
 LONGEST_TRANSFER = 16 << 20
 MOST_PACKETS = 0xFFFFFFFF
-"""Stands for none in what is not isochronous; 0 does too."""
+"""Means none in transfers that are not isochronous; so does 0."""
 
 _OPERATION = struct.Struct(">HHI")
 _BASIC = struct.Struct(">IIIII")
@@ -26,12 +26,12 @@ _RETURN = struct.Struct(">iiiii8x")
 
 
 class ProtocolError(Exception):
-    """The other side does not speak USB/IP 1.1.1, or wants what these devices do not have."""
+    """The host does not speak USB/IP 1.1.1, or requests a feature that these devices do not have."""
 
 
 @dataclass(frozen=True, slots=True)
 class Submit:
-    """A transfer that the host's kernel wants; ``endpoint`` with the direction bit, 0 is the control pipe."""
+    """A transfer requested by the host's kernel; ``endpoint`` with the direction bit, 0 is the control pipe."""
 
     number: int
     endpoint: int
@@ -43,7 +43,7 @@ class Submit:
 
 @dataclass(frozen=True, slots=True)
 class Unlink:
-    """The host takes back the transfer ``victim``."""
+    """The host withdraws the transfer ``victim``."""
 
     number: int
     victim: int
@@ -63,14 +63,14 @@ def parse_operation(data: bytes) -> int:
 
 
 def parse_bus_id(data: bytes) -> str:
-    """Return a bus id; what is not ASCII never matches one."""
+    """Return a bus id; one with other than ASCII characters never matches."""
     return data.split(b"\0", 1)[0].decode("ascii", errors="replace")
 
 
 def record(
     bus_id: str, bus: int, number: int, speed: int, device: bytes, configuration: bytes, with_interfaces: bool
 ) -> bytes:
-    """Return what is said about one device: 312 bytes and, in a list, four for each interface."""
+    """Return the record of one device: 312 bytes and, in a list, four for each interface."""
     vendor, product, release = struct.unpack_from("<HHH", device, 8)
     path = f"/sys/devices/kingfisher/usb{bus}/{bus_id}"
     fields = (path.encode(), bus_id.encode(), bus, number, speed, vendor, product, release)
@@ -80,13 +80,13 @@ def record(
 
 
 def _interfaces(configuration: bytes) -> bytes:
-    found, at = b"", 0
-    while at < len(configuration):
+    classes, offset = b"", 0
+    while offset < len(configuration):
         # Class, subclass and protocol of each interface descriptor (type 4), and a byte of padding.
-        if configuration[at + 1] == 4:
-            found += configuration[at + 5 : at + 8] + b"\0"
-        at += configuration[at]
-    return found
+        if configuration[offset + 1] == 4:
+            classes += configuration[offset + 5 : offset + 8] + b"\0"
+        offset += configuration[offset]
+    return classes
 
 
 def parse_command(header: bytes) -> Submit | Unlink:
@@ -108,7 +108,7 @@ def parse_command(header: bytes) -> Submit | Unlink:
 
 
 def returned(submit: Submit, status: int, length: int, data: bytes | memoryview = b"") -> bytes:
-    """Return the message that ends a transfer: how, how many bytes, and what was read."""
+    """Return the message that ends a transfer: status, number of bytes, and the data read."""
     head = _BASIC.pack(RET_SUBMIT, submit.number, 0, 0, 0) + _RETURN.pack(status, length, 0, 0, 0)
     return head + bytes(data)
 

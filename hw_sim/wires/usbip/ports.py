@@ -1,4 +1,4 @@
-"""Owns what is exported: each device of a world under its bus id, in the one shape that a session needs."""
+"""The exported devices: each device of a world with its bus id, as a ``Function`` for sessions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Function(Protocol):
 
     @property
     def enumeration(self) -> int:
-        """Counts how often it appeared on the bus; another number is another device."""
+        """Number of times it appeared on the bus; another number is another device."""
 
     def attach(self) -> None:
         """Give the device to a host."""
@@ -45,14 +45,14 @@ class Function(Protocol):
         """Do a transfer to the device; return the bytes taken. Raises Stall."""
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """Read as far as data is there: return the bytes put into ``buffer``, and whether the transfer ends.
+        """Read the available data: return the bytes put into ``buffer``, and whether the transfer ends.
 
         Raises Stall, Overflow.
         """
 
 
 class CameraFunction:
-    """A camera in that shape."""
+    """A camera as a ``Function``."""
 
     def __init__(self, camera: U3vCamera) -> None:
         self._camera = camera
@@ -63,7 +63,7 @@ class CameraFunction:
 
     @property
     def speed(self) -> int:
-        """SuperSpeed, or what it fell back to."""
+        """SuperSpeed, or high speed after a fallback."""
         return 5 if self._camera.speed is Speed.SUPER else 3
 
     @property
@@ -73,14 +73,14 @@ class CameraFunction:
 
     @property
     def enumeration(self) -> int:
-        """Counts how often it appeared there."""
+        """Number of times it appeared there."""
         return self._camera.enumeration
 
     def attach(self) -> None:
-        """Do nothing: its registers are as they were, for it has had power all the time."""
+        """No effect: its registers are unchanged, as it has had power all the time."""
 
     def detach(self) -> None:
-        """Do nothing: it keeps running, as a camera whose host has died."""
+        """No effect: it keeps running, as a camera whose host has died."""
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
         """Do a control transfer; return the data of an IN request. Raises Stall."""

@@ -1,4 +1,4 @@
-"""Owns one imported device: the transfers its host waits for, in order per endpoint, and how each of them ends."""
+"""One imported device: its host's transfers, in order per endpoint, and the end of each."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from hw_sim.wires.usbip.messages import ProtocolError, Submit, Unlink
 from hw_sim.wires.usbip.ports import Function
 
 MOST_PENDING = 512
-"""A host that has more transfers under way is not a Linux kernel."""
+"""More pending transfers than a Linux kernel has."""
 JOIN_TIMEOUT_S = 5.0
 
 
 class Gone(Exception):
-    """The other side closed its end."""
+    """The host closed its end."""
 
 
 def receive(connection: socket.socket, size: int) -> bytes:
@@ -42,7 +42,7 @@ def receive(connection: socket.socket, size: int) -> bytes:
 
 @dataclass(slots=True)
 class _Pending:
-    """A transfer under way; ``doomed``: one before it ended early, and the host will take this one back."""
+    """A pending transfer; ``doomed``: an earlier one ended early, and the host will withdraw this one."""
 
     submit: Submit
     data: bytes
@@ -52,7 +52,10 @@ class _Pending:
 
 
 class Session:
-    """Serves an imported device until its host lets go, or it leaves the bus. Two threads: one reads, one answers."""
+    """Serves an imported device until its host detaches it, or it leaves the bus.
+
+    Two threads: one reads, one answers.
+    """
 
     def __init__(self, connection: socket.socket, function: Function, time: WorldTime, name: str) -> None:
         self._connection, self._function, self._time = connection, function, time
@@ -62,7 +65,7 @@ class Session:
         self._reader = threading.Thread(target=self._read_forever, name=f"usbip-read-{name}", daemon=True)
 
     def serve(self) -> None:
-        """Return when it is over; the connection is closed then."""
+        """Return at the end of the session, with the connection closed."""
         with self._time.condition:
             self._enumeration = self._function.enumeration
             self._function.attach()
@@ -78,7 +81,7 @@ class Session:
                         return
                 self._connection.sendall(b"".join(replies))
         except OSError:
-            return  # the host let go while it was told something
+            return  # the host detached it during a reply
         finally:
             with self._time.condition:
                 self._over = True
@@ -88,8 +91,8 @@ class Session:
 
     @property
     def _alive(self) -> bool:
-        there = self._function.plugged and self._function.enumeration == self._enumeration
-        return there and not self._over and not self._time.closed
+        plugged = self._function.plugged and self._function.enumeration == self._enumeration
+        return plugged and not self._over and not self._time.closed
 
     # ------------------------------------------------------------------------------------------ what the host wants
 
@@ -97,16 +100,16 @@ class Session:
         try:
             while True:
                 command = messages.parse_command(receive(self._connection, messages.HEADER_BYTES))
-                wanted: _Pending | Unlink
+                pending: _Pending | Unlink
                 if isinstance(command, Unlink):
-                    wanted = command
+                    pending = command
                 else:
                     data = b"" if command.device_to_host else receive(self._connection, command.length)
-                    wanted = _Pending(command, data)
+                    pending = _Pending(command, data)
                 with self._time.condition:
                     if len(self._commands) + sum(map(len, self._pipes.values())) >= MOST_PENDING:
                         raise ProtocolError(f"more than {MOST_PENDING} transfers under way")
-                    self._commands.append(wanted)
+                    self._commands.append(pending)
                     self._time.condition.notify_all()
         except (Gone, ProtocolError):
             with self._time.condition:
@@ -116,7 +119,7 @@ class Session:
     # ------------------------------------------------------------------------------------------ how it ends
 
     def _replies(self) -> list[bytes]:
-        """Return everything that can be answered now, in order. The caller holds the lock."""
+        """Return all replies that are ready, in order. The caller holds the lock."""
         replies: list[bytes] = []
         while self._commands:
             command = self._commands.popleft()
@@ -152,7 +155,7 @@ class Session:
         return messages.returned(transfer.submit, 0, written)
 
     def _read(self, pipe: deque[_Pending]) -> bytes | None:
-        """The end of the pipe's first transfer; ``None``: not yet."""
+        """Return the reply of the pipe's first transfer; ``None``: not yet."""
         transfer = pipe[0]
         if transfer.doomed:
             return None
@@ -172,7 +175,7 @@ class Session:
         status = 0
         if transfer.filled < transfer.submit.length and transfer.submit.flags & messages.SHORT_NOT_OK:
             status = -errno.EREMOTEIO
-            # The host's driver gives up what it queued behind a short transfer; USB/IP has no other word for that.
+            # The host's driver withdraws the transfers queued behind a short one; USB/IP has no other way for that.
             for behind in pipe:
                 behind.doomed = True
         return messages.returned(transfer.submit, status, transfer.filled, memory[: transfer.filled])
@@ -183,10 +186,10 @@ class Session:
                 if transfer.submit.number == unlink.victim:
                     pipe.remove(transfer)
                     return messages.unlinked(unlink, -errno.ECONNRESET)
-        return messages.unlinked(unlink, 0)  # it has ended by itself, and the host was told before
+        return messages.unlinked(unlink, 0)  # it has ended, and its reply was sent before
 
 
 def _shut(connection: socket.socket) -> None:
-    with suppress(OSError):  # the other side was quicker
+    with suppress(OSError):  # the host was quicker
         connection.shutdown(socket.SHUT_RDWR)
     connection.close()
