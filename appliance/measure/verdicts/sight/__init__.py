@@ -1,1 +1,1 @@
-"""The verdict on what is seen at all: fringes, light, and how far away their object lies."""
+"""The verdict ``sight``: visible fringes, light, and the distance of the object."""

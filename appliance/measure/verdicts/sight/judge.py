@@ -1,18 +1,16 @@
-"""Owns what the frames say of the object by themselves: whether it shows fringes, how much light it sends, where it
-lies.
+"""The verdict ``sight``: fringes, light and depth of the object, also if it cannot be decoded.
 
-It is asked where decoding comes to nothing: a pixel needs 5 grey values of modulation, but the mean over a cell of some
-hundred pixels tells fringes of half a grey value from noise. Fringes across the baseline are the object's alone: a ray
-crosses many of them in the water, so that the water's light has none. Points are asked where they lie before any limit
-of depth; where there are none, the fringes themselves.
+look              the verdict, from points without limits of depth and from both cameras' fringes
+see               visible fringes and light of one camera, cell by cell
+find_depths_mm    depths of surfaces whose fringes are too faint for decoding
 
-It also owns how far something lies whose fringes are too faint to be decoded: at which depth both cameras see the same
-patterns.
+Decoding needs a modulation of 5 grey values. The mean over a cell of some hundred pixels detects fringes of half a grey
+value. Only the object shows fringes across the baseline: a ray in water crosses many of them, so that backscatter has
+none.
 
-A pixel must tell 5 grey values of fringes from noise before it is decoded; a small window over all images across the
-baseline tells a seventh of that. So windows of the left camera are laid over the right one where each depth would put
-them, and their changes from image to image compared. Of Gray images only what changes within the window counts: an edge
-is the object's, what is smooth may be the water's.
+For depths, windows of the left camera are compared with the right image where each depth would put them, by their
+changes over all images across the baseline. This needs a seventh of the modulation for decoding. Of Gray images only
+changes within the window count: an edge belongs to the object, a smooth image may be backscatter.
 """
 
 from __future__ import annotations
@@ -38,27 +36,27 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 WIDTH_PX = 400
-"""About so wide are the images made before they are compared: that costs little and averages noise away."""
+"""Approximate width to which the images are reduced before comparison: that is quick and averages noise."""
 ROWS, COLUMNS = 5, 14
-"""Size of a window in such images: two fringes wide; a surface that slants by 20° shifts them by less than a third
-at its ends."""
+"""Size of a window in reduced images: two fringes wide; a surface that is inclined by 20° shifts them by less than a
+third at its ends."""
 WINDOWS = 120
-"""Those with the strongest fringes."""
+"""Number of windows; those with the strongest fringes are used."""
 LEAST_SWING_DN, LEAST_SHARE = 0.8, 0.1
-"""Twice the amplitude of a window's fringes, at least, and as a share of what the projector's white adds there: less
-may be what is left of long fringes in the illuminated water, which is near."""
+"""Least double modulation of a window's fringes, absolute and as a share of the projector's white there: weaker fringes
+may be backscatter of near water."""
 CLEAR_DN = 250.0
-"""No image of a window may be brighter anywhere; nor of any place where the right camera might see it, for what is
-saturated there may be the window itself, and the likest of the other places is then a wrong fringe."""
+"""Largest grey value of a window in any image, and of all its candidates in the right image: a saturated candidate may
+be the true one, and the best of the others is then a wrong fringe."""
 _NEAREST_MM, _FARTHEST_MM = 250.0, 1500.0
-"""Depths, of the standard housing, between which windows are looked for."""
+"""Limits of the candidate depths in the standard housing."""
 STEP_PX = 1.5
-"""Distance from depth to depth, as the right camera sees it: a fifth of a fringe."""
+"""Distance from depth to depth in the right image: a fifth of a fringe."""
 LEAST_LIKE = 0.25
-"""Correlation from which on a window is found again; chance makes 0.1 over all depths at most, fringes of 0.7 grey
-values 0.4."""
+"""Least correlation of a match; chance makes 0.1 at most over all depths, fringes of 0.7 grey values 0.4."""
 BESIDE, DISTINCT = 3, 1.1
-"""And by so much more than at any depth that is farther away than these steps: fringes repeat, Gray edges do not."""
+"""Number of depth steps, and least ratio to the correlation at any depth farther away than these: fringes repeat, Gray
+edges do not."""
 MIN_WINDOWS = 12
 
 
@@ -69,37 +67,41 @@ def find_depths_mm(
     rig: StereoRig,
     water_index: float,
 ) -> Array:
-    """Return the depth of each window that is found again, in the left camera's frame; to half a per cent. Empty
-    where fewer than ``MIN_WINDOWS`` are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``."""
-    none = np.empty(0)
+    """Return the depth of each matched window in the left camera frame, to half a per cent.
+
+    The array is empty if fewer than ``MIN_WINDOWS`` are matched. ``frames``: (n, h, w) uint8 of ``left`` and ``right``.
+    """
+    no_depths = np.empty(0)
     factor = max(1, rig.left.width_px // WIDTH_PX)
     left = _changes(frames["left"], sequence, factor)
     right = _changes(frames["right"], sequence, factor)
     v, u = _strongest(frames["left"], sequence, factor, left, noise.left)
     if len(v) < MIN_WINDOWS:
-        return none
+        return no_depths
     depths_mm = candidate_depths_mm(rig, water_index)
-    # What scales with an image is the place from its edge on, half a pixel before the first one's middle.
+    # Positions scale from the edge of the image, which is half a pixel before the centre of the first pixel.
     half = 0.5 * np.array([COLUMNS, ROWS])
-    seen = seen_at_depths(rig, water_index, factor * (np.stack([u, v], -1) + half) - 0.5, depths_mm)
-    places = (seen + 0.5) / factor - half
+    right_px = seen_at_depths(rig, water_index, factor * (np.stack([u, v], -1) + half) - 0.5, depths_mm)
+    places = (right_px + 0.5) / factor - half
     like = np.stack([_likeness(left, right, (int(v[k]), int(u[k])), places[k]) for k in range(len(v))])
     best = like.argmax(axis=1)
     beside = abs(np.arange(len(depths_mm)) - best[:, None]) > BESIDE
     sure = like.max(axis=1) >= np.maximum(LEAST_LIKE, DISTINCT * np.where(beside, like, 0.0).max(axis=1))
     sure &= _clear_everywhere(_brightest(frames["right"], sequence, factor), places)
-    found = depths_mm[best[sure]]
-    return found if len(found) >= MIN_WINDOWS else none
+    matched_mm = depths_mm[best[sure]]
+    return matched_mm if len(matched_mm) >= MIN_WINDOWS else no_depths
 
 
 def _changes(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int) -> Floats:
-    """Return (channels, rows, columns) opposite sines' differences, then each Gray image against half way from dark
-    to bright."""
+    """Return the changes of the images (channels, rows, columns).
+
+    They are the differences of opposite sines, then each Gray image against the mean of dark and bright.
+    """
     axis = sequence.axis(Direction.X)
     small = {k: _shrunk(frames[k], factor) for k in (sequence.bright, sequence.dark, *axis.sine, *axis.gray)}
     i0, i1, i2, i3 = (small[k] for k in axis.sine)
-    both = small[sequence.bright] + small[sequence.dark]
-    return np.stack([i0 - i2, i3 - i1, *(2.0 * small[k] - both for k in axis.gray)]).astype(np.float32)
+    reference = small[sequence.bright] + small[sequence.dark]
+    return np.stack([i0 - i2, i3 - i1, *(2.0 * small[k] - reference for k in axis.gray)]).astype(np.float32)
 
 
 def _shrunk(image: NDArray[np.uint8], factor: int) -> Floats:
@@ -113,12 +115,11 @@ def _shrunk(image: NDArray[np.uint8], factor: int) -> Floats:
 def _strongest(
     frames: NDArray[np.uint8], sequence: PatternSequence, factor: int, changes: Floats, noise: CameraNoise
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the upper left corners (rows, columns) of the windows that show most fringes beyond noise and are
-    nowhere saturated."""
+    """Return the upper left corners (rows, columns) of the unsaturated windows with the strongest fringes."""
     sines = sequence.axis(Direction.X).sine
     level = np.mean([_shrunk(frames[k], factor) for k in sines], axis=0)
-    chance = 4.0 * noise.variance_dn2(level) / factor**2
-    excess = _tiled(changes[0] ** 2 + changes[1] ** 2 - chance).mean(axis=(1, 3))
+    noise_dn2 = 4.0 * noise.variance_dn2(level) / factor**2
+    excess = _tiled(changes[0] ** 2 + changes[1] ** 2 - noise_dn2).mean(axis=(1, 3))
     clear = _tiled(_brightest(frames, sequence, factor)).max(axis=(1, 3)) < CLEAR_DN
     light = _tiled(_shrunk(frames[sequence.bright], factor) - _shrunk(frames[sequence.dark], factor)).mean(axis=(1, 3))
     excess[~clear | (excess < np.maximum(LEAST_SWING_DN, LEAST_SHARE * light) ** 2)] = 0.0
@@ -128,30 +129,31 @@ def _strongest(
 
 
 def _brightest(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int) -> Floats:
-    """Return a small image of the brightest grey value that each pixel has in the bright image and the sines."""
+    """Return a reduced image of the largest grey value of each pixel in the bright image and the sines."""
     bright = (sequence.bright, *sequence.axis(Direction.X).sine)
     return _shrunk(np.maximum.reduce([frames[k] for k in bright]), factor)
 
 
 def _clear_everywhere(brightest: Floats, places: Array) -> NDArray[np.bool_]:
-    """Return (n,) whether nothing is too bright in any of the windows at ``places`` (n, depths, 2: column, row)
-    within the image."""
+    """Return True for each of n points if all its windows at ``places`` (n, depths, 2: column, row) are unsaturated.
+
+    Windows outside of the image do not count.
+    """
     clear = np.asarray((_windows(brightest) < CLEAR_DN).all(axis=(2, 3)))
-    at, inside = _within(places, clear.shape)
-    return np.asarray((clear[at[..., 1], at[..., 0]] | ~inside).all(axis=1), np.bool_)
+    corner, inside = _within(places, clear.shape)
+    return np.asarray((clear[corner[..., 1], corner[..., 0]] | ~inside).all(axis=1), np.bool_)
 
 
 def _windows(images: Floats) -> Floats:
-    """Return (…, rows, columns, ROWS, COLUMNS): the window at each corner, without a copy."""
+    """Return a view of the window at each corner, (…, rows, columns, ROWS, COLUMNS)."""
     return np.lib.stride_tricks.sliding_window_view(images, (ROWS, COLUMNS), axis=(-2, -1))
 
 
 def _within(places: Array, corners: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return ``places`` as whole numbers, and which of them are among so many ``corners`` (rows, columns); 0 for the
-    others."""
-    at = np.rint(places)
-    inside = np.asarray(((at >= 0.0) & (at < corners[::-1])).all(axis=-1))
-    return np.where(inside[..., None], at, 0.0).astype(np.int64), inside
+    """Return ``places`` as integers, and which of them are within ``corners`` (rows, columns); the others are 0."""
+    rounded = np.rint(places)
+    inside = np.asarray(((rounded >= 0.0) & (rounded < corners[::-1])).all(axis=-1))
+    return np.where(inside[..., None], rounded, 0.0).astype(np.int64), inside
 
 
 def _tiled(image: Floats) -> Floats:
@@ -160,8 +162,7 @@ def _tiled(image: Floats) -> Floats:
 
 
 def candidate_depths_mm(rig: StereoRig, water_index: float) -> Array:
-    """Return depths so close to each other that the right camera sees the image's middle move by ``STEP_PX`` of a
-    small image's."""
+    """Return depths at which the centre of the left image is seen ``STEP_PX`` apart in the reduced right image."""
     nearest_mm, farthest_mm = rig.volume.scaled(_NEAREST_MM), rig.volume.scaled(_FARTHEST_MM)
     near, far = 1.0 / nearest_mm, 1.0 / farthest_mm
     middle = np.array([[0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)]])
@@ -171,21 +172,22 @@ def candidate_depths_mm(rig: StereoRig, water_index: float) -> Array:
 
 
 def seen_at_depths(rig: StereoRig, water_index: float, uv_px: Array, depths_mm: Array) -> Array:
-    """Return (n, depths, 2) where the right camera sees what the left one sees at ``uv_px`` (n, 2), were it at each
-    depth."""
+    """Return the right image points (n, depths, 2) of the left pixels ``uv_px`` (n, 2) for each depth."""
     origins, directions = rig.left.rays(uv_px, water_index)
     far = (depths_mm[None, :] - origins[:, None, 2]) / directions[:, None, 2]
     return rig.right.project(origins[:, None, :] + far[..., None] * directions[:, None, :], water_index)
 
 
 def _likeness(left: Floats, right: Floats, corner: tuple[int, int], places: Array) -> Floats:
-    """Return the correlation of the left window with the right ones at ``places`` (depths, 2: column, row); 0
-    outside of the image."""
+    """Return the correlation of the left window with those at ``places`` (depths, 2: column, row) of the right image.
+
+    It is 0 outside of the image.
+    """
     v, u = corner
     mine = _own(left[None, :, v : v + ROWS, u : u + COLUMNS])[0]
     windows = _windows(right)
-    at, inside = _within(places, windows.shape[1:3])
-    theirs = _own(windows[:, at[inside, 1], at[inside, 0]].swapaxes(0, 1))
+    corner_px, inside = _within(places, windows.shape[1:3])
+    theirs = _own(windows[:, corner_px[inside, 1], corner_px[inside, 0]].swapaxes(0, 1))
     like = np.zeros(len(places), np.float32)
     power = np.sqrt(np.einsum("dcij,dcij->d", theirs, theirs) * float(np.sum(mine * mine)))
     like[inside] = np.einsum("dcij,cij->d", theirs, mine) / np.maximum(power, np.float32(1e-6))
@@ -193,7 +195,7 @@ def _likeness(left: Floats, right: Floats, corner: tuple[int, int], places: Arra
 
 
 def _own(windows: Floats) -> Floats:
-    """Return ``windows`` (n, channels, rows, columns) without what the Gray images do not change within them."""
+    """Return ``windows`` (n, channels, rows, columns) with the mean of each Gray image subtracted."""
     gray = windows[:, 2:]
     return np.concatenate([windows[:, :2], gray - gray.mean(axis=(2, 3), keepdims=True)], axis=1)
 
@@ -202,35 +204,38 @@ NAME = "sight"
 CELLS = (16, 12)
 """Columns and rows of cells over the image."""
 SAMPLES = 120_000
-"""Pixels asked, at most; on an even grid."""
+"""Largest number of pixels, on an even grid."""
 MIN_PER_CELL = 40
 LEAST_FRINGE_DN, FRINGE_SIGMAS = 0.4, 4.0
-"""A cell shows fringes from this amplitude on, and from this many standard errors of its square."""
+"""Least modulation of a cell that shows fringes, and least number of standard errors of its square."""
 ROUNDING_DN2 = 1.0 / 12.0
 MIN_POINTS = 40
-"""Fewer do not say where the object lies; then windows of faint fringes do …"""
+"""Least number of points for the distance; with fewer, it comes from windows of faint fringes or the parallax of the
+stripes."""
 ROUGHLY = 0.03
-"""… or the parallax of the stripes, which is known so well."""
+"""Relative error of the distance by the parallax."""
 CELL = np.dtype([(name, np.float64) for name in ("count", "excess", "excess2", "added")])
-"""Sums of a cell's clear pixels: how many, what their fringes have beyond noise, its square, and what white adds."""
+"""Sums over a cell's unsaturated pixels: their number, the square of their fringes less noise, its square, and the
+light of white."""
 
 
 @dataclass(frozen=True, slots=True)
 class VisibleFringes:
-    """One camera's cells."""
+    """Fringes and light of one camera by cells of the image."""
 
     light_dn: float
-    """Mean over the image of what the projector's white adds."""
+    """Mean over the image of the grey values that the projector's white adds."""
     cells: float
     """Share of the cells that show fringes, 0..1."""
     fringe_dn: float | None
-    """Amplitude of the fringes in the ninth tenth of these; ``None``: none shows any."""
+    """Upper decile of the modulation in these cells; ``None``: none shows fringes."""
     object_share: float | None
-    """Share of the light in these that carries fringes (median): the rest is the water's; above 1 by shot noise."""
+    """Share of the light in these that carries fringes (median); the other part is backscatter. By noise it may be
+    above 1."""
     top_dn: float
     """Grey values that the projector's white adds in the brightest cell."""
     glow_dn: Array
-    """(CELLS[0] · CELLS[1],): what the projector's white adds, by cell; NaN where too few pixels are clear."""
+    """(CELLS[0] · CELLS[1],): grey values that white adds, by cell; NaN where too few pixels are unsaturated."""
 
 
 def look(
@@ -242,23 +247,24 @@ def look(
     parallax_percent: float | None = None,
     visible: Mapping[str, VisibleFringes] | None = None,
 ) -> Verdict:
-    """Return the verdict ``sight`` on the images, and on the points of ``loose``, found without
-    limits of depth.
+    """Return the verdict ``sight`` on the images and on the points of ``loose``, which has no limits of depth.
 
-    It passes nothing and fails nothing: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are
-    ``None`` where no fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are.
-    ``visible``: what ``see`` said of both sides, where it was asked while the frames arrived.
+    It is neither passed nor failed: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are ``None`` if
+    no fringes are seen, ``glow_per_m`` (attenuation by the shape of the backscatter) if some are. ``visible``: the
+    results of ``see`` of both sides, if they were computed while the frames arrived.
     """
     frames, sequence, noise = images.frames, images.sequence, images.noise
-    both = visible or {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
-    best = max(both.values(), key=lambda one: one.cells)
+    visible_fringes = visible or {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
+    best = max(visible_fringes.values(), key=lambda camera: camera.cells)
     numbers: dict[str, float | None] = {
         "light_dn": best.light_dn,
         "top_dn": best.top_dn,
         "fringe_cells_percent": 100.0 * best.cells,
         "fringe_dn": best.fringe_dn,
         "object_percent": None if best.object_share is None else 100.0 * best.object_share,
-        "glow_per_m": None if best.cells > 0.0 else shape_of_glow(both["left"].glow_dn, CELLS, rig, water_index),
+        "glow_per_m": None
+        if best.cells > 0.0
+        else shape_of_glow(visible_fringes["left"].glow_dn, CELLS, rig, water_index),
     }
     depth_mm = np.asarray(loose.points_mm[:, 2], np.float64)
     if len(depth_mm) < MIN_POINTS:
@@ -269,7 +275,7 @@ def look(
 
 
 def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> VisibleFringes:
-    """Look at one camera's ``frames`` (n, h, w) uint8, cell by cell. Those of Y may still be missing."""
+    """Measure fringes and light of one camera's ``frames`` (n, h, w) uint8; those of Y may still be missing."""
     rows, columns = frames.shape[1:]
     step = max(1, int((rows * columns / SAMPLES) ** 0.5))
     down, across = np.arange(step // 2, rows, step), np.arange(step // 2, columns, step)
@@ -286,12 +292,12 @@ def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise
     fringe = 0.5 * np.sqrt(np.maximum(squared, 0.0))
     enough = count >= MIN_PER_CELL
     shows = enough & (fringe >= LEAST_FRINGE_DN) & (squared > FRINGE_SIGMAS * error)
-    some = bool(shows.any())
+    any_fringes = bool(shows.any())
     return VisibleFringes(
         float(np.mean(added)),
         float(np.count_nonzero(shows)) / size,
-        float(np.quantile(fringe[shows], 0.9)) if some else None,
-        float(np.median(2.0 * fringe[shows] / np.maximum(light[shows], 0.5))) if some else None,
+        float(np.quantile(fringe[shows], 0.9)) if any_fringes else None,
+        float(np.median(2.0 * fringe[shows] / np.maximum(light[shows], 0.5))) if any_fringes else None,
         float(light[enough].max()) if enough.any() else 0.0,
         np.where(enough, light, np.nan),
     )
@@ -308,13 +314,13 @@ def _sum_cells(
     sums: NDArray[np.void],
     added: Floats,
 ) -> None:
-    """Add every ``step``-th pixel of ``frames`` (n, h, w) that is clear to its cell of ``sums`` (cells,), and
-    write to ``added`` (rows, columns) what the projector's white adds to each, clear or not.
+    """Add every ``step``-th unsaturated pixel of ``frames`` (n, h, w) to its cell of ``sums`` (cells,).
 
-    ``shown``: bright, dark and the four sines. ``levels``: black, variance without light, variance per grey value. The
-    cell is the sum of ``cell_row`` and ``cell_column``.
+    Write the light of the projector's white to ``added`` (rows, columns), also of saturated pixels. ``shown``: bright,
+    dark and the four sines. ``levels``: black, variance without light, variance per grey value. The cell is the sum of
+    ``cell_row`` and ``cell_column``.
     """
-    black, least, per_dn = levels
+    black, dark_variance, per_dn = levels
     bright, dark = frames[shown[0]], frames[shown[1]]
     first, second, third, fourth = frames[shown[2]], frames[shown[3]], frames[shown[4]], frames[shown[5]]
     for j in range(added.shape[0]):
@@ -327,10 +333,10 @@ def _sum_cells(
             added[j, i] = white - np.float32(dark[v, u])
             if not max(white, max(max(i0, i1), max(i2, i3))) < CLEAR_DN:
                 continue
-            # |(I0 − I2) + i (I3 − I1)|² is (2 A)² of fringes of amplitude A, and the noise of four images.
+            # |(I0 − I2) + i (I3 − I1)|² is (2 A)² of fringes of modulation A, plus the noise of four images.
             level = np.float32(0.25) * (i0 + i1 + i2 + i3)
             photons = max(level - black, np.float32(0.0))
-            expected = np.float32(4.0) * (least + per_dn * photons)
+            expected = np.float32(4.0) * (dark_variance + per_dn * photons)
             excess = (i0 - i2) * (i0 - i2) + (i3 - i1) * (i3 - i1) - expected
             cell = sums[cell_row[j] + cell_column[i]]
             cell.count += 1.0
@@ -340,9 +346,11 @@ def _sum_cells(
 
 
 def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> float | None:
-    """Return the depth in mm at which the cameras see stripes so far beside where they see them in the middle of the
-    volume: roughly, but where all is saturated as well, since the borders of dark stripes are seen there, too.
-    ``None``: behind everything."""
+    """Return the depth in mm at which stripes have this parallax against the middle of the volume.
+
+    It is rough, but known in saturated images as well, since the borders of dark stripes are visible there. ``None``: no
+    finite depth.
+    """
     middle_mm = float(rig.volume_centre_mm(water_index)[2])
     half_baseline_mm = 0.5 * float(np.linalg.norm(rig.right.translation_mm))
     field = 2.0 * half_field(rig.left, water_index)[0]
@@ -351,7 +359,7 @@ def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> 
 
 
 def _places(depth_mm: Array, limits: QualityLimits, by_parallax_mm: float | None) -> dict[str, float | None]:
-    """Return where the object lies, by points or windows; by parallax alone only where it is far outside."""
+    """Return the numbers of the distance, by points or windows; by parallax alone only far outside of the limits."""
     if not len(depth_mm):
         near = by_parallax_mm is not None and by_parallax_mm < (1.0 - ROUGHLY) * limits.min_depth_mm
         far = by_parallax_mm is not None and by_parallax_mm > (1.0 + ROUGHLY) * limits.max_depth_mm

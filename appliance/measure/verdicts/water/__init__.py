@@ -1,1 +1,1 @@
-"""The verdict on the water: backscatter in the projector's beam, attenuation and specks."""
+"""The verdict ``water``: backscatter in the projector's beam, attenuation and specks."""

@@ -1,11 +1,10 @@
-"""Owns the backscatter of a scan: light that the water throws back, told from the object's by what Gray stripes do to
-both.
+"""The backscatter of a scan, separated from the object's light by the Gray stripes; also specks and flicker.
 
-A camera's ray crosses the projector's beam for hundreds of millimetres, so that fine stripes across the baseline light
-half of the water along it, whatever pixel they light at its end. In the middle of a dark stripe a pixel shows half of
-its backscatter (above the dark reference), in the middle of an illuminated one half of it is missing (below the bright
-one): no projector's response, no soft fringe, no albedo and no steady daylight is in these differences. Fringes of the
-other direction run along the rays' way through the beam and are not asked.
+A camera's ray crosses the projector's beam for hundreds of millimetres, so that fine stripes across the baseline
+illuminate half of the water along it, independent of the pixel at its end. In the middle of a dark stripe a pixel shows
+half of its backscatter (above the dark frame); in the middle of an illuminated one half of it is missing (below the
+bright frame). Response, blurred fringes, albedo and steady ambient light cancel in these differences. Stripes of the
+other direction run along the rays through the beam and are not used.
 """
 
 from __future__ import annotations
@@ -29,22 +28,22 @@ Floats = NDArray[np.float32]
 CELLS = (16, 12)
 """Columns and rows of cells over the image: within one, backscatter and distance hardly change."""
 SAMPLES = 60_000
-"""Pixels asked, at most; on an even grid."""
+"""Largest number of pixels, on an even grid."""
 STRIPES_PX = (32.0, 64.0)
-"""Widths of the stripes that are asked, pattern px: fine for the water, wide for what blurs their borders."""
+"""Widths of the stripes that are used, pattern px: fine for the water, wide compared with the blur of their borders."""
 FROM_EDGE = 0.35
-"""Distance from a stripe's borders, in widths: half is its middle. 11 px of a stripe of 32."""
+"""Least distance from a stripe's borders, in widths: half is its middle. 11 px for a stripe of 32."""
 MIN_PER_CELL = 25
 OUTLIER_SIGMAS = 4.0
 MIN_OBJECT_DN = 6.0
-"""Stripes that change a pixel by less light no object that could be measured."""
+"""Least change of a pixel by the stripes on an object that could be measured."""
 OBJECT_SIGMAS = 4.0
-"""Standard deviations of noise that stripes must change a pixel by: in bright light photons alone scatter by
+"""Least change of a pixel by the stripes in standard deviations of noise: in bright light, noise alone is
 ``MIN_OBJECT_DN``."""
 USUAL_CONTRAST = 0.8
-"""Contrast of fringes in turbid water, where no pixel tells."""
+"""Contrast of fringes in turbid water, used if it cannot be measured."""
 SPECK_SIGMAS = 6.0
-"""Standard deviations of the four steps' disagreement: one in 500 million by noise alone."""
+"""Limit of the four steps' disagreement in standard deviations: noise exceeds it once in 500 million."""
 _FULL, _NO_REASON, _SATURATED = np.uint8(FULL_DN), np.uint8(Mask.VALID), np.uint8(Mask.SATURATED)
 _MOST_OFF = 2 * FULL_DN
 """Largest difference of the sums of opposite steps."""
@@ -52,51 +51,49 @@ _MOST_OFF = 2 * FULL_DN
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Means of the cells in which enough pixels could be asked, n of them; light in grey values (DN)."""
+    """Means of the n cells with enough pixels; light in grey values (DN)."""
 
     number: NDArray[np.intp]
     """(n,): row · CELLS[0] + column."""
     pixels: Array
-    """(n,): how many."""
+    """(n,): number of pixels."""
     uv_px: Array
-    """(n, 2): mean image point of the pixels asked."""
+    """(n, 2): mean image point of these pixels."""
     backscatter_dn: Array
     """(n,): of the bright frame."""
     sigma_dn: Array
-    """(n,): standard error of ``backscatter_dn`` by the scatter within the cell."""
+    """(n,): standard error of ``backscatter_dn`` by the noise within the cell."""
     signal_dn: Array
-    """(n,): what the object adds to the bright frame."""
+    """(n,): light of the object in the bright frame."""
     dark_dn: Array
     """(n,): of the dark frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class BackscatterSample:
-    """One camera's frames as the water left them."""
+    """Effects of the water in one camera's frames."""
 
     cells: Cells
     backscatter_share: float | None
-    """Backscatter as a share of the projected light that the object's pixels show, 0..1; ``None`` where nothing
-    could be asked."""
+    """Backscatter as a share of the projected light in the object's pixels, 0..1; ``None``: no pixel could be used."""
     object_pixels: int
-    """Sampled pixels that show an object and are not saturated."""
+    """Number of sampled pixels that show an object and are not saturated."""
     object_share: float
-    """Share of all sampled pixels that these are."""
+    """These as a share of all sampled pixels."""
     masked_share: float | None
-    """Share of them without coordinates."""
+    """Share of these without coordinates."""
     hidden_share: float | None
-    """Share of them that have no coordinates and show, by their weak fringes, more backscatter than object."""
+    """Share of these that have no coordinates and, by their weak fringes, more backscatter than light of the object."""
     fringe_contrast: float | None
-    """Modulation of the fringes in halves of the object's light: what blur and the projector's response leave of it."""
+    """Modulation over half of the object's light; blur and the projector's response reduce it."""
     flicker_dn: float
-    """Ambient light on the object from one frame to another, rms, as the sums of opposite steps tell it."""
+    """Change of the ambient light on the object between frames, RMS, by the sums of opposite steps."""
     speck_share: float | None
     """Share of the pixels with coordinates in which the four steps of a direction disagree."""
 
 
 def water_grid(sequence: PatternSequence) -> PixelGrid:
-    """Return the grid of pixels by which the water is judged: bright, dark, the Gray images that are asked, the sines
-    of X and Y."""
+    """Return the grid of pixels by which the water is judged: bright, dark, some Gray images, the sines of X and Y."""
     across = sequence.axis(Direction.X)
     gray = [across.gray[bit] for bit, _ in _useful_stripes(sequence.period_px, len(across.gray))]
     sines = [k for direction in Direction for k in sequence.axis(direction).sine]
@@ -111,8 +108,7 @@ def water_grid(sequence: PatternSequence) -> PixelGrid:
 def measure_backscatter(
     sequence: PatternSequence, grid: PixelGrid, decoded: CameraDecoder, noise: CameraNoise
 ) -> BackscatterSample:
-    """Sample one camera's sequence, of which ``grid`` was taken (``water_grid``) and whose grey values scatter by
-    ``noise``."""
+    """Measure the effects of the water by the ``grid`` (``water_grid``) of one camera with ``noise``."""
     mask, p_px = decoded.mask[grid.at], decoded.p_px[grid.at]
     stripes = _useful_stripes(sequence.period_px, len(sequence.axis(Direction.X).gray))
     widths_px = np.array([width_px for _, width_px in stripes], np.float32)
@@ -156,28 +152,30 @@ def _ask(
     cell_row: NDArray[np.int64],
     cell_column: NDArray[np.int64],
 ) -> tuple[int, Floats, NDArray[np.int64], NDArray[np.uint8], Floats]:
-    """Return how many pixels (h, w) show an object; of those without coordinates twice the modulation and the light,
-    (2, n); of those with coordinates the cell (m,) and the sines (8, m); and of those between stripes (6, k): cell,
-    column, row, backscatter, light, dark.
+    """Sample the pixels (h, w) that show an object.
+
+    Returns their number; twice the modulation and the light of those without coordinates, (2, n); cell (m,) and sines
+    (8, m) of those with coordinates; and for those in the middle of a stripe (6, k): cell, column, row, backscatter,
+    light, dark.
 
     ``grey`` (2 + stripes + 8, h, w): bright, dark, Gray images with stripes of ``widths_px``, sines. ``least_dn``
-    (511,): the swing that an object's pixel has at least, by the sum of bright and dark. The cell is the sum of
-    ``cell_row`` and ``cell_column``.
+    (511,): least swing of an object's pixel, by the sum of bright and dark. The cell is the sum of ``cell_row`` and
+    ``cell_column``.
     """
     rows, columns = mask.shape
     stripes, room = widths_px.size, mask.size
     lost, between = np.empty((2, room), np.float32), np.empty((6, room), np.float32)
     cell, steps = np.empty(room, np.int64), np.empty((8, room), np.uint8)
     half, in_middle, two = np.float32(0.5), np.float32(0.5 - FROM_EDGE), np.float32(2.0)
-    # How many pixels of each kind there are by now.
-    objects, n, m, told = 0, 0, 0, 0
+    # Numbers of pixels of each kind so far.
+    objects, n, m, samples = 0, 0, 0, 0
     for j in range(rows):
         for i in range(columns):
             bright, dark = np.float32(grey[0, j, i]), np.float32(grey[1, j, i])
             swing = np.float32(0.0)
             for k in range(stripes):
                 swing += abs(two * np.float32(grey[2 + k, j, i]) - (bright + dark))
-            # An object is what stripes change by more than noise.
+            # Stripes change an object's pixels by more than noise.
             if not swing > least_dn[int(bright + dark)] or grey[0, j, i] >= _FULL or mask[j, i] == _SATURATED:
                 continue
             objects += 1
@@ -188,7 +186,7 @@ def _ask(
                 lost[0, n], lost[1, n] = np.sqrt(cosine * cosine + sine * sine), bright - dark
                 n += 1
                 continue
-            # What has coordinates is remembered with its fringes.
+            # Pixels with coordinates are kept with their fringes.
             cell[m] = cell_row[j] + cell_column[i]
             for k in range(8):
                 steps[k, m] = grey[2 + stripes + k, j, i]
@@ -199,19 +197,19 @@ def _ask(
                 place = (p_px[j, i] + half) / widths_px[k] - half
                 stripe = np.floor(place)
                 if abs(place - stripe - half) < in_middle:
-                    here = np.float32(grey[2 + k, j, i])
-                    total += bright - here if int(stripe) % 2 == 0 else here - dark
+                    stripe_dn = np.float32(grey[2 + k, j, i])
+                    total += bright - stripe_dn if int(stripe) % 2 == 0 else stripe_dn - dark
                     count += np.float32(1.0)
-            # Both stripes' halves count alike.
+            # The halves by all stripes have the same weight.
             if count > np.float32(0.0):
-                between[0, told], between[1, told], between[2, told] = cell[m - 1], i, j
-                between[3, told], between[4, told], between[5, told] = two * total / count, bright - dark, dark
-                told += 1
-    return objects, lost[:, :n].copy(), cell[:m].copy(), steps[:, :m].copy(), between[:, :told].copy()
+                between[0, samples], between[1, samples], between[2, samples] = cell[m - 1], i, j
+                between[3, samples], between[4, samples], between[5, samples] = two * total / count, bright - dark, dark
+                samples += 1
+    return objects, lost[:, :n].copy(), cell[:m].copy(), steps[:, :m].copy(), between[:, :samples].copy()
 
 
 def warm_up() -> None:
-    """Run the kernel that a scan of nothing does not need."""
+    """Run the kernel that an empty scan does not run."""
     disagreement(np.zeros((4, 1), np.uint8), np.zeros(1, np.intp), 1)
 
 
@@ -228,13 +226,13 @@ def cell_of(u: NDArray[np.intp], v: NDArray[np.intp], shape: tuple[int, int]) ->
 
 
 def _by_cell(between: Floats, grid: PixelGrid) -> Cells:
-    """Return the cells of what ``_ask`` found between stripes."""
+    """Return the cells of the pixels in the middle of stripes, as ``_ask`` gives them."""
     count, sums, squares = sum_cells(between, CELLS[0] * CELLS[1])
     enough = np.flatnonzero(count >= MIN_PER_CELL)
     pixels = count[enough]
     column, row, centre, light, dark = sums[:, enough] / pixels
     spread = np.sqrt(np.maximum(squares[enough] / pixels - centre**2, 0.0))
-    # From places on the grid to pixels of the image.
+    # From positions on the grid to pixels of the image.
     u = grid.across_px * column + grid.across_px // 2
     v = grid.down_px * row + grid.down_px // 2
     return Cells(enough, pixels, np.stack([u, v], -1), centre, spread / np.sqrt(pixels), light - centre, dark)
@@ -242,16 +240,18 @@ def _by_cell(between: Floats, grid: PixelGrid) -> Cells:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def sum_cells(between: Floats, cells: int) -> tuple[Array, Array, Array]:
-    """Return of each cell the number of pixels, the sums (5, cells) of the rows of ``between`` (6, n) behind its first
-    one, which names their cells, and that of the backscatter's squares; pixels too far from their cell's mean are left
-    out."""
+    """Return number of pixels, sums (5, cells) and sum of the backscatter's squares of each cell.
+
+    The sums are those of the rows of ``between`` (6, n) after the first one, which has the cells. Pixels too far from
+    the mean of their cell are left out.
+    """
     total, number, scatter = np.zeros(cells), np.zeros(cells), np.zeros(cells)
     n = between.shape[1]
     for i in range(n):
         k = int(between[0, i])
         number[k] += 1.0
         total[k] += between[3, i]
-    # One round of clipping; then the sums of what is kept.
+    # Remove outliers once, then sum.
     for i in range(n):
         k = int(between[0, i])
         off = between[3, i] - np.float32(total[k] / number[k])
@@ -269,7 +269,7 @@ def sum_cells(between: Floats, cells: int) -> tuple[Array, Array, Array]:
 
 
 def _swing(steps: NDArray[np.uint8]) -> Floats:
-    """Return (n,) twice the modulation by four steps (4, n)."""
+    """Return twice the modulation (n,) by four steps (4, n)."""
     i0, i1, i2, i3 = steps.astype(np.float32)
     return np.asarray(np.sqrt((i0 - i2) ** 2 + (i3 - i1) ** 2), np.float32)
 
@@ -285,10 +285,10 @@ def _contrast(steps: NDArray[np.uint8], cells: Cells) -> float | None:
 def _passing(
     cell: NDArray[np.intp], directions: tuple[NDArray[np.uint8], NDArray[np.uint8]]
 ) -> tuple[float, float | None]:
-    """Return flicker and share of specks, by how far opposite steps have different sums: a pure fringe has none.
+    """Return flicker and share of specks, by the differences of the sums of opposite steps: sines have none.
 
-    What all pixels share is flicker. The second harmonic of the projector's response, softer here and there, is fitted
-    cell by cell. The scale of what remains is its own, so that what is alike everywhere (motion) is no speck.
+    The part common to all pixels is flicker. The second harmonic of the projector's response, which differs by blur, is
+    fitted cell by cell. Residuals are compared with their own median, so that an even residual (by motion) is no speck.
     """
     if not len(cell):
         return 0.0, None
@@ -298,15 +298,17 @@ def _passing(
         flicker, scaled = disagreement(steps, cell, CELLS[0] * CELLS[1])
         common.append(flicker)
         struck |= scaled > np.float32(SPECK_SIGMAS * MAD_TO_SIGMA * median(scaled))
-    return 0.5 * math.sqrt(sum(one**2 for one in common) / len(common)), float(np.mean(struck))
+    return 0.5 * math.sqrt(sum(flicker_dn**2 for flicker_dn in common) / len(common)), float(np.mean(struck))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def disagreement(steps: NDArray[np.uint8], cell: NDArray[np.intp], cells: int) -> tuple[float, Floats]:
-    """Return how far the opposite ``steps`` (4, n) have different sums in the median, and what of that each pixel has
-    beyond median and second harmonic, over the root of its light (n,)."""
+    """Return the median difference of the sums of opposite ``steps`` (4, n), and the residuals (n,) of all pixels.
+
+    A residual is the difference less median and second harmonic, over the root of the pixel's light.
+    """
     n = cell.size
-    # I0 + I2 − I1 − I3 is a whole number, whose median is counted.
+    # I0 + I2 − I1 − I3 is an integer: find its median by counting.
     off, count = np.empty(n, np.int64), np.zeros(2 * _MOST_OFF + 1, np.int64)
     second = np.empty(n, np.float32)
     for i in range(n):
@@ -318,7 +320,7 @@ def disagreement(steps: NDArray[np.uint8], cell: NDArray[np.intp], cells: int) -
         second[i] = (cosine - sine) * (cosine + sine) / np.sqrt(cosine * cosine + sine * sine)
     lower, upper, below = 0, 0, 0
     for value in range(count.size):
-        # Of an even number of values there are two middle ones.
+        # An even number of values has two middle ones.
         if 2 * below <= n - 1 < 2 * (below + count[value]):
             lower = value
         if 2 * below <= n < 2 * (below + count[value]):
@@ -334,7 +336,7 @@ def disagreement(steps: NDArray[np.uint8], cell: NDArray[np.intp], cells: int) -
     for i in range(n):
         of_cell = np.float32(products[cell[i]] / max(squares[cell[i]], 1.0))
         light = np.float32(steps[0, i]) + np.float32(steps[1, i]) + np.float32(steps[2, i]) + np.float32(steps[3, i])
-        # Photons: the scatter grows with the root of the light.
-        rest = np.float32(off[i]) - np.float32(common) - of_cell * second[i]
-        scaled[i] = abs(rest) / np.sqrt(light + np.float32(1.0))
+        # Photons: the noise grows with the root of the light.
+        residual = np.float32(off[i]) - np.float32(common) - of_cell * second[i]
+        scaled[i] = abs(residual) / np.sqrt(light + np.float32(1.0))
     return common, scaled

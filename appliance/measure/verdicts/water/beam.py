@@ -1,13 +1,12 @@
-"""Owns what each camera ray gathers of the projector's beam in water of a given attenuation, by single scattering.
+"""The backscatter of each camera ray by single scattering of the projector's beam in water of a given attenuation.
 
-The projector stands half way between the cameras and looks at the middle of the volume. How far its beam opens is read
-off the scan, where points say where pattern coordinates went; else it is taken as designed, with the cameras' field of
-view.
+The projector is half way between the cameras and points at the middle of the volume. The angles of its beam follow from
+the points of a scan and their pattern coordinates; without points, it is nominal, with the cameras' field of view.
 
-Where nothing but water is illuminated, the beam's glow still gives the attenuation, roughly: in clear water a ray
-gathers light all along its way through the beam; where the water swallows light, only from where the ray is nearest to
-both windows. Nobody's albedo is in the shape of that glow. An object that the water blurs beyond recognition still adds
-light that is spread evenly and so flattens it: that light is fitted beside the glow.
+If only water is illuminated, the shape of the backscatter in the image gives a rough attenuation. In clear water a ray
+gathers light all along the beam; in turbid water only where it is nearest to both ports. This shape does not depend on
+an albedo. An object that the water blurs beyond recognition adds light that is smooth and flattens the shape; that
+light is fitted as well.
 """
 
 from __future__ import annotations
@@ -25,20 +24,22 @@ NODES = 24
 """Nodes of the integral along a ray through the beam (Gauss and Legendre); 48 change it by less than 0.1 %."""
 _PLACES, _SHARES = np.polynomial.legendre.leggauss(NODES)
 SCALE_MM = 500.0
-"""Path at which the beam's brightness counts as one."""
+"""Path in mm at which the brightness of the beam is 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProjectorBeam:
-    """The projector's beam in the water, in its own frame: x along the baseline, z into the water, from where the light
-    seems to start."""
+    """The projector's beam in the water, in its own frame of reference.
+
+    x is along the baseline, z into the water; the origin is the light's apparent start.
+    """
 
     to_beam: Array
     """(3, 3) rows: its axes in the left camera frame."""
     start_mm: Array
     """(3,): the light's apparent start in the left camera frame."""
     depth_mm: float
-    """Distance from there to the window's outer face."""
+    """Distance from there to the port's outer face."""
     x_from: float
     x_to: float
     y_from: float
@@ -48,33 +49,35 @@ class ProjectorBeam:
 
 @dataclass(frozen=True, slots=True)
 class GatheredLight:
-    """Light that n rays gather: ``weights @ exp(−attenuation · path_m)``, row by row, in mm of water illuminated as at
-    ``SCALE_MM``."""
+    """Light that n rays gather: ``weights @ exp(−attenuation · path_m)``, row by row.
+
+    Its unit is mm of water that is illuminated as at ``SCALE_MM``.
+    """
 
     weights: Array
     """(n, NODES)."""
     path_m: Array
-    """(n, NODES): from window to window by way of each node."""
+    """(n, NODES): from port to port by way of each node."""
     enters_mm: Array
-    """(n,): distance from the projector's window at which the ray enters the beam."""
+    """(n,): distance from the projector's port at which the ray enters the beam."""
     falls: Array
-    """(n,): brightness of the beam where the ray ends, 1 at ``SCALE_MM`` on its axis."""
+    """(n,): brightness of the beam at the end of the ray, 1 at ``SCALE_MM`` on its axis."""
     ends_m: Array
-    """(n,): the path by way of its end."""
+    """(n,): the path by way of the end of the ray."""
 
     def backscatter(self, attenuation_per_m: float) -> Array:
-        """Return the backscatter that each ray gathers, (n,)."""
+        """Return the backscatter of each ray, (n,)."""
         return np.asarray((self.weights * np.exp(-attenuation_per_m * self.path_m)).sum(1))
 
     def slope(self, attenuation_per_m: float) -> Array:
-        """Return (n,) the derivative of ``backscatter`` by the attenuation."""
+        """Return the derivative (n,) of ``backscatter`` by the attenuation."""
         return -np.asarray((self.weights * self.path_m * np.exp(-attenuation_per_m * self.path_m)).sum(1))
 
 
 def beam_of(
     rig: StereoRig, water_index: float, points_mm: Array, pattern_px: Array, size_px: tuple[int, int]
 ) -> ProjectorBeam | None:
-    """Fit the beam to points (n, 3) and their pattern coordinates (n, 2); ``None`` where they do not span a beam."""
+    """Fit the beam to points (n, 3) and their pattern coordinates (n, 2); ``None`` if they do not span a beam."""
     between = np.asarray(rig.right.translation_mm)
     middle = 0.5 * between
     x = between / np.linalg.norm(between)
@@ -102,7 +105,7 @@ def beam_of(
 
 
 def gather(beam: ProjectorBeam, origins_mm: Array, directions: Array, ends_mm: Array) -> GatheredLight:
-    """Integrate along rays (n, 3) in the left camera frame, from their window to ``ends_mm`` (n,) along them."""
+    """Integrate along rays (n, 3) in the left camera frame, from their port to ``ends_mm`` (n,) along them."""
     o = (origins_mm - beam.start_mm) @ beam.to_beam.T
     d = directions @ beam.to_beam.T
     first = np.maximum((beam.depth_mm - o[:, 2]) / d[:, 2], 0.0)
@@ -131,82 +134,87 @@ def gather(beam: ProjectorBeam, origins_mm: Array, directions: Array, ends_mm: A
     return GatheredLight(weights, (path_mm + along) / 1000.0, enters, ends, (far_mm + ends_mm) / 1000.0)
 
 
-def _light(beam: ProjectorBeam, at: Array) -> tuple[Array, Array]:
-    """Return the brightness of the beam in clear water at points (..., 3) of its frame, and the path from its window
-    to there, mm."""
-    away = np.linalg.norm(at, axis=-1)
-    cosine = at[..., 2] / away
-    path = away - beam.depth_mm / cosine
+def _light(beam: ProjectorBeam, point_mm: Array) -> tuple[Array, Array]:
+    """Return brightness and path in mm of the beam at points (..., 3) of its frame, in clear water.
+
+    The path begins at the projector's port.
+    """
+    distance_mm = np.linalg.norm(point_mm, axis=-1)
+    cosine = point_mm[..., 2] / distance_mm
+    path = distance_mm - beam.depth_mm / cosine
     # Inverse square from the apparent start, and cos⁴ of the angle from the beam's axis.
-    spread = (SCALE_MM + beam.depth_mm) / away
+    spread = (SCALE_MM + beam.depth_mm) / distance_mm
     return spread * spread * cosine**4, path
 
 
 LEAST_GLOW_DN = 0.25
-"""Mean over the picture: fainter, its shape is noise."""
+"""Least mean over the image; below, its shape is noise."""
 CANDIDATES_PER_M = np.arange(0.0, 12.01, 0.25)
 FAR_MM = 1500.0
-"""Length of rays that meet nothing."""
+"""Length of rays that meet no object."""
 NOISE_DN, SHAPE_SHARE = 0.12, 0.06
-"""Standard deviations of a cell's mean, and of the design's beam as a share of its glow."""
+"""Standard deviations of a cell's mean, and of the nominal beam as a share of its backscatter."""
 MIN_CELLS = 60
 MOST_OF_OBJECT = 0.25
-"""Share of the light, of an object whose fringes are lost, up to which the glow's shape beside it is read."""
+"""Largest share of the light that may be that of an object whose fringes are lost."""
 
 
 def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_index: float) -> float | None:
-    """Return the attenuation per metre that explains the left camera's ``glow_dn`` (cells[0] · cells[1],) best;
-    ``None``: too little light.
+    """Return the attenuation in 1/m that fits the left camera's backscatter best; ``None``: too little light.
 
-    Beside the glow a surface across the middle of the volume is supposed, of any brightness: in water that scatters, an
-    object sends back light although none of its fringes arrives. Where more than ``MOST_OF_OBJECT`` of the light were
-    such a surface's, its own shape, which nobody knows, would decide, and the glow is asked alone.
+    ``glow_dn``: (cells[0] · cells[1],). A surface of any brightness across the middle of the volume is fitted as well:
+    in turbid water an object may send back light without visible fringes. If this were more than ``MOST_OF_OBJECT`` of
+    the light, the unknown shape of the object would decide, and the backscatter is fitted alone.
     """
-    known = np.isfinite(glow_dn)
-    if np.count_nonzero(known) < MIN_CELLS or float(np.mean(glow_dn[known])) < LEAST_GLOW_DN:
+    is_known = np.isfinite(glow_dn)
+    if np.count_nonzero(is_known) < MIN_CELLS or float(np.mean(glow_dn[is_known])) < LEAST_GLOW_DN:
         return None
     camera = rig.left
     row, column = np.divmod(np.arange(cells[0] * cells[1]), cells[0])
     u = (column + 0.5) * camera.width_px / cells[0] - 0.5
     v = (row + 0.5) * camera.height_px / cells[1] - 0.5
-    origins, directions = camera.rays(np.stack([u, v], -1)[known], water_index)
+    origins, directions = camera.rays(np.stack([u, v], -1)[is_known], water_index)
     beam = _beam(rig, water_index)
     gathered = gather(beam, origins, directions, np.full(len(origins), FAR_MM))
     middle_mm = (float(rig.volume_centre_mm(water_index)[2]) - origins[:, 2]) / directions[:, 2]
     surface = gather(beam, origins, directions, middle_mm)
-    seen = glow_dn[known]
-    weight = 1.0 / (NOISE_DN**2 + (SHAPE_SHARE * np.maximum(seen, 0.0)) ** 2)
+    observed = glow_dn[is_known]
+    weight = 1.0 / (NOISE_DN**2 + (SHAPE_SHARE * np.maximum(observed, 0.0)) ** 2)
     alone: list[float] = []
     beside: list[tuple[float, float]] = []
     for per_m in CANDIDATES_PER_M:
         model = gathered.backscatter(float(per_m))
-        alone.append(_fit(model[:, None], seen, weight)[1])
-        both = np.stack([model, surface.falls * np.exp(-per_m * surface.ends_m)], -1)
-        parts, misfit = _fit(both, seen, weight)
-        beside.append((misfit, float(both[:, 1].sum() * parts[1] / max((both @ parts).sum(), 1e-300))))
+        alone.append(_fit(model[:, None], observed, weight)[1])
+        models = np.stack([model, surface.falls * np.exp(-per_m * surface.ends_m)], -1)
+        parts, misfit = _fit(models, observed, weight)
+        beside.append((misfit, float(models[:, 1].sum() * parts[1] / max((models @ parts).sum(), 1e-300))))
     best = min(range(len(beside)), key=lambda k: beside[k][0])
     if beside[best][1] > MOST_OF_OBJECT:
         best = int(np.argmin(alone))
     return float(CANDIDATES_PER_M[best])
 
 
-def _fit(models: Array, seen: Array, weight: Array) -> tuple[Array, float]:
-    """Return how much of each column of ``models`` (n, 1 or 2) explains ``seen`` (n,), none of them negative, and the
-    weighted squared misfit."""
+def _fit(models: Array, observed: Array, weight: Array) -> tuple[Array, float]:
+    """Fit ``observed`` (n,) by non-negative parts of the columns of ``models`` (n, 1 or 2).
+
+    Returns the parts and the weighted sum of squared residuals.
+    """
     scale = np.maximum(np.sqrt(np.einsum("n,nk,nk->k", weight, models, models)), 1e-300)
     root = np.sqrt(weight)
-    parts = np.linalg.lstsq(root[:, None] * models / scale, root * seen, rcond=None)[0]
+    parts = np.linalg.lstsq(root[:, None] * models / scale, root * observed, rcond=None)[0]
     if len(parts) == 2 and parts.min() < 0.0:
-        # Least squares without negative parts leave one of two columns out: the one that explains less by itself.
-        single = np.maximum((root[:, None] * models / scale).T @ (root * seen), 0.0)
+        # Non-negative least squares leave out one of two columns: the one that explains less alone.
+        single = np.maximum((root[:, None] * models / scale).T @ (root * observed), 0.0)
         parts = np.where(single == single.max(), single, 0.0)
     parts = parts / scale
-    return parts, float(np.sum(weight * (seen - models @ parts) ** 2))
+    return parts, float(np.sum(weight * (observed - models @ parts) ** 2))
 
 
 def _beam(rig: StereoRig, water_index: float) -> ProjectorBeam:
-    """Return the beam as drawn: the projector half way between the cameras, aimed at the volume's middle, with the
-    left camera's field."""
+    """Return the nominal beam.
+
+    The projector is half way between the cameras, points at the middle of the volume, and has the left camera's field.
+    """
     between = np.asarray(rig.right.translation_mm)
     middle = 0.5 * between
     x = between / np.linalg.norm(between)
