@@ -1,1 +1,1 @@
-"""The verdict on movement: drift of the fringes, moved edges and texture, and what they add to the noise of the points."""
+"""The verdict ``motion``: drift of the fringes, moved edges and texture, and the noise that motion adds to the points."""

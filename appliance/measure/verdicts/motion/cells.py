@@ -1,4 +1,4 @@
-"""Sums over the pixels of each cell of the pattern, from which the drift of the fringes is solved."""
+"""Sums over the pixels of each cell of the pattern, from which the drift of the fringes is computed."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from appliance.measure.light.patterns import Direction, PatternSequence
 CELL_PX = 64
 """Side of a cell in pattern px: 16 mm; one fringe of the longest period."""
 SAMPLES = 30_000
-"""Pixels of a camera that are looked at, about. Four times as many change no verdict of 400 scans."""
+"""Approximate number of pixels of a camera that are used. Four times as many change no verdict of 400 scans."""
 TERMS = 8
-"""Terms that C is fitted by (``drift``)."""
+"""Number of terms in the fit of C (``drift``)."""
 LEAST_B2_DN2 = 4.0
-"""Least square of the fringes' amplitude for a pixel to count."""
+"""Least square of the modulation of a pixel that is used."""
 STEEP = 0.1
 """Least slope of the coordinate, pattern px per px, by which a gradient of the light is divided."""
 MEANS = np.dtype([(name, np.float64) for name in (
     "count", "u", "v", "inverse", "light", "slope", "sloped", "texture", "steep", "apart_noise", "apart_scale",
 )])  # fmt: skip
-"""Sums of a cell beside Σ x xᵀ. Over its pixels: how many, their places in the image, 1/B², mean light; over those with
-neighbours that have coordinates: slope of the coordinate, how many, square of the light's gradient per pattern px, and
-B² of these; over those with a pixel below: noise of the difference of both C, and 4 B²."""
+"""Sums of a cell besides Σ x xᵀ. Over its pixels: number, positions in the image, 1/B², mean light. Over those whose
+neighbours have coordinates: slope of the coordinate, number, square of the light's gradient per pattern px, and B² of
+these. Over those with a pixel below: noise of the difference of both C, and 4 B²."""
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]
 
@@ -35,12 +35,12 @@ Images = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], NDArray[
 class CellSums:
     """Sums of one camera's cells, (rows, columns, …) float64 of the pattern's cells."""
 
-    here: NDArray[np.float64]
-    """(…, ``TERMS`` + 1, ``TERMS`` + 1): Σ x xᵀ, of x with C behind it."""
+    products: NDArray[np.float64]
+    """(…, ``TERMS`` + 1, ``TERMS`` + 1): Σ x xᵀ, where the last element of x is C."""
     apart: NDArray[np.float64]
     """The same of the differences between a pixel and the one below it."""
     means: NDArray[np.void]
-    """(…): of ``MEANS``."""
+    """(…): sums ``MEANS``."""
 
 
 def cell_sums(
@@ -50,22 +50,24 @@ def cell_sums(
     sequence: PatternSequence,
     variance_dn2: tuple[float, float],
 ) -> CellSums:
-    """Sum up one camera's sine images of X, of ``frames`` (n, h, w) uint8, cell by cell; ``p_px`` and ``q_px`` (h, w)
-    float32. ``variance_dn2``: of the camera's noise as (dark, per grey value)."""
+    """Sum up one camera's sine images of X in ``frames`` (n, h, w) uint8, cell by cell.
+
+    ``p_px`` and ``q_px``: (h, w) float32. ``variance_dn2``: of the camera's noise as (dark, per grey value).
+    """
     first, second, third, fourth = sequence.axis(Direction.X).sine
     shape = -(-sequence.height_px // CELL_PX), -(-sequence.width_px // CELL_PX)
-    here, apart = np.zeros((2, *shape, TERMS + 1, TERMS + 1))
+    products, apart = np.zeros((2, *shape, TERMS + 1, TERMS + 1))
     means = np.zeros(shape, MEANS)
     stride = max(1, round(math.sqrt(p_px.size / SAMPLES)))
     images = frames[first], frames[second], frames[third], frames[fourth]
-    _add_pixels(images, p_px, q_px, stride, variance_dn2, here, apart, means)
-    here, apart = (lower + np.tril(lower, -1).swapaxes(-1, -2) for lower in (here, apart))
-    return CellSums(here, apart, means)
+    _add_pixels(images, p_px, q_px, stride, variance_dn2, products, apart, means)
+    products, apart = (lower + np.tril(lower, -1).swapaxes(-1, -2) for lower in (products, apart))
+    return CellSums(products, apart, means)
 
 
 # Symbols of the kernels. At a pixel (u, v) with pattern coordinates (p, q): a, b, c, d are the four sine images I₀..I₃,
-# (cosine, sine) = B (cos φ, sin φ), and C = a − b + c − d. x holds the terms that C is fitted by: B, B cos φ, B sin φ,
-# B cos 2φ, B sin 2φ, the mean light, B cos 6φ and B sin 6φ; and behind them C.
+# (cosine, sine) = B (cos φ, sin φ), and C = a − b + c − d. x holds the terms of the fit of C: B, B cos φ, B sin φ,
+# B cos 2φ, B sin 2φ, the mean light, B cos 6φ and B sin 6φ; and then C.
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -101,12 +103,11 @@ def _add_pixels(
     q_px: NDArray[np.float32],
     stride: int,
     variance_dn2: tuple[float, float],
-    here: NDArray[np.float64],
+    products: NDArray[np.float64],
     apart: NDArray[np.float64],
     means: NDArray[np.void],
 ) -> None:
-    """Add every ``stride``-th row and column of the four ``images`` to the sums of the cells, which ``CellSums``
-    names."""
+    """Add every ``stride``-th row and column of the four ``images`` to the sums of the cells, as in ``CellSums``."""
     i0, i1, i2, i3 = images
     height, width = p_px.shape
     rows, columns = means.shape
@@ -131,14 +132,14 @@ def _add_pixels(
                 _add_square(below, apart[row, column])
             if squared < LEAST_B2_DN2:
                 continue
-            _add_square(x, here[row, column])
-            # Where the cell lies, 1/B² and light for the noise of its phase.
+            _add_square(x, products[row, column])
+            # The position of the cell, 1/B² and light for the noise of its phase.
             cell.count += 1.0
             cell.u += u
             cell.v += v
             cell.inverse += 1.0 / squared
             cell.light += x[5]
-            # The coordinate's slope, where both neighbours have one, and with it the gradient of the light.
+            # The slope of the coordinate, if both neighbours have one, and with it the gradient of the light.
             slope = 0.5 * (p_px[v, u + 1] - p_px[v, u - 1])
             if np.isnan(slope):
                 continue
@@ -148,7 +149,7 @@ def _add_pixels(
                 after = np.float64(i0[v, u + 1]) + i1[v, u + 1] + i2[v, u + 1] + i3[v, u + 1]
                 before = np.float64(i0[v, u - 1]) + i1[v, u - 1] + i2[v, u - 1] + i3[v, u - 1]
                 gradient = 0.125 * (after - before) / slope
-                # Noise has a gradient, too: of eight grey values. Not the mean of ratios: where next to nothing is
-                # illuminated, they are large and mean little.
+                # Subtract the gradient by noise, that of eight grey values. Not the mean of ratios: in dark places they
+                # are large and say little.
                 cell.texture += gradient * gradient - 0.125 * (dark_dn2 + per_dn * x[5]) / (slope * slope)
                 cell.steep += squared

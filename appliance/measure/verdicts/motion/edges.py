@@ -1,8 +1,8 @@
-"""Owns the places of the Gray stripes' edges, frame by frame, against the phase that the sine images found afterwards.
+"""The shifts of the Gray stripes' edges, frame by frame, against the phase of the sine images after them.
 
-A pixel's grey value between dark and bright says on which side of a stripe's edge it is, and near the edge how far. The
-phase says the same, some frames later. What the edges have moved in between is the movement over that time: less
-precise than the drift within the sine images, but frame by frame, so that a tremor differs from a steady movement.
+A pixel's grey value between dark and bright says on which side of a stripe's edge it is, and near the edge how far
+away. The phase says the same, some frames later. The difference is the motion in between. It is less precise than the
+drift within the sine images, but known for each frame, so that shaking can be distinguished from a steady motion.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.verdicts.motion.cells import CELL_PX
 
 INNER_PX, REACH_PX = 4.5, 7.5
-"""Pattern px beside an edge: within the first, the light that an edge has moved is added up; from there to the second,
-how dark and how light its sides are. Blur stays within the first; the next edge is 16 px away at least."""
+"""Distances from an edge, pattern px: within the first, light that an edge has moved is summed; from there to the
+second, the levels of its sides. Blur stays within the first; the next edge is 16 px away at least."""
 SAMPLES = 60_000
-"""Pixels of a camera that are looked at, about."""
-# Symbols of the kernel. way is +1 where light begins at the edge, −1 where it ends; beside is the distance from the
+"""Approximate number of pixels of a camera that are used."""
+# Symbols of the kernel. sign is +1 where light begins at the edge, −1 where it ends; beside is the distance from the
 # edge towards the light, pattern px; brightness is the image's value from dark (0) to bright (1). The sums hold, for
 # the inner part and for the dark and the bright side, how many pixels there are and their light; and the light of an
 # ideal, unmoved edge.
@@ -48,11 +48,11 @@ def _accumulate(
     cell_px: float,
     sums: NDArray[np.void],
 ) -> None:
-    """Add every ``stride``-th row and column of the images ``gray`` to ``sums`` (images, rows, columns);
-    ``edges_px`` and ``rises`` (images, width) are each pattern column's nearest edge (NaN: too far) and +1 where light
-    begins there, −1 where it ends. ``references``: bright and dark.
+    """Add every ``stride``-th row and column of the images ``gray`` to ``sums`` (images, rows, columns).
 
-    All images at once: the maps and the references, which lie in memory far apart from pixel to pixel, are read once.
+    ``edges_px`` and ``rises`` (images, width) are the nearest edge of each pattern column (NaN: too far) and +1 if
+    light begins there, −1 if it ends. ``references``: bright and dark. All images at once, since the values of the maps
+    and the references are far apart in memory and are read only once so.
     """
     height, width = p_px.shape
     bright, dark = frames[references[0]], frames[references[1]]
@@ -61,7 +61,7 @@ def _accumulate(
             p, q = p_px[v, u], q_px[v, u]
             if not (p >= 0.0 and q >= 0.0):
                 continue
-            # Each Gray image's nearest edge, by the column that the sine images found at the pixel.
+            # Each Gray image's nearest edge, by the pixel's pattern column from the sine images.
             place, row = int(p + np.float32(0.5)), int(q / cell_px)
             if place >= edges_px.shape[1] or row >= sums.shape[1]:
                 continue
@@ -75,18 +75,17 @@ def _accumulate(
                 # Dark and bright reference take albedo and steady ambient light out of the value.
                 brightness = (np.float64(frames[gray[k], v, u]) - low) / (high - low)
                 # Distance from the edge, positive on the side of the light.
-                way = np.float64(rises[k, place])
-                beside = way * (np.float64(p) - edge)
+                sign = np.float64(rises[k, place])
+                beside = sign * (np.float64(p) - edge)
                 # Both sides of an edge belong to its cell: edges of the coarse bits lie where cells meet.
                 s = sums[k, row, int(edge / cell_px)]
-                # Around the edge: Σ ±light, and beside it Σ ±1 on the illuminated side, what an edge gives that did not
-                # move.
+                # Around the edge: Σ ±light; and Σ ±1 on the illuminated side, which is the sum of an unmoved edge.
                 if abs(beside) <= INNER_PX:
                     s.inner += 1.0
-                    s.inner_lit += way * brightness
-                    s.inner_step += way if beside > 0.0 else 0.0
-                    s.inner_way += way
-                # Away from it: how dark and how light the two sides are.
+                    s.inner_lit += sign * brightness
+                    s.inner_step += sign if beside > 0.0 else 0.0
+                    s.inner_way += sign
+                # Away from it: the levels of the two sides.
                 elif beside < 0.0:
                     s.low += 1.0
                     s.low_lit += brightness
@@ -96,8 +95,7 @@ def _accumulate(
 
 
 def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence) -> NDArray[np.float64]:
-    """Return the shifts of the edges in one camera's frames (n, h, w) uint8, by the Gray images across which depth
-    moves the pattern.
+    """Return the shifts of the edges in one camera's frames (n, h, w) uint8, in the Gray images of X.
 
     (images, rows, columns) of the pattern's cells: excess of the pixels' coordinates in that image over those in the
     sine images, pattern px; NaN: no edge there.
@@ -117,9 +115,9 @@ def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: Pat
 
 @lru_cache(maxsize=4)
 def edges_of(sequence: PatternSequence) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the nearest edges and their ways (images, width) of all Gray images across which depth moves the pattern.
+    """Return the nearest edges and their signs (images, width) in all Gray images of X, as ``_edges`` gives them.
 
-    They are the same in every scan, and not to be written to.
+    They are the same in every scan. Do not write to them.
     """
     edges_px, rises = zip(*(_edges(sequence.patterns[k].codes()) for k in sequence.axis(Direction.X).gray), strict=True)
     return np.stack(edges_px), np.stack(rises)
@@ -140,13 +138,12 @@ def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.fl
 
 
 def _shifts_of_sums(sums: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return the shifts of the edges. An edge that moves by so many px takes so many px of light with it, whatever
-    its blur."""
+    """Return the shifts of the edges: an edge that moves by a px changes the light by that of a px, with any blur."""
     count, low, high = sums["inner"], sums["low"], sums["high"]
     with np.errstate(invalid="ignore", divide="ignore"):
-        # The step between both sides scales the light; what is more than an unmoved edge gives is the shift.
+        # The step between both sides scales the light; the excess over that of an unmoved edge is the shift.
         dark = sums["low_lit"] / low
         height = sums["high_lit"] / high - dark
-        known = (np.minimum(count, np.minimum(low, high)) >= EDGE_PIXELS) & (height > MIN_HEIGHT)
+        is_known = (np.minimum(count, np.minimum(low, high)) >= EDGE_PIXELS) & (height > MIN_HEIGHT)
         moved = (sums["inner_lit"] - dark * sums["inner_way"]) / height - sums["inner_step"]
-        return np.where(known, 2.0 * INNER_PX * moved / count, np.nan)
+        return np.where(is_known, 2.0 * INNER_PX * moved / count, np.nan)

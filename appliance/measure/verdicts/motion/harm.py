@@ -1,24 +1,24 @@
-"""Owns what a movement adds to the noise of the points, as it follows from the drift maps of both cameras.
+"""The noise that motion adds to the points, predicted from the drift maps of both cameras.
 
-Lateral movement of a surface that faces the instrument changes only what albedo a pixel sees, for both cameras alike:
-their coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each
+A lateral motion of a surface that faces the instrument changes the albedo in a pixel, alike for both cameras: their
+coordinates have the same error, and the points none. A motion in depth moves the fringes in both cameras *against each
 other*. With E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean
-square of
+square that is the sum of
 
-- δ²/8, with δ by how much farther the fringes stand in the mean of the steps 0° and 180° than in that of 90° and 270°
-  (the error is δ/2 · cos 2φ): of a steady movement E where the steps rise, and 0 where both pairs have the same middle;
-  ``course`` says what it is of an unsteady one;
-- 2 w² κ² E²: what the projector's second harmonic, κ of the first, adds as it drifts along: E κ · sin 2φ (n cos φ −
-  m sin φ), with m images from 0° to 180°, n from 90° to 270°, and w² = (m² + n²)/8;
-- (P/2π)² g² w² E²: albedo with a gradient g, in modulations per px, that both cameras see at two places; and
-  (P/2π)² g² a²/8 of albedo that goes a px on average from one image of a pair to the other: of the error of g² a²/4
-  half is common to both cameras;
-- what is uneven in the phase error that moving albedo makes in both cameras alike: they sample it at different places.
-  In the order 0°, 90°, 270°, 180° the contradiction of the steps holds no mean light of an albedo that moves, and so
-  half of what it holds where they rise: there it counts twice.
+- δ²/8, where δ is the mean position of the fringes in the steps 0° and 180° minus that in 90° and 270° (the error is
+  δ/2 · cos 2φ). For a steady motion it is E if the steps rise, and 0 if both pairs have the same middle; for an unsteady
+  one see ``course``.
+- 2 w² κ² E² by the drift of the projector's second harmonic, κ of the first: E κ · sin 2φ (n cos φ − m sin φ), with
+  m images from 0° to 180°, n from 90° to 270°, and w² = (m² + n²)/8.
+- (P/2π)² g² w² E² by an albedo with a gradient g, in modulations per px, that both cameras see at two places; and
+  (P/2π)² g² a²/8 by an albedo that moves by a px on average from one image of a pair to the other. The error has g² a²/4,
+  of which half is common to both cameras.
+- The uneven part of the phase error by moving albedo. The error is the same in both cameras, but they sample it at
+  different places. In the order 0°, 90°, 270°, 180° the contradiction of the steps does not contain the mean light of a
+  moving albedo, and so has half of its size with rising steps: there it counts twice.
 
-Noise is that of four steps in both cameras' light. Both are taken across the
-surface (``SurfaceMap``), so harm is a ratio of two known things.
+The noise at rest is that of four steps in both cameras' light. Both are taken across the surface (``SurfaceMap``), so
+that their ratio is known.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ from appliance.measure.verdicts.motion.drift import DriftMap
 Array = NDArray[np.float64]
 
 MIN_POINTS = 4
-"""Least number of a cell's points with neighbours on all sides; fewer say nothing of how it stands."""
+"""Least number of a cell's points with neighbours on all sides, for the inclination of its surface."""
 
 
 def warm_up() -> None:
-    """Run the kernel that is asked where there are points on one of them."""
+    """Run the kernel that needs points on a single point."""
     _face(np.ones((1, 3), np.float32), np.zeros(1, np.uint32), 1, np.empty(1, np.float32), np.empty(1, np.intp))
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMap:
-    """Arrays (rows, columns) float64 of the pattern's cells."""
+    """Inclination and noise of the surface; arrays (rows, columns) float64 of the pattern's cells."""
 
     points: Array
     """Number of the cloud's points that have neighbours on all sides."""
     across: Array
-    """RMS of cos θ; NaN: fewer than ``MIN_POINTS``."""
+    """RMS of cos θ; NaN: fewer than ``MIN_POINTS``. θ is the angle between ray and surface normal."""
     noise_px: Array
     """RMS of the left coordinates' noise, in px of the pattern, times cos θ; NaN as above."""
 
@@ -66,8 +66,11 @@ def surface_map(
     variance_px2: NDArray[np.float32],
     shape: tuple[int, int],
 ) -> SurfaceMap:
-    """Map a cloud whose points lie on a grid of the left image, whose pattern coordinates are ``p_px`` and ``q_px``
-    (h, w), and theirs have variances ``variance_px2`` (n,) by the camera's noise."""
+    """Map the inclination and noise of a cloud whose points lie on a grid of the left image.
+
+    ``p_px`` and ``q_px`` (h, w): pattern coordinates; ``variance_px2`` (n,): their variance at the points by the
+    camera's noise.
+    """
     cosine, inside = facing(cloud, p_px.shape[1])
     sums = np.zeros((3, shape[0] * shape[1]))
     _sum_cells(cosine, inside, cloud.pixel, p_px.ravel(), q_px.ravel(), variance_px2, *shape, sums)
@@ -79,9 +82,9 @@ def surface_map(
 
 
 def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Return |cos θ| of the points that have neighbours on all four sides, and which points (n,) those are.
+    """Return |cos θ| of the points that have neighbours on all four sides, and the numbers of these points.
 
-    Of flat pixel numbers of an image ``width_px`` wide, that lie on a grid of rows and columns at equal distances.
+    Their pixels in an image ``width_px`` wide lie on a grid of rows and columns at equal distances.
     """
     if not cloud.pixel.size:
         return np.empty(0, np.float32), np.empty(0, np.intp)
@@ -91,12 +94,14 @@ def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _step(there: NDArray[np.bool_]) -> tuple[int, int, int]:
-    """Return the first and the last of the places that are there, and the greatest step that leads to all of them; 0:
-    there is but one."""
+def _step(is_used: NDArray[np.bool_]) -> tuple[int, int, int]:
+    """Return the first and the last index that is True, and the largest step that meets all of them.
+
+    The step is 0 if there is only one.
+    """
     first, last, step = -1, -1, 0
-    for place in range(there.size):
-        if there[place]:
+    for place in range(is_used.size):
+        if is_used[place]:
             # The greatest common divisor of the distances, by Euclid.
             a, b = step, place - last if last >= 0 else 0
             while b:
@@ -115,8 +120,7 @@ def _face(
     cosine: NDArray[np.float32],
     inside: NDArray[np.intp],
 ) -> int:
-    """Write ``facing`` of ``points_mm`` (n, 3) to the beginnings of ``cosine`` and ``inside`` (n,); return how many
-    there are."""
+    """Write ``facing`` of ``points_mm`` (n, 3) to the beginnings of ``cosine`` and ``inside`` (n,); return the count."""
     wide_px, n = np.uint32(width_px), pixel.size
     # Rows and columns that any point lies in, and the grid that has them all.
     highest = np.uint32(0)
@@ -130,10 +134,10 @@ def _face(
     first_y, last_y, down = _step(rows)
     if step == 0 or down == 0:
         return 0
-    # Number of the point at each place of the grid, with a border of nothing that spares the question what lies beside.
+    # Number of the point at each position of the grid, with an empty border, so that all positions have neighbours.
     wide, high = (last_x - first_x) // step + 3, (last_y - first_y) // down + 3
-    at = np.full(wide * high, -1, np.int32)
-    # The place of each column of the image, so that no point needs a division for it.
+    point_of = np.full(wide * high, -1, np.int32)
+    # The grid column of each column of the image, so that points need no division for it.
     places = np.empty(n, np.int32)
     across = np.empty(width_px, np.int32)
     for x in range(wide - 2):
@@ -141,12 +145,17 @@ def _face(
     for k in range(n):
         row = pixel[k] // wide_px
         places[k] = ((int(row) - first_y) // down + 1) * wide + across[pixel[k] - row * wide_px]
-        at[places[k]] = k
+        point_of[places[k]] = k
     # The points that have a neighbour on each side.
     count = 0
     for k in range(n):
         place = places[k]
-        left, right, above, below = at[place - 1], at[place + 1], at[place - wide], at[place + wide]
+        left, right, above, below = (
+            point_of[place - 1],
+            point_of[place + 1],
+            point_of[place - wide],
+            point_of[place + wide],
+        )
         if left < 0 or right < 0 or above < 0 or below < 0:
             continue
         # |normal · ray| over both lengths, with the normal of both differences.
@@ -155,7 +164,7 @@ def _face(
         az, bz = points_mm[right, 2] - points_mm[left, 2], points_mm[below, 2] - points_mm[above, 2]
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         x, y, z = points_mm[k, 0], points_mm[k, 1], points_mm[k, 2]
-        # Of both lengths at once: one root is enough.
+        # One root for the product of both lengths.
         cosine[count] = abs(nx * x + ny * y + nz * z) / np.sqrt((nx * nx + ny * ny + nz * nz) * (x * x + y * y + z * z))
         inside[count] = k
         count += 1
@@ -174,8 +183,10 @@ def _sum_cells(
     columns: int,
     sums: Array,
 ) -> None:
-    """Add to ``sums`` (3, cells) the points ``inside``, cos² θ and variance · cos² θ: errors along a ray count across
-    the surface by cos θ."""
+    """Add number, cos² θ and variance · cos² θ of the points ``inside`` to ``sums`` (3, cells).
+
+    An error along a ray is cos θ times as large across the surface.
+    """
     for k in range(inside.size):
         p, q = p_px[pixel[inside[k]]], q_px[pixel[inside[k]]]
         if not (p >= 0.0 and q >= 0.0 and p < columns * CELL_PX and q < rows * CELL_PX and np.isfinite(cosine[k])):
@@ -188,21 +199,23 @@ def _sum_cells(
 
 
 UNSURE = 4.0
-"""Cells whose drift is this many times less certain than the median cell's are left out."""
+"""Largest standard deviation of a cell's drift over the median of all cells; other cells are left out."""
 UNEVEN_LEFT = 0.3
-"""Phase errors that albedo makes in both cameras alike cancel, but for what differs from one pixel to the next: so much
-of that is left. From training scans."""
+"""Share of the differences between neighbouring pixels that remains of phase errors by albedo.
+
+These errors are the same in both cameras and cancel otherwise. From training scans.
+"""
 NOISE_UNCERTAINTY = 0.1
-"""Share of its variance by which the noise may exceed what is stated, before what is over counts as moving albedo."""
+"""Excess of the noise over the stated one, as a share of its variance, that does not count as moving albedo."""
 MIN_CELLS = 4
 READ_NOISE = 0.8
-"""Share of a right coordinate's variance that is left where it is read off between pixels, along a parabola through
-three of them: its mean over all places."""
+"""Share of a right coordinate's variance that remains after interpolation by a parabola through three pixels, as a mean
+over all positions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Harm:
-    """Maps are (rows, columns) float64 of the pattern's cells, NaN where nothing is known."""
+    """Noise that motion adds to the points; maps (rows, columns) float64 of the pattern's cells, NaN: unknown."""
 
     drift_px: Array
     """E: of the fringes, left less right, pattern px per frame."""
@@ -210,40 +223,39 @@ class Harm:
     depth_rate_mm_s: Array
     """Speed at which the surface recedes along the left camera's rays, during the x-sines."""
     ripple_mm: Array
-    """RMS of what the movement adds to the points across the surface; NaN also where it is lost in uncertainty."""
+    """RMS of the points' error by motion, across the surface; NaN also where it is below its uncertainty."""
     noise_mm: Array
-    """RMS of what the cameras' noise makes of them."""
+    """RMS of the points' error by the cameras' noise."""
     weight: Array
-    """Points of a cell; 0: left out."""
+    """Number of points of a cell; 0: left out."""
     u_px: Array
-    """Mean place in the left image."""
+    """Mean position in the left image."""
     v_px: Array
     ripple: float | None
-    """All cells: RMS of the ripple over that of the noise; ``None``: fewer than ``MIN_CELLS``."""
+    """RMS of the ripple over that of the noise, all cells; ``None``: fewer than ``MIN_CELLS``."""
     ripple_rms_mm: float | None
     noise_rms_mm: float | None
     drift_over_noise: float | None = None
-    """The same as ``ripple``, as if the steps had risen: other judges see a drift so, whatever it makes of the points.
-    """
+    """Value of ``ripple`` as if the steps had risen: by this, other judges are affected by a drift."""
 
     @property
     def added(self) -> float | None:
-        """Noise that the movement adds to the points' own, as a fraction of it."""
+        """Added noise, as a fraction of the points' noise at rest."""
         return None if self.ripple is None else float(np.sqrt(1.0 + self.ripple**2) - 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class PairOffset:
-    """Mean square of δ, by which the fringes stand farther in one pair of steps than in the other."""
+    """Mean square of δ, the offset of the fringes between the two pairs of steps."""
 
     of_drift2: float
-    """Its part that goes with E², as a multiple of it."""
+    """Its part proportional to E², as a multiple of E²."""
     px2: float = 0.0
-    """Its part that is the same everywhere, px² of the pattern."""
+    """Its constant part, px² of the pattern."""
 
 
 def steady_offset(sequence: PatternSequence) -> PairOffset:
-    """Return the offset of a steady movement: E where the steps rise, none in the instrument's order."""
+    """Return the offset of a steady motion: E for rising steps, 0 in the instrument's order."""
     zero, quarter, half, three = sequence.axis(Direction.X).sine
     return PairOffset(0.25 * (zero + half - quarter - three) ** 2)
 
@@ -258,24 +270,23 @@ def predict(
     frame_s: float,
     offset: PairOffset | None = None,
 ) -> Harm:
-    """Predict the harm of a movement.
+    """Predict the noise that motion adds to the points.
 
-    It follows from the ``drift`` across the x-fringes that both cameras saw (keyed by side), from how the surface
-    stands, and from ``pair_way2``, the mean square way of the albedo over the left image from one image of a pair to
-    the other, px² (``None``: there is none to see). ``offset``: as ``pair_offset`` has it; ``None``: the movement is
-    steady.
+    ``drift``: of the x-fringes, by side; ``surface``: its inclination and noise; ``pair_way2``: mean square
+    displacement of the albedo in the left image from one image of a pair to the other, px² (``None``: unknown);
+    ``offset``: by ``pair_offset``; ``None``: the motion is steady.
     """
     left, right = drift["left"], drift["right"]
     offset, steady = offset or steady_offset(sequence), steady_offset(sequence).of_drift2
     m, n = sequence.axis(Direction.X).pair_frames
     ways2 = (m * m + n * n) / 8.0
-    # Mean square phase error of moving albedo, over what the contradiction of the steps shows of it.
+    # Mean square phase error by moving albedo, over the part that the contradiction of the steps shows.
     hidden = 2.0 * ways2 / (steady + ways2)
     px_per_rad = sequence.period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
         apart_px = left.drift_px - right.drift_px
         variance = left.sd_px**2 + right.sd_px**2
-        # Without what the drift's own uncertainty adds to its square.
+        # Subtract the part of the square that is due to the uncertainty of the drift.
         apart2 = apart_px**2 - variance
         depth = depth_per_px(left, right, rig, water_index)
         across = np.abs(depth) * surface.across
@@ -290,16 +301,16 @@ def predict(
         second2 = 0.5 * (left.second2 + right.second2)
         ripple2 = (0.125 * offset.of_drift2 + 2.0 * ways2 * second2) * apart2 + px_per_rad**2 * albedo_rad2
         ripple2 += 0.125 * offset.px2
-        known = np.isfinite(apart_px) & np.isfinite(across) & np.isfinite(noise_mm2) & np.isfinite(ripple2)
-        if known.any():
-            known &= variance < UNSURE**2 * np.median(variance[known])
-    weight = np.where(known, surface.points, 0.0)
-    enough = int(np.count_nonzero(known)) >= MIN_CELLS
+        is_known = np.isfinite(apart_px) & np.isfinite(across) & np.isfinite(noise_mm2) & np.isfinite(ripple2)
+        if is_known.any():
+            is_known &= variance < UNSURE**2 * np.median(variance[is_known])
+    weight = np.where(is_known, surface.points, 0.0)
+    enough = int(np.count_nonzero(is_known)) >= MIN_CELLS
     ripple = ripple_mm = noise_mm = drift_over_noise = None
     if enough:
-        share = weight[known] / weight[known].sum()
+        share = weight[is_known] / weight[is_known].sum()
         rising2 = ripple2 + 0.125 * ((1.0 - offset.of_drift2) * apart2 - offset.px2)
-        squared = np.array([share @ x[known] for x in (ripple2 * across**2, noise_mm2, rising2 * across**2)])
+        squared = np.array([share @ x[is_known] for x in (ripple2 * across**2, noise_mm2, rising2 * across**2)])
         ripple_mm, noise_mm, rising_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
         ripple, drift_over_noise = ripple_mm / noise_mm, rising_mm / noise_mm
     with np.errstate(invalid="ignore"):
@@ -307,7 +318,7 @@ def predict(
             apart_px,
             np.sqrt(variance),
             depth * apart_px / frame_s,
-            across * np.sqrt(np.where(known & (ripple2 > 0.0), ripple2, np.nan)),
+            across * np.sqrt(np.where(is_known & (ripple2 > 0.0), ripple2, np.nan)),
             np.sqrt(noise_mm2),
             weight,
             left.u_px,
@@ -320,41 +331,40 @@ def predict(
 
 
 def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: float) -> Array:
-    """Return how many mm farther along the left ray a surface lies whose fringes moved by one px of E; (rows,
-    columns)."""
+    """Return the displacement along the left ray, mm, that moves the fringes by one px of E; (rows, columns)."""
     left_px = np.stack([left.u_px, left.v_px], -1)
     right_px = np.stack([right.u_px, right.v_px], -1)
-    known = np.isfinite(left.u_px) & np.isfinite(right.u_px)
-    out = np.full(known.shape, np.nan)
-    if not known.any():
+    is_known = np.isfinite(left.u_px) & np.isfinite(right.u_px)
+    out = np.full(is_known.shape, np.nan)
+    if not is_known.any():
         return out
-    origin, along = rig.left.rays(left_px[known], water_index)
-    here, beside = (
-        _reach(origin, along, *rig.right.rays(right_px[known] + np.array([step, 0.0]), water_index))
+    origin, along = rig.left.rays(left_px[is_known], water_index)
+    before, after = (
+        _reach(origin, along, *rig.right.rays(right_px[is_known] + np.array([step, 0.0]), water_index))
         for step in (-0.5, 0.5)
     )
     with np.errstate(invalid="ignore", divide="ignore"):
-        out[known] = (beside - here) / right.slope_per_px[known]
+        out[is_known] = (after - before) / right.slope_per_px[is_known]
     return out
 
 
-def _reach(origin: Array, along: Array, other: Array, other_along: Array) -> Array:
-    """Return how far along the first rays (n, 3) the second ones pass nearest, mm."""
+def _reach(origin: Array, along: Array, other_origin: Array, other_along: Array) -> Array:
+    """Return the distance in mm along the first rays (n, 3) to where the second ones pass nearest."""
     # Nearest points of two skew lines with unit directions.
-    apart = origin - other
+    apart = origin - other_origin
     b = np.sum(along * other_along, -1)
     return np.asarray((b * np.sum(other_along * apart, -1) - np.sum(along * apart, -1)) / (1.0 - b * b))
 
 
 EVERYWHERE = 0.4
-"""Share of the pixels in harmed cells from which on no side is named."""
+"""Share of the pixels in cells with large added noise from which on no side is named."""
 OFF_MIDDLE = 0.12
-"""Least distance from the middle of what is seen, as a share of the image's size, for a side to be named."""
+"""Least distance from the middle of the visible surface, as a share of the image's size, for a side to be named."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Middle of the harm in px of the left image, and ``left right upper lower everywhere`` or two of them."""
+    """Centre of the added noise, px of the left image, and ``left right upper lower everywhere`` or two of them."""
 
     u_px: float
     v_px: float
@@ -362,7 +372,7 @@ class Place:
 
 
 def place_of(harm: Harm, size_px: tuple[int, int]) -> Place | None:
-    """Return the place of most of the harm in an image of ``size_px``; ``None``: no cell has a ripple."""
+    """Return the place of most of the added noise in an image of ``size_px``; ``None``: no cell has a ripple."""
     squared = np.nan_to_num(harm.ripple_mm) ** 2 * harm.weight
     total = float(squared.sum())
     if total <= 0.0:
@@ -372,12 +382,12 @@ def place_of(harm: Harm, size_px: tuple[int, int]) -> Place | None:
     strong = np.nan_to_num(harm.ripple_mm) ** 2 > 0.25 * total / pixels
     if float(harm.weight[strong].sum()) > EVERYWHERE * pixels:
         return Place(u, v, "everywhere")
-    words = []
+    directions = []
     middle_u, middle_v = (float(np.sum(harm.weight * np.nan_to_num(x)) / pixels) for x in (harm.u_px, harm.v_px))
     for off, size, names in (
         (v - middle_v, size_px[1], ("upper", "lower")),
         (u - middle_u, size_px[0], ("left", "right")),
     ):
         if abs(off) > OFF_MIDDLE * size:
-            words.append(names[int(off > 0.0)])
-    return Place(u, v, " ".join(words) or "middle")
+            directions.append(names[int(off > 0.0)])
+    return Place(u, v, " ".join(directions) or "middle")

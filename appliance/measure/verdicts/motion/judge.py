@@ -1,7 +1,7 @@
-"""Owns the verdict on movement: whether, which, where, how fast, and whether it spoils the points.
+"""The verdict ``motion``: its kind, place and speed, and whether it spoils the points.
 
-Seen is not spoilt. A scan is refused when what the movement adds to the points' noise, predicted from the drift of the
-fringes (``harm``), exceeds ``MOST_ADDED``; a movement that is seen but harmless is named and passes.
+Not every detected motion spoils a scan. The verdict fails if the noise that motion adds to the points, predicted from
+the drift of the fringes (``harm``), exceeds ``MOST_ADDED``. A harmless motion is named and passes.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from appliance.measure.verdicts.motion.texture import Means, TextureChange, foll
 
 NAME = "motion"
 MOST_ADDED = 0.07
-"""Largest fraction of the noise that a movement may add.
+"""Largest added noise, as a fraction of the noise at rest.
 
-Between what nobody notices (0.05) and what must not be kept (0.10) it lies half-way, as a ratio of what is added to the
-square of the noise: predictions of that are as often too large as too small.
+It is half way between an unnoticeable fraction (0.05) and an unacceptable one (0.10), as a ratio of the added variances:
+predictions of these are as often too large as too small.
 """
 
 _SHADOW, _SATURATED, _CONTRADICTION = (np.uint8(m) for m in (Mask.SHADOW, Mask.SATURATED, Mask.CONTRADICTION))
@@ -53,33 +53,33 @@ Array = NDArray[np.float64]
 
 
 class MotionKind(Enum):
-    """Kinds of movement; the word is for texts and manifests."""
+    """Kinds of motion; the values are for texts and manifests."""
 
     STILL = "still"
     AXIAL = "axial"
-    """Movement towards the instrument or away from it."""
+    """Motion towards the instrument or away from it."""
     LATERAL = "lateral"
     ROTATION = "rotation"
     LOCAL = "local"
-    """Something else moves: most of the harm is in a small part of the image."""
+    """Motion of another object: most of the added noise is in a small part of the image."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotionJudgement:
-    """The judgement, and all that it was made from."""
+    """The judgement and its evidence."""
 
     judgement: Judgement
     kind: MotionKind
     added: float | None
-    """Addition to the points' noise, as a fraction of it; ``None``: too little was seen to tell."""
+    """Added noise as a fraction of the points' noise at rest; ``None``: unknown."""
     axial_mm_s: float | None
-    """Median speed at which the surface recedes along the left camera's rays; ``None``: not known."""
+    """Median speed at which the surface recedes along the left camera's rays; ``None``: unknown."""
     lateral_mm_s: tuple[float, float] | None
     """Speed of the texture across the left image, right and down; ``None``: it does not move, or cannot be followed."""
     shift_px: float | None
-    """Movement over the whole sequence, in px of the left image: texture's and fringes' movement together."""
+    """Motion over the complete sequence, px of the left image, by texture and fringes together."""
     place: Place | None
-    """Place of most of the harm."""
+    """Place of most of the added noise."""
     scores: Scores
     harm: Harm
     """Maps over the cells of the pattern."""
@@ -94,9 +94,9 @@ def judge_motion(
     water_index: float,
     means: Mapping[str, Means] | None = None,
 ) -> MotionJudgement:
-    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm.
+    """Judge a complete sequence with its coarse ``cloud``; ``rig`` and ``water_index`` convert px to mm.
 
-    ``means`` of both sides, where they were taken while the frames arrived.
+    ``means``: those of both sides, if they were taken while the frames arrived.
     """
     sequence = images.sequence
     noise = {side: of_side(images.noise, side) for side in SIDES}
@@ -113,14 +113,14 @@ def judge_motion(
     variance_px2 = four_step_variance_px2(cloud.modulation_dn, light_dn, noise["left"], sequence.period_px)
     surface = surface_map(cloud, left.p_px, left.q_px, variance_px2, drift["left"].drift_px.shape)
     texture = texture_score(changes)
-    # The water's light goes with the stripes, and looks like a way of what is lit by them: nothing went anywhere unless
-    # the texture says so.
+    # Backscatter changes with the stripes, and looks like a displacement of the illuminated surface: use displacements
+    # only if the texture has changed.
     slides = (texture or 0.0) >= MOVED
     pair_way2 = _pair_way2(images, noise) if slides else None
     harm = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s)
     if steady_offset(sequence).of_drift2 == 0.0:
-        seen = {side: edge_shifts(images.frames[side], images.decoded[side], sequence) for side in SIDES}
-        course = edge_course(seen["left"], seen["right"], harm)
+        edge_shifts_px = {side: edge_shifts(images.frames[side], images.decoded[side], sequence) for side in SIDES}
+        course = edge_course(edge_shifts_px["left"], edge_shifts_px["right"], harm)
         offset = pair_offset(*course, drift["left"], drift["right"], harm, sequence, images.frame_s)
         harm = predict(drift, surface, pair_way2, rig, water_index, sequence, images.frame_s, offset)
     trend = drift_trend(harm)
@@ -128,11 +128,11 @@ def judge_motion(
     axial = _axial(harm)
     x, y = (sequence.axis(direction).sine for direction in (Direction.X, Direction.Y))
     followed = follow_px(left, means["left"]) if slides else None
-    way_px = None if followed is None else np.array(followed) / (np.mean(y) - np.mean(x))
-    lateral = None if way_px is None else _lateral(way_px, rig, water_index, images.frame_s)
+    displacement_px = None if followed is None else np.array(followed) / (np.mean(y) - np.mean(x))
+    lateral = None if displacement_px is None else _lateral(displacement_px, rig, water_index, images.frame_s)
     kind = _kind(scores, trend, harm, axial, lateral)
     place = place_of(harm, (rig.left.width_px, rig.left.height_px))
-    shift = _shift(drift["left"], harm, way_px, len(sequence))
+    shift = _shift(drift["left"], harm, displacement_px, len(sequence))
     judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost)
     return MotionJudgement(
         judgement,
@@ -149,8 +149,10 @@ def judge_motion(
 
 
 def _pair_way2(images: ScanImages, noise: Mapping[str, CameraNoise]) -> float | None:
-    """Return the mean square way of the albedo within a pair of steps, over the cameras that see any; ``None``: neither
-    does."""
+    """Return the mean square displacement of the albedo within a pair of steps, px²; ``None``: unknown.
+
+    It is the mean over both cameras, or that of one of them if the other's is unknown.
+    """
     sequence = images.sequence
     albedo = [
         albedo_shifts(images.frames[side], images.decoded[side], sequence, _variance(noise[side])) for side in SIDES
@@ -159,10 +161,10 @@ def _pair_way2(images: ScanImages, noise: Mapping[str, CameraNoise]) -> float | 
 
 
 def mean_pair_way2(albedo: Sequence[AlbedoShifts], sequence: PatternSequence) -> float | None:
-    """Return the same of both cameras' ``albedo``."""
-    ways = (one.mean_way2(frames) for one in albedo for frames in sequence.axis(Direction.X).pair_frames)
-    known = [way2 for way2 in ways if way2 is not None]
-    return float(np.mean(known)) if known else None
+    """Return the mean square displacement within a pair of steps, px², by both cameras' ``albedo``."""
+    squares = (shifts.mean_way2(frames) for shifts in albedo for frames in sequence.axis(Direction.X).pair_frames)
+    known_squares = [way2 for way2 in squares if way2 is not None]
+    return float(np.mean(known_squares)) if known_squares else None
 
 
 def _variance(noise: CameraNoise) -> tuple[float, float]:
@@ -171,70 +173,73 @@ def _variance(noise: CameraNoise) -> tuple[float, float]:
 
 
 def _lost_share(decoded: CameraDecoder) -> float:
-    """Return the share of the illuminated pixels whose frames contradict each other or that look like an edge. What
-    is saturated has no phase that could, and what the water hides does so at rest, too."""
+    """Return the share of the illuminated pixels that are masked for a contradiction or as an edge.
+
+    Saturated pixels do not count, since they have no phase; nor do those that backscatter hides, also at rest.
+    """
     illuminated, lost = (int(pixels) - decoded.backscatter_pixels for pixels in _count(decoded.mask))
     return lost / illuminated if illuminated > 0 else 0.0
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _count(mask: NDArray[np.uint8]) -> tuple[np.int64, np.int64]:
-    """Return how many pixels of ``mask`` (h, w) are illuminated and not saturated, and how many lost their coordinates
-    at an edge or by a contradiction."""
+    """Return the numbers of illuminated, unsaturated pixels of ``mask`` (h, w), and of those that count as lost."""
     illuminated = lost = np.int64(0)
     for v in range(mask.shape[0]):
-        in_light, without = _count_row(mask[v])
+        in_light, lost_pixels = _count_row(mask[v])
         illuminated += np.int64(in_light)
-        lost += np.int64(without)
+        lost += np.int64(lost_pixels)
     return illuminated, lost
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _count_row(row: NDArray[np.uint8]) -> tuple[np.uint16, np.uint16]:
-    """Return the same of one ``row`` (w,) of less than 65,536 pixels: the processor adds many numbers of 16 bits at
-    once."""
-    in_light = without = np.uint16(0)
+    """Return the same for one ``row`` (w,) of less than 65,536 pixels, by numbers of 16 bits, which vectorise better."""
+    in_light = lost = np.uint16(0)
     for u in range(row.size):
         in_light = np.uint16(in_light + np.uint16((row[u] != _SHADOW) & (row[u] != _SATURATED)))
-        without = np.uint16(without + np.uint16(row[u] >= _CONTRADICTION))
-    return in_light, without
+        lost = np.uint16(lost + np.uint16(row[u] >= _CONTRADICTION))
+    return in_light, lost
 
 
 def _axial(harm: Harm) -> float | None:
-    known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
-    return float(np.median(harm.depth_rate_mm_s[known])) if known.any() else None
+    is_known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
+    return float(np.median(harm.depth_rate_mm_s[is_known])) if is_known.any() else None
 
 
 def _turning_mm_s(harm: Harm) -> float:
-    """Return the RMS over the cells: a turn's median says nothing."""
-    known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
-    return float(np.sqrt(np.mean(harm.depth_rate_mm_s[known] ** 2)))
+    """Return the RMS speed over the cells; for a rotation, the median says nothing."""
+    is_known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
+    return float(np.sqrt(np.mean(harm.depth_rate_mm_s[is_known] ** 2)))
 
 
-def _lateral(way_px: Array, rig: StereoRig, water_index: float, frame_s: float) -> tuple[float, float]:
+def _lateral(displacement_px: Array, rig: StereoRig, water_index: float, frame_s: float) -> tuple[float, float]:
     """Return the texture's speed right and down, in mm/s at the distance of the volume's middle."""
     camera = rig.left
     middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
-    # Rays begin at the window, not at the lens.
+    # Rays begin at the port, not at the projection centre.
     origin, along = camera.rays(np.stack([middle, middle + np.array([1.0, 0.0])]), water_index)
-    here, beside = origin + along * ((rig.volume_centre_mm(water_index) - origin[0]) @ along[0])
+    centre_mm, beside_mm = origin + along * ((rig.volume_centre_mm(water_index) - origin[0]) @ along[0])
     # mm across the middle of the volume per px of the image, per second.
-    right, down = way_px * (float(np.linalg.norm(beside - here)) / frame_s)
+    right, down = displacement_px * (float(np.linalg.norm(beside_mm - centre_mm)) / frame_s)
     return float(right), float(down)
 
 
-def _shift(left: DriftMap, harm: Harm, way_px: Array | None, frames: int) -> float | None:
-    """Return the movement over so many ``frames``, px of the left image: that of the fringes, and the texture's
-    ``way_px`` per frame."""
-    known = (harm.weight > 0.0) & np.isfinite(left.slope_per_px)
-    if not known.any():
+def _shift(left: DriftMap, harm: Harm, displacement_px: Array | None, frames: int) -> float | None:
+    """Return the motion over so many ``frames``, px of the left image.
+
+    It is that of the fringes and of the texture, ``displacement_px`` per frame, together.
+    """
+    is_known = (harm.weight > 0.0) & np.isfinite(left.slope_per_px)
+    if not is_known.any():
         return None
-    fringes = float(np.median(np.abs(left.drift_px[known] / left.slope_per_px[known])))
-    return frames * float(np.hypot(fringes, 0.0 if way_px is None else np.hypot(*way_px)))
+    fringes = float(np.median(np.abs(left.drift_px[is_known] / left.slope_per_px[is_known])))
+    return frames * float(np.hypot(fringes, 0.0 if displacement_px is None else np.hypot(*displacement_px)))
 
 
 LOCAL_CELLS, LOCAL_SHARE, LOCAL_REACH_CELLS = 0.2, 0.7, 4.0
-"""Something else moves when so small a part of the cells has so great a part of the harm."""
+"""Criteria of a local motion: share of the cells, their least share of the added noise (squared), and their largest
+distance."""
 
 
 def _kind(
@@ -261,7 +266,7 @@ def _kind(
 
 
 def _turns(trend: DriftTrend | None, most: float) -> bool:
-    """Say whether the drift's slope across the pattern exceeds its mean, and is certain."""
+    """Return True if the drift's slope across the pattern exceeds its mean ``most`` times, and is certain."""
     if trend is None:
         return False
     slope = float(np.hypot(trend.across, trend.down))
@@ -269,16 +274,16 @@ def _turns(trend: DriftTrend | None, most: float) -> bool:
 
 
 def _is_local(harm: Harm) -> bool:
-    """Say whether most of the harm is in few cells close to each other."""
-    known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
-    if np.count_nonzero(known) < 20:
+    """Return True if most of the added noise is in few cells close to each other."""
+    is_known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
+    if np.count_nonzero(is_known) < 20:
         return False
     # Uncertain cells have large ripples by chance.
-    certain = known & (np.abs(harm.drift_px) > 6.0 * harm.sd_px)
+    certain = is_known & (np.abs(harm.drift_px) > 6.0 * harm.sd_px)
     squared = np.where(certain, np.nan_to_num(harm.ripple_mm / harm.noise_mm) ** 2 * harm.weight, 0.0)
     if squared.sum() <= 0.01 * harm.weight.sum():
         return False
-    few = int(LOCAL_CELLS * np.count_nonzero(known))
+    few = int(LOCAL_CELLS * np.count_nonzero(is_known))
     row, column = np.unravel_index(np.argsort(squared, axis=None)[::-1][:few], squared.shape)
     near = np.hypot(row - row[0], column - column[0]) <= LOCAL_REACH_CELLS
     return bool(squared[row, column][near].sum() > LOCAL_SHARE * squared.sum())
@@ -327,11 +332,11 @@ def _judgement(
     if moved:
         where = "" if place is None else f", {place.word}"
         text = f"{kind.value}{'' if speed is None else f' {speed:.1f} mm/s'}{where}; adds {100.0 * added:.0f} % noise"
-    # What no sign of movement goes with is something else: specks between two images look like albedo that moves.
+    # Without evidence of motion, the cause is another one: specks between two images look like moving albedo.
     passed = added <= MOST_ADDED or not moved
     fault = None
     if not passed:
-        known = {"shift_px": shift_px, "added_noise_percent": 100.0 * added, "speed_mm_s": speed}
-        evidence = {name: value for name, value in known.items() if value is not None}
+        fault_numbers = {"shift_px": shift_px, "added_noise_percent": 100.0 * added, "speed_mm_s": speed}
+        evidence = {name: value for name, value in fault_numbers.items() if value is not None}
         fault = Fault(FaultCode.MOVED, text, evidence)
     return Judgement(Verdict(NAME, passed, numbers, text), fault)

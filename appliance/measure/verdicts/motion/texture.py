@@ -1,9 +1,9 @@
-"""Owns whether the texture stood still: the fringes' mean of one direction against that of the other.
+"""The change of the texture: the mean of the sines of one direction against that of the other.
 
-Four steps of 90° add up to an image without fringes. The one of the x-sines and the one of the y-sines are eleven
-frames apart; at rest they differ by noise, once the daylight's change is fitted as a gain, and by what is left of the
-fringes: four steps take out all harmonics of a light that is no pure sine but each fourth one. That part follows the
-phase, and is taken out by it.
+The sum of four steps of 90° is an image without fringes. The one of the x-sines and the one of the y-sines are eleven
+frames apart. At rest they differ by noise, by a gain if the ambient light changes, and by residual fringes: four steps
+leave each fourth harmonic of a light that is no pure sine. That part follows the phase, by which it is fitted and
+subtracted.
 """
 
 from __future__ import annotations
@@ -21,27 +21,28 @@ from appliance.measure.light.patterns import Direction, PatternSequence
 WIDTH_PX = 400
 """Images are binned to about this width."""
 _FULL_SIZE_BIN_PX = 4
-"""Bins of a camera of 1600 px, for which there is a loop of its own."""
+"""Bin size of a camera of 1600 px, for which there is a separate loop."""
 SURROUNDINGS_PX, BLUR_PX = 15, 5
-"""Binned px over which light is averaged that texture is divided by; and by which it is blurred to be followed."""
+"""Binned px: window of the mean light by which texture is divided, and blur for following the texture."""
 ALIKE, STAYS_PX = 0.9, 0.3
-"""Least correlation of a texture that was followed, and least way of one that moved, binned px."""
+"""Least correlation of a texture that was followed, and least displacement of one that moved, binned px."""
 ROUNDS, SETTLED = 30, 1e-3
 LEAST_PIXELS = 200
-"""Binned pixels that show the object, away from its outline; of fewer nothing is said."""
+"""Least number of binned pixels that show the object, away from its occluding contour."""
 LOCKED_FROM = 1.1
-"""A difference, in units of noise, from which on its part that follows the phase is looked for: at rest there is none
-below it."""
+"""Least difference, in units of noise, of which the part that follows the phase is fitted: there is none at rest below.
+"""
 LOCKED_BINS, LOCKED_ROUNDS = 24, 2
-"""Bins of a quarter of a fringe, and rounds in which both directions' parts are found in turn."""
+"""Number of bins of a quarter of a fringe, and number of rounds in which both directions' parts are fitted in turn."""
 CLIP, CLIPPED = 2.5, 0.986
-"""Differences beyond so many standard deviations count as that; and what this leaves of a normal one's."""
+"""Limit in standard deviations to which differences are clipped, and the factor by which this reduces the standard
+deviation of normal values."""
 
 
 def warm_up() -> None:
-    """Run the kernels that are asked where something is decoded on next to nothing."""
+    """Run the kernels that need decoded pixels on a few pixels."""
     image, inside = np.ones((4, 4), np.float32), np.ones((4, 4), np.bool_)
-    _difference(image, image, _judged(inside), 1.0)
+    _difference(image, image, _used_pixels(inside), 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +67,7 @@ def _add_row(row: NDArray[np.uint8], line: NDArray[np.uint16]) -> None:
 def _add_binned(image: NDArray[np.uint8], bin_px: int, stride: int, sums: NDArray[np.uint32]) -> None:
     """Add the sums over squares of ``bin_px`` (of which each ``stride``-th row counts).
 
-    Whole rows are added up first, which is what vector instructions do best; so are four neighbours, if their number is
-    known.
+    Rows are added up first, which the compiler vectorises; so are four neighbours, if their number is a constant.
     """
     line = np.zeros(sums.shape[1] * bin_px, np.uint16)
     for j in range(sums.shape[0]):
@@ -99,7 +99,7 @@ class Means:
 
 
 class Averager:
-    """Takes the means of one camera's sequence, frame by frame: two thirds of its images are asked for nothing."""
+    """Takes the means of one camera's sequence, frame by frame; two thirds of its images are not used."""
 
     def __init__(self, sequence: PatternSequence) -> None:
         x, y = (sequence.axis(direction).sine for direction in (Direction.X, Direction.Y))
@@ -130,7 +130,7 @@ class Averager:
 
 
 def means_of(frames: NDArray[np.uint8], sequence: PatternSequence) -> Means:
-    """Return the means of whole ``frames`` (n, h, w) uint8."""
+    """Return the means of complete ``frames`` (n, h, w) uint8."""
     averager = Averager(sequence)
     for index in range(len(sequence)):
         averager.push(frames, index)
@@ -138,7 +138,7 @@ def means_of(frames: NDArray[np.uint8], sequence: PatternSequence) -> Means:
 
 
 def _bins(width_px: int) -> tuple[int, int]:
-    """Return how many pixels are binned along a side, and which rows of them count: each so-and-so-many-th."""
+    """Return the side of a bin in px, and the distance of its rows that are used."""
     bin_px = max(1, round(width_px / WIDTH_PX))
     return bin_px, 2 if bin_px >= 4 else 1
 
@@ -150,90 +150,96 @@ def texture_change(
     variance_dn2: tuple[float, float],
     means: Means,
 ) -> TextureChange | None:
-    """Measure how the texture changed in one camera's frames (n, h, w) uint8; ``None``: too little is decoded.
+    """Measure the change of the texture in one camera's frames (n, h, w) uint8; ``None``: too few decoded pixels.
 
     ``variance_dn2`` as in ``drift_map``.
     """
     bin_px, stride = _bins(frames.shape[2])
     references, first, second = means.references, means.x, means.y
-    at = (slice(bin_px // 2, None, bin_px), slice(bin_px // 2, None, bin_px))
-    inside = _inside(decoded, at, first.shape)
+    bin_centres = (slice(bin_px // 2, None, bin_px), slice(bin_px // 2, None, bin_px))
+    inside = _inside(decoded, bin_centres, first.shape)
     if np.count_nonzero(inside) < LEAST_PIXELS:
         return None
     dark, per_dn = variance_dn2
     noise = float(dark + per_dn * np.mean(first[inside])) / (bin_px * (bin_px // stride))
-    judged = _judged(inside)
+    used = _used_pixels(inside)
 
     def changes(fringes: _Fringes | None) -> tuple[float, float]:
-        late = _difference(first, second, judged, noise * (0.25 + 0.25), fringes)
-        return late, _difference(references, first, judged, noise * (0.5 + 0.25), fringes)
+        late = _difference(first, second, used, noise * (0.25 + 0.25), fringes)
+        return late, _difference(references, first, used, noise * (0.5 + 0.25), fringes)
 
     before = changes(None)
     if max(before) <= LOCKED_FROM:
         return TextureChange(*before)
-    after = changes(_fringes(decoded, inside, sequence.period_px, at))
+    after = changes(_fringes(decoded, inside, sequence.period_px, bin_centres))
     return TextureChange(*after, float(np.sqrt(max(max(before) ** 2 - max(after) ** 2, 0.0))))
 
 
 @dataclass(frozen=True, slots=True)
 class _Fringes:
-    """Places in a quarter of a fringe at which the pixels lie, for both directions: (pixels inside,) each,
-    0..``LOCKED_BINS`` − 1."""
+    """Bins of the pixels within a quarter of a fringe.
+
+    For both directions: (pixels inside,) each, 0..``LOCKED_BINS`` − 1.
+    """
 
     bins: tuple[NDArray[np.int64], NDArray[np.int64]]
 
-    def without(self, rest: NDArray[np.float32], light: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return differences (pixels,) without their part that follows the phase, in proportion to the ``light``."""
-        left = rest.astype(np.float64)
+    def without(self, difference: NDArray[np.float32], light: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return differences (pixels,) less their part that follows the phase, proportional to the ``light``."""
+        residual = difference.astype(np.float64)
         for _ in range(LOCKED_ROUNDS):
-            for at in self.bins:
-                of = np.bincount(at, light * left, LOCKED_BINS) / np.maximum(
-                    np.bincount(at, light * light, LOCKED_BINS), 1e-3
+            for bins in self.bins:
+                part = np.bincount(bins, light * residual, LOCKED_BINS) / np.maximum(
+                    np.bincount(bins, light * light, LOCKED_BINS), 1e-3
                 )
-                left -= of[at] * light
-        return left.astype(np.float32)
+                residual -= part[bins] * light
+        return residual.astype(np.float32)
 
 
-def _fringes(decoded: CameraDecoder, inside: NDArray[np.bool_], period_px: int, at: tuple[slice, slice]) -> _Fringes:
+def _fringes(
+    decoded: CameraDecoder, inside: NDArray[np.bool_], period_px: int, bin_centres: tuple[slice, slice]
+) -> _Fringes:
     height, width = inside.shape
     p, q = (
-        (coordinate[at][:height, :width][inside] * (4.0 / period_px)) % 1.0 * LOCKED_BINS
+        (coordinate[bin_centres][:height, :width][inside] * (4.0 / period_px)) % 1.0 * LOCKED_BINS
         for coordinate in (decoded.p_px, decoded.q_px)
     )
     return _Fringes((np.minimum(p, LOCKED_BINS - 1).astype(np.int64), np.minimum(q, LOCKED_BINS - 1).astype(np.int64)))
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
-    """Binned pixels by which the texture's change is judged; arrays (rows, columns)."""
+class _UsedPixels:
+    """Binned pixels that are used for the texture's change; arrays (rows, columns)."""
 
     inside: NDArray[np.bool_]
     around: NDArray[np.float32]
-    """Share of the pixels around each that are judged as well."""
+    """Share of the pixels around each that are used as well."""
 
 
-def _judged(inside: NDArray[np.bool_]) -> _Judged:
+def _used_pixels(inside: NDArray[np.bool_]) -> _UsedPixels:
     around = np.asarray(cv2.boxFilter(inside.astype(np.float32), -1, (9, 9)), np.float32)
-    return _Judged(inside, np.maximum(around, np.float32(1e-3), out=around))
+    return _UsedPixels(inside, np.maximum(around, np.float32(1e-3), out=around))
 
 
 def _difference(
     a: NDArray[np.float32],
     b: NDArray[np.float32],
-    judged: _Judged,
+    used: _UsedPixels,
     variance: float,
     fringes: _Fringes | None = None,
 ) -> float:
-    """Return the RMS of b − gain · a without what is smooth, robust, in standard deviations of noise; and without what
-    follows ``fringes``."""
-    inside = judged.inside
-    rest = np.empty_like(a)
-    gain = _subtract(a, b, inside, rest)
+    """Return the robust RMS of b − gain · a in standard deviations of noise.
+
+    Its smooth part, and the part that follows ``fringes``, are subtracted.
+    """
+    inside = used.inside
+    residual = np.empty_like(a)
+    gain = _subtract(a, b, inside, residual)
     if fringes is not None:
-        rest[inside] = fringes.without(rest[inside], a[inside])
-    # What is smooth is daylight; the finest grain is texture that moved, or noise.
-    smooth = np.asarray(cv2.boxFilter(rest, -1, (9, 9)), np.float32)
-    return float(_clipped_sd(rest, smooth, judged.around, inside) / CLIPPED / np.sqrt(variance * gain**2))
+        residual[inside] = fringes.without(residual[inside], a[inside])
+    # The smooth part is ambient light; the fine part is texture that moved, or noise.
+    smooth = np.asarray(cv2.boxFilter(residual, -1, (9, 9)), np.float32)
+    return float(_clipped_sd(residual, smooth, used.around, inside) / CLIPPED / np.sqrt(variance * gain**2))
 
 
 _SUMS_FAST = {"reassoc", "contract", "nsz"}
@@ -241,60 +247,62 @@ _SUMS_FAST = {"reassoc", "contract", "nsz"}
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=_SUMS_FAST)
 def _subtract(
-    a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_], rest: NDArray[np.float32]
+    a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_], residual: NDArray[np.float32]
 ) -> float:
-    """Write b − gain · a to ``rest``, 0 outside; return the gain, that of least squares."""
-    both = own = 0.0
+    """Write b − gain · a to ``residual``, 0 outside; return the gain by least squares."""
+    products = squares = 0.0
     for j in range(a.shape[0]):
         for i in range(a.shape[1]):
-            mine = np.float64(a[j, i]) if inside[j, i] else 0.0
-            both += mine * np.float64(b[j, i])
-            own += mine * mine
-    gain = both / own
+            value = np.float64(a[j, i]) if inside[j, i] else 0.0
+            products += value * np.float64(b[j, i])
+            squares += value * value
+    gain = products / squares
     for j in range(a.shape[0]):
         for i in range(a.shape[1]):
-            left = b[j, i] - np.float32(gain) * a[j, i]
-            rest[j, i] = left if inside[j, i] else np.float32(0.0)
+            difference = b[j, i] - np.float32(gain) * a[j, i]
+            residual[j, i] = difference if inside[j, i] else np.float32(0.0)
     return float(gain)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=_SUMS_FAST)
 def _clipped_sd(
-    rest: NDArray[np.float32], smooth: NDArray[np.float32], around: NDArray[np.float32], inside: NDArray[np.bool_]
+    residual: NDArray[np.float32], smooth: NDArray[np.float32], around: NDArray[np.float32], inside: NDArray[np.bool_]
 ) -> float:
-    """Return the standard deviation of rest − smooth / around inside, clipped at ``CLIP`` times what it would be
-    without; ``rest`` is written to."""
+    """Return the standard deviation of residual − smooth / around inside, clipped at ``CLIP`` times the unclipped one.
+
+    ``residual`` is overwritten.
+    """
     count, total, squares = 0, 0.0, 0.0
-    for j in range(rest.shape[0]):
-        for i in range(rest.shape[1]):
-            high = rest[j, i] - smooth[j, i] / around[j, i]
+    for j in range(residual.shape[0]):
+        for i in range(residual.shape[1]):
+            high = residual[j, i] - smooth[j, i] / around[j, i]
             high = high if inside[j, i] else np.float32(0.0)
-            rest[j, i] = high
+            residual[j, i] = high
             count += inside[j, i]
             total += np.float64(high)
             squares += np.float64(high) * np.float64(high)
-    most = np.float32(CLIP) * np.float32(np.sqrt(max(squares / count - (total / count) ** 2, 0.0)))
+    limit = np.float32(CLIP) * np.float32(np.sqrt(max(squares / count - (total / count) ** 2, 0.0)))
     total, squares = 0.0, 0.0
-    for j in range(rest.shape[0]):
-        for i in range(rest.shape[1]):
-            high = rest[j, i]
-            high = most if high > most else high
-            high = -most if high < -most else high
+    for j in range(residual.shape[0]):
+        for i in range(residual.shape[1]):
+            high = residual[j, i]
+            high = limit if high > limit else high
+            high = -limit if high < -limit else high
             total += np.float64(high)
             squares += np.float64(high) * np.float64(high)
     return float(np.sqrt(max(squares / count - (total / count) ** 2, 0.0)))
 
 
 def follow_px(decoded: CameraDecoder, means: Means) -> tuple[float, float] | None:
-    """Return how far the texture as a whole went right and down, in px of the camera, from the middle of the x-sines to
-    that of the y-sines; ``None``: it stays, or is not the same any more.
+    """Return the displacement of the texture right and down, px of the camera, from the x-sines to the y-sines.
 
-    Light is divided by its surroundings first: the projector's stays with the instrument, only albedo moves. The phase
-    of both pictures' spectra says roughly where it went, their correlation (ECC, Evangelidis and Psarakis 2008) exactly.
+    It is one vector for the image, between the means of the sines. ``None``: the texture stays, or is no longer the
+    same. Light is divided by its surroundings first: the projector's light stays with the instrument, only albedo
+    moves. Phase correlation gives an approximation, ECC (Evangelidis and Psarakis 2008) the result.
     """
     bin_px = _bins(decoded.p_px.shape[1])[0]
-    at = (slice(bin_px // 2, None, bin_px), slice(bin_px // 2, None, bin_px))
-    inside = _inside(decoded, at, means.x.shape).astype(np.uint8)
+    bin_centres = (slice(bin_px // 2, None, bin_px), slice(bin_px // 2, None, bin_px))
+    inside = _inside(decoded, bin_centres, means.x.shape).astype(np.uint8)
     pictures = []
     for light in (means.x, means.y):
         around = cv2.boxFilter(light, -1, (SURROUNDINGS_PX, SURROUNDINGS_PX))
@@ -305,14 +313,14 @@ def follow_px(decoded: CameraDecoder, means: Means) -> tuple[float, float] | Non
     warp = np.array([[1.0, 0.0, right], [0.0, 1.0, down]], np.float32)
     ends = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, ROUNDS, SETTLED)
     try:
-        alike, found = cv2.findTransformECC(before, after, warp, cv2.MOTION_TRANSLATION, ends, inside, BLUR_PX)
+        alike, shift = cv2.findTransformECC(before, after, warp, cv2.MOTION_TRANSLATION, ends, inside, BLUR_PX)
     except cv2.error:  # it does not converge
         return None
-    right, down = float(found[0, 2]), float(found[1, 2])
+    right, down = float(shift[0, 2]), float(shift[1, 2])
     return None if alike < ALIKE or np.hypot(right, down) < STAYS_PX else (right * bin_px, down * bin_px)
 
 
-def _inside(decoded: CameraDecoder, at: tuple[slice, slice], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the binned pixels (rows, columns) that have coordinates, away from outlines."""
-    valid = np.isfinite(decoded.p_px[at] + decoded.q_px[at])[: shape[0], : shape[1]]
+def _inside(decoded: CameraDecoder, bin_centres: tuple[slice, slice], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the binned pixels (rows, columns) that have coordinates, away from occluding contours."""
+    valid = np.isfinite(decoded.p_px[bin_centres] + decoded.q_px[bin_centres])[: shape[0], : shape[1]]
     return np.asarray(cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0)

@@ -51,7 +51,7 @@ def test_a_cell_has_the_sums_of_its_pixels(row: int, column: int) -> None:
     fringes = x[1] ** 2 + x[2] ** 2 >= 4.0
     every, mine = mine, mine & fringes
     here = x[:, mine]
-    np.testing.assert_allclose(found.here[row, column], here @ here.T, rtol=1e-9)
+    np.testing.assert_allclose(found.products[row, column], here @ here.T, rtol=1e-9)
     means, square = found.means[row, column], here[1] ** 2 + here[2] ** 2
     v, u = np.nonzero(mine)
     for name, sums in (
