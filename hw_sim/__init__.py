@@ -1,1 +1,1 @@
-"""An independent physical world under the same wires as the real devices; it shares no code with the product."""
+"""An independent physical world below the wires of the real devices, without code of the product."""

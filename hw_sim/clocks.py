@@ -1,4 +1,4 @@
-"""Errors of clocks and trigger lines in the world ``outside``: jitter, wander, and the meaning of a time stamp.
+"""Errors of clocks, trigger lines and time stamps in the world ``outside``.
 
 The ordinary world's crystals are off by a constant; these wander as well, and every edge has jitter.
 """

@@ -1,4 +1,4 @@
-"""Effects of heat and depth on the true rig: mounts rotate with the case's temperature, ports bend under pressure."""
+"""Effects of heat and depth on the true rig: rotation of the mounts, and bending of the ports."""
 
 from __future__ import annotations
 

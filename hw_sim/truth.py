@@ -341,7 +341,7 @@ def _pointer(side: float, lean_rad: Array, n_water: float, drawing: Drawing) -> 
 
 
 def in_air(rig: TrueRig) -> TrueRig:
-    """Return the same instrument on the day of its calibration in air, before it was closed and taken into the water.
+    """Return the same instrument on the day of its calibration in air, before it was closed.
 
     There are no ports (their index and the water's are 1, so that light goes straight; nor their dents and striae).
     Later changes are undone: the cameras' mounting by 0.005° and 0.01 mm and the principal distance by 1e-4 (standard

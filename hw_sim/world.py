@@ -569,7 +569,7 @@ def _most_intervals(beamer: Beamer | None) -> int:
 
 
 def true_rig(options: Mapping[str, Any]) -> TrueRig:
-    """Return the true rig of a world with ``options`` (``[rig.wires_options]``), for comparison with a calibration.
+    """Return the true rig of a world with ``options`` (``[rig.wires_options]``).
 
     Raises OptionError.
     """

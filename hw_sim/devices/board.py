@@ -62,13 +62,16 @@ class _Job:
     series: int
 
 
-class _Refused(Exception):
+class _RequestError(Exception):
     def __init__(self, code: int) -> None:
         self.code = code
 
 
 class Board:
-    """The board's firmware. ``fire(time_ns, width_ns, shot)`` pulls both trigger lines; ``sensor(name)`` reads one."""
+    """The board's firmware.
+
+    ``fire(time_ns, width_ns, shot)`` pulls both trigger lines; ``sensor(name)`` reads a sensor.
+    """
 
     def __init__(
         self,
@@ -278,8 +281,8 @@ class Board:
         verb = command.verb
         try:
             fields = self._obey(verb, command.arguments)
-        except _Refused as refused:
-            return line("N", command.number, verb[:16], refused.code, REFUSALS[refused.code])
+        except _RequestError as error:
+            return line("N", command.number, verb[:16], error.code, REFUSALS[error.code])
         return line("A", command.number, verb, *fields)
 
     def _obey(self, verb: str, arguments: tuple[str, ...]) -> list[object]:
@@ -294,7 +297,7 @@ class Board:
             case "VSYNC":
                 _numbers(arguments)
                 if self._synced_ns is None or not self._synced(now_ns):
-                    raise _Refused(NO_SYNC)
+                    raise _RequestError(NO_SYNC)
                 miscounted = int(self._faults.strike("board", "wrong", "query") is not None)
                 return [(self._count + miscounted) & 0xFFFFFFFF, self._us(self._synced_ns), self._us(now_ns)]
             case "ARM":
@@ -316,23 +319,23 @@ class Board:
                 _numbers(arguments)
                 return list(self._sensors())
             case _:
-                raise _Refused(BAD_VERB)
+                raise _RequestError(BAD_VERB)
 
     def _arm(self, arguments: tuple[str, ...], now_ns: int) -> list[object]:
         pulses, at_vsync, delay_us, width_us = _numbers(arguments, (1, 64), (0, 0xFFFFFFFF), (0, 15_000), (50, 16_000))
         self._may_fire(now_ns)
         ahead = (at_vsync - self._count) & 0xFFFFFFFF
         if ahead == 0 or ahead & 0x80000000:
-            raise _Refused(PAST)
+            raise _RequestError(PAST)
         self.series += 1
         self._job = _Job(at_vsync, 1, delay_us, width_us, pulses, self.series)
         return [pulses, at_vsync, delay_us, width_us]
 
     def _may_fire(self, now_ns: int) -> None:
         if self.armed is not None:
-            raise _Refused(BUSY)
+            raise _RequestError(BUSY)
         if not self._synced(now_ns):
-            raise _Refused(NO_SYNC)
+            raise _RequestError(NO_SYNC)
 
     # ------------------------------------------------------------------------------------------ towards the host
 
@@ -361,8 +364,8 @@ class Board:
 
 def _numbers(arguments: tuple[str, ...], *ranges: tuple[int, int]) -> list[int]:
     if len(arguments) != len(ranges) or not all(a.isdecimal() and len(a) <= 10 for a in arguments):
-        raise _Refused(BAD_ARGUMENT)
+        raise _RequestError(BAD_ARGUMENT)
     numbers = [int(a) for a in arguments]
     if not all(low <= n <= high for n, (low, high) in zip(numbers, ranges, strict=True)):
-        raise _Refused(BAD_ARGUMENT)
+        raise _RequestError(BAD_ARGUMENT)
     return numbers

@@ -5,8 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from hw_sim.devices.features import Choice, Press, Real, Settable, Shown, Switch, Value, Whole, split_key
-from hw_sim.devices.gencp_memory import Refused, Status
+from hw_sim.devices.features import (
+    BooleanFeature,
+    CommandFeature,
+    EnumerationFeature,
+    FloatFeature,
+    IntegerFeature,
+    ReadOnlyInteger,
+    Settable,
+    Value,
+    split_key,
+)
+from hw_sim.devices.gencp_memory import AccessError, Status
 from hw_sim.devices.makers import DEFAULT_SET, FRAME_START, Maker
 from hw_sim.devices.picture import Processing
 from hw_sim.devices.shutter import LINE0, NOWHERE, SOFTWARE, TIMED, TRIGGER_WIDTH, Settings
@@ -52,7 +62,7 @@ class FeatureBook:
         """Set the factory's values, overridden by those of ``over``."""
         self._values = {}
         for feature in self._settable.values():
-            differing = feature.differing if isinstance(feature, Choice) else {}
+            differing = feature.differing if isinstance(feature, EnumerationFeature) else {}
             for word in self._words(feature):
                 factory = differing.get(word, feature.factory)
                 self._values[feature.name, word] = feature.code(factory)
@@ -66,12 +76,12 @@ class FeatureBook:
 
     def _words(self, feature: Settable) -> list[str]:
         selector = None if feature.selector is None else self._settable[feature.selector]
-        return list(selector.codes) if isinstance(selector, Choice) else [""]
+        return list(selector.codes) if isinstance(selector, EnumerationFeature) else [""]
 
     def word_at(self, name: str, instance: str = "") -> str:
         """Return the name of the current choice."""
         feature = self._settable[name]
-        assert isinstance(feature, Choice)
+        assert isinstance(feature, EnumerationFeature)
         number = self._values[name, instance]
         return next(word for word, code in feature.codes.items() if code == number)
 
@@ -79,7 +89,7 @@ class FeatureBook:
         """Return a number; ``otherwise`` if the camera has no such feature."""
         return self._values.get((name, instance), otherwise)
 
-    def _instance(self, feature: Settable | Press) -> str:
+    def _instance(self, feature: Settable | CommandFeature) -> str:
         return "" if feature.selector is None else self.word_at(feature.selector)
 
     def read(self, name: str) -> int | float:
@@ -88,12 +98,12 @@ class FeatureBook:
         return self._values[name, self._instance(feature)]
 
     def write(self, name: str, value: int | float) -> None:
-        """Write a register. Raises Refused."""
+        """Write a register. Raises AccessError."""
         feature = self._settable[name]
         if self.locked(feature):
-            raise Refused(Status.ACCESS_DENIED)
+            raise AccessError(Status.ACCESS_DENIED)
         if not self._allows(feature, value):
-            raise Refused(Status.INVALID_PARAMETER)
+            raise AccessError(Status.INVALID_PARAMETER)
         self._values[name, self._instance(feature)] = value
         if name.startswith(("Binning", "Decimation")):
             self._fit_region()
@@ -108,13 +118,13 @@ class FeatureBook:
 
     def _allows(self, feature: Settable, value: int | float) -> bool:
         match feature:
-            case Choice():
+            case EnumerationFeature():
                 return value in feature.codes.values()
-            case Switch():
+            case BooleanFeature():
                 return value in (0, 1)
-            case Real():
+            case FloatFeature():
                 return feature.low <= value <= feature.high
-            case Whole():
+            case IntegerFeature():
                 high = self.high(feature.name) if feature.computed else feature.high
                 return feature.low <= value <= high and (value - feature.low) % feature.step == 0
 
@@ -136,8 +146,8 @@ class FeatureBook:
         """Shrink size and offset until they fit: cameras do so when binning changes, or a set is loaded."""
         for name, (axis, offset) in SIZES.items():
             size, shift = self._settable[name], self._settable[offset]
-            assert isinstance(size, Whole)
-            assert isinstance(shift, Whole)
+            assert isinstance(size, IntegerFeature)
+            assert isinstance(shift, IntegerFeature)
             largest = self.largest(axis)
             offset_px = int(self.number(offset))
             self._values[offset, ""] = min(offset_px, (largest - size.low) // shift.step * shift.step)
@@ -156,7 +166,7 @@ class FeatureBook:
         """The fraction of the sensor's rows that is read."""
         return self.number("Height") / self.largest(1)
 
-    def shown(self, feature: Shown) -> int:
+    def shown(self, feature: ReadOnlyInteger) -> int:
         """Return the value of a read-only feature."""
         match feature.name:
             case "SensorWidth" | "SensorHeight":
@@ -169,9 +179,9 @@ class FeatureBook:
     # ------------------------------------------------------------------------------------------ user sets
 
     def load_selected(self) -> None:
-        """Execute UserSetLoad. Raises Refused."""
+        """Execute UserSetLoad. Raises AccessError."""
         if self.number("TLParamsLocked") or self._camera.acquiring or self._camera.streaming:
-            raise Refused(Status.ACCESS_DENIED)
+            raise AccessError(Status.ACCESS_DENIED)
         chosen = self.word_at("UserSetSelector")
         number = self._values["UserSetSelector", ""]
         self.load({} if chosen == DEFAULT_SET else self._saved)
@@ -207,7 +217,7 @@ class FeatureBook:
         if line != "Software" and self.number("LineInverter", line):
             edge = FALLING_WORDS.get(edge, edge)
         selectors = self._settable["TriggerSelector"]
-        assert isinstance(selectors, Choice)
+        assert isinstance(selectors, EnumerationFeature)
         active_triggers = [word for word in selectors.codes if word != FRAME_START and self._on(word)]
         # A trigger that begins or ends an exposure has no line here: a host that turns it on waits for ever.
         acquisition_triggers = [word for word in active_triggers if word in (BURST, "AcquisitionStart")]

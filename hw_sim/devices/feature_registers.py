@@ -7,13 +7,13 @@ from typing import Protocol
 
 from hw_sim.devices.feature_book import FeatureBook
 from hw_sim.devices.feature_xml import TOP, addresses
-from hw_sim.devices.features import Press, Real, Settable, Shown, Whole
+from hw_sim.devices.features import CommandFeature, FloatFeature, IntegerFeature, ReadOnlyInteger, Settable
 from hw_sim.devices.gencp_memory import Memory
 
 COMMANDS = ("AcquisitionStart", "AcquisitionStop", "TriggerSoftware", "UserSetLoad")
 
 
-class Pressed(Protocol):
+class FeatureTarget(Protocol):
     """The part of a camera that its features act on."""
 
     def start(self) -> None: ...
@@ -25,7 +25,7 @@ class Pressed(Protocol):
     def features_changed(self, name: str) -> None: ...
 
 
-def lay_out(memory: Memory, book: FeatureBook, camera: Pressed, base: int) -> None:
+def lay_out(memory: Memory, book: FeatureBook, camera: FeatureTarget, base: int) -> None:
     """Add the registers of all features from ``base`` on."""
 
     def load() -> None:
@@ -38,9 +38,9 @@ def lay_out(memory: Memory, book: FeatureBook, camera: Pressed, base: int) -> No
     where = addresses(book.maker, base)
     for feature in book.maker.features:
         match feature:
-            case Press():
+            case CommandFeature():
                 memory.u32(where[feature.name], None, _pressing(commands[feature.name]))
-            case Shown():
+            case ReadOnlyInteger():
                 memory.u32(where[feature.name], _showing(book, feature))
             case _:
                 _settable(memory, book, camera, feature, where[feature.name])
@@ -54,20 +54,20 @@ def _pressing(action: Callable[[], None]) -> Callable[[int], None]:
     return write
 
 
-def _showing(book: FeatureBook, feature: Shown) -> Callable[[], int]:
+def _showing(book: FeatureBook, feature: ReadOnlyInteger) -> Callable[[], int]:
     return lambda: book.shown(feature)
 
 
-def _settable(memory: Memory, book: FeatureBook, camera: Pressed, feature: Settable, address: int) -> None:
+def _settable(memory: Memory, book: FeatureBook, camera: FeatureTarget, feature: Settable, address: int) -> None:
     name = feature.name
 
     def write(value: float) -> None:
         book.write(name, value)
         camera.features_changed(name)
 
-    if isinstance(feature, Real):
+    if isinstance(feature, FloatFeature):
         memory.f64(address, lambda: book.read(name), write)
         return
     memory.u32(address, lambda: int(book.read(name)), write)
-    if isinstance(feature, Whole) and feature.computed:
+    if isinstance(feature, IntegerFeature) and feature.computed:
         memory.u32(address + TOP, lambda: book.high(name))

@@ -10,7 +10,15 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
 from importlib import resources
 
-from hw_sim.devices.features import AnyFeature, Choice, Press, Real, Shown, Switch, Whole
+from hw_sim.devices.features import (
+    AnyFeature,
+    BooleanFeature,
+    CommandFeature,
+    EnumerationFeature,
+    FloatFeature,
+    IntegerFeature,
+    ReadOnlyInteger,
+)
 from hw_sim.devices.makers import Maker
 
 NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
@@ -105,12 +113,12 @@ class _Writer:
     def feature(self, feature: AnyFeature, selected: list[str]) -> None:
         """Append all nodes of a feature; ``selected``: the features whose instance it chooses."""
         kinds: dict[type, str] = {
-            Choice: "Enumeration",
-            Whole: "Integer",
-            Real: "Float",
-            Switch: "Boolean",
-            Press: "Command",
-            Shown: "Integer",
+            EnumerationFeature: "Enumeration",
+            IntegerFeature: "Integer",
+            FloatFeature: "Float",
+            BooleanFeature: "Boolean",
+            CommandFeature: "Command",
+            ReadOnlyInteger: "Integer",
         }
         space = OWN_FEATURES.get(feature.name, "Standard")
         node = ElementTree.SubElement(
@@ -133,30 +141,30 @@ class _Writer:
     def _value(self, feature: AnyFeature, node: ElementTree.Element, put: Callable[[str, object], None]) -> None:
         register = f"{feature.name}Reg"
         match feature:
-            case Choice():
+            case EnumerationFeature():
                 for word, number in feature.codes.items():
                     entry = ElementTree.SubElement(node, _tag("EnumEntry"), {"Name": word, "NameSpace": "Standard"})
                     ElementTree.SubElement(entry, _tag("Value")).text = str(number)
                 put("pValue", register)
-            case Whole():
+            case IntegerFeature():
                 put("pValue", register)
                 put("Min", feature.low)
                 put(*(("pMax", f"{feature.name}Top") if feature.computed else ("Max", feature.high)))
                 put("Inc", feature.step)
-            case Real():
+            case FloatFeature():
                 put("pValue", register)
                 put("Min", feature.low)
                 put("Max", feature.high)
-            case Switch():
+            case BooleanFeature():
                 put("pValue", register)
                 put("OnValue", 1)
                 put("OffValue", 0)
-            case Press():
+            case CommandFeature():
                 put("pValue", register)
                 put("CommandValue", 1)
-            case Shown():
+            case ReadOnlyInteger():
                 put("pValue", register)
-        if isinstance(feature, Whole | Real | Shown) and feature.unit:
+        if isinstance(feature, IntegerFeature | FloatFeature | ReadOnlyInteger) and feature.unit:
             put("Unit", feature.unit)
 
     def _lock(self, feature: AnyFeature) -> None:
@@ -172,12 +180,12 @@ class _Writer:
 
     def _registers(self, feature: AnyFeature) -> None:
         address = self._where[feature.name]
-        access = {Press: "WO", Shown: "RO"}.get(type(feature), "RW")
-        if isinstance(feature, Real):
+        access = {CommandFeature: "WO", ReadOnlyInteger: "RO"}.get(type(feature), "RW")
+        if isinstance(feature, FloatFeature):
             self._register("FloatReg", f"{feature.name}Reg", address, 8, access)
         else:
             self._register("IntReg", f"{feature.name}Reg", address, 4, access)
-        if isinstance(feature, Whole) and feature.computed:
+        if isinstance(feature, IntegerFeature) and feature.computed:
             self._register("IntReg", f"{feature.name}Top", address + TOP, 4, "RO")
 
     def _register(self, kind: str, name: str, address: int, length: int, access: str) -> None:

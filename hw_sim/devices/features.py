@@ -31,7 +31,7 @@ class Feature:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Choice(Feature):
+class EnumerationFeature(Feature):
     """One of several names; ``codes`` gives the number of each."""
 
     codes: Mapping[str, int]
@@ -47,7 +47,7 @@ class Choice(Feature):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Whole(Feature):
+class IntegerFeature(Feature):
     """A whole number from ``low`` to ``high`` in steps."""
 
     factory: int
@@ -68,7 +68,7 @@ class Whole(Feature):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Real(Feature):
+class FloatFeature(Feature):
     """A number from ``low`` to ``high``."""
 
     factory: float
@@ -84,7 +84,7 @@ class Real(Feature):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Switch(Feature):
+class BooleanFeature(Feature):
     """A switch, on or off."""
 
     factory: bool
@@ -97,19 +97,19 @@ class Switch(Feature):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Press(Feature):
+class CommandFeature(Feature):
     """A command; writing 1 executes it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown(Feature):
+class ReadOnlyInteger(Feature):
     """A read-only integer."""
 
     unit: str = ""
 
 
-Settable = Choice | Whole | Real | Switch
-AnyFeature = Settable | Press | Shown
+Settable = EnumerationFeature | IntegerFeature | FloatFeature | BooleanFeature
+AnyFeature = Settable | CommandFeature | ReadOnlyInteger
 
 
 def numbered(*names: str) -> dict[str, int]:

@@ -28,7 +28,7 @@ class Status(IntEnum):
     REGISTERS_INCONSISTENT = 0xA004
 
 
-class Refused(Exception):
+class AccessError(Exception):
     """An access that the device refuses."""
 
     def __init__(self, status: Status) -> None:
@@ -104,24 +104,24 @@ class Memory:
         self.add(Register(address, size, pack if read is not None else None, unpack if write is not None else None))
 
     def read(self, address: int, size: int) -> bytes:
-        """Return ``size`` bytes from ``address``. Raises Refused: a hole, a write-only register, bad alignment."""
+        """Return ``size`` bytes from ``address``. Raises AccessError: a hole, a write-only register, bad alignment."""
         data = b""
         for register in self._touched(address, size):
             if register.read is None:
-                raise Refused(Status.ACCESS_DENIED)
+                raise AccessError(Status.ACCESS_DENIED)
             start = max(address - register.address, 0)
             data += register.read()[start : address + size - register.address]
         return data
 
     def write(self, address: int, data: bytes) -> None:
-        """Write all of ``data`` at ``address``. Raises Refused for a hole, a read-only register, half a number."""
+        """Write all of ``data`` at ``address``. Raises AccessError for a hole, a read-only register, half a number."""
         registers = self._touched(address, len(data))
         for register in registers:
             if register.write is None:
-                raise Refused(Status.WRITE_PROTECT)
+                raise AccessError(Status.WRITE_PROTECT)
             inside = address <= register.address and register.address + register.length <= address + len(data)
             if register.is_number and not inside:
-                raise Refused(Status.INVALID_PARAMETER)
+                raise AccessError(Status.INVALID_PARAMETER)
         for register in registers:
             # Only after the check of every register, so that a refused write changes nothing.
             start, end = register.address - address, register.address + register.length - address
@@ -130,18 +130,18 @@ class Memory:
 
     def _touched(self, address: int, size: int) -> list[Register]:
         if size <= 0:
-            raise Refused(Status.INVALID_PARAMETER)
+            raise AccessError(Status.INVALID_PARAMETER)
         position = bisect.bisect(self._starts, address) - 1
         touched: list[Register] = []
         reached = address
         while reached < address + size:
             register = self._registers[position] if 0 <= position < len(self._registers) else None
             if register is None or not register.address <= reached < register.address + register.length:
-                raise Refused(Status.INVALID_ADDRESS)
+                raise AccessError(Status.INVALID_ADDRESS)
             touched.append(register)
             reached = register.address + register.length
             position += 1
         # GenCP: numbers are read and written in units of 4 bytes; strings and files at any address.
         if (address % 4 or size % 4) and any(register.is_number for register in touched):
-            raise Refused(Status.BAD_ALIGNMENT)
+            raise AccessError(Status.BAD_ALIGNMENT)
         return touched

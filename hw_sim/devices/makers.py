@@ -10,7 +10,18 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hw_sim.devices.features import AnyFeature, Choice, Press, Real, Shown, Switch, Value, Whole, numbered, split_key
+from hw_sim.devices.features import (
+    AnyFeature,
+    BooleanFeature,
+    CommandFeature,
+    EnumerationFeature,
+    FloatFeature,
+    IntegerFeature,
+    ReadOnlyInteger,
+    Value,
+    numbered,
+    split_key,
+)
 from hw_sim.devices.u3v_stream import StreamRules
 
 PIXEL_FORMATS = {
@@ -61,9 +72,9 @@ class Maker:
     stream: StreamRules
     features: tuple[AnyFeature, ...]
 
-    def settable(self) -> dict[str, Choice | Whole | Real | Switch]:
+    def settable(self) -> dict[str, EnumerationFeature | IntegerFeature | FloatFeature | BooleanFeature]:
         """Return the features that have a value, by name."""
-        return {f.name: f for f in self.features if not isinstance(f, Press | Shown)}
+        return {f.name: f for f in self.features if not isinstance(f, CommandFeature | ReadOnlyInteger)}
 
 
 def _common(
@@ -92,7 +103,7 @@ def _common(
     lowest, start, highest = black
     mono8 = PIXEL_FORMATS["Mono8"]
     return (
-        Whole(
+        IntegerFeature(
             name="DeviceLinkThroughputLimit",
             category=DEVICE,
             tip="Bytes per second that the camera sends at most; the sensor is read no faster.",
@@ -101,12 +112,12 @@ def _common(
             high=throughput[1],
             unit="Bps",
         ),
-        Shown(name="SensorWidth", category=IMAGE, tip="Columns of the sensor.", unit="px"),
-        Shown(name="SensorHeight", category=IMAGE, tip="Rows of the sensor.", unit="px"),
-        Shown(name="WidthMax", category=IMAGE, tip="Columns after binning and decimation.", unit="px"),
-        Shown(name="HeightMax", category=IMAGE, tip="Rows after binning and decimation.", unit="px"),
+        ReadOnlyInteger(name="SensorWidth", category=IMAGE, tip="Columns of the sensor.", unit="px"),
+        ReadOnlyInteger(name="SensorHeight", category=IMAGE, tip="Rows of the sensor.", unit="px"),
+        ReadOnlyInteger(name="WidthMax", category=IMAGE, tip="Columns after binning and decimation.", unit="px"),
+        ReadOnlyInteger(name="HeightMax", category=IMAGE, tip="Rows after binning and decimation.", unit="px"),
         *(
-            Whole(
+            IntegerFeature(
                 name=name,
                 category=IMAGE,
                 tip=tip,
@@ -126,7 +137,7 @@ def _common(
             )
         ),
         *(
-            Whole(name=name, category=IMAGE, tip=f"{verb} as many.", factory=1, low=1, high=4, shapes=True)
+            IntegerFeature(name=name, category=IMAGE, tip=f"{verb} as many.", factory=1, low=1, high=4, shapes=True)
             for name, verb in (
                 ("BinningHorizontal", "Joins columns,"),
                 ("BinningVertical", "Joins rows,"),
@@ -137,9 +148,9 @@ def _common(
                 ),
             )
         ),
-        Switch(name="ReverseX", category=IMAGE, tip="Mirrors left and right.", factory=False, shapes=True),
-        Switch(name="ReverseY", category=IMAGE, tip="Mirrors top and bottom.", factory=False, shapes=True),
-        Choice(
+        BooleanFeature(name="ReverseX", category=IMAGE, tip="Mirrors left and right.", factory=False, shapes=True),
+        BooleanFeature(name="ReverseY", category=IMAGE, tip="Mirrors top and bottom.", factory=False, shapes=True),
+        EnumerationFeature(
             name="PixelFormat",
             category=IMAGE,
             tip="Format of a pixel on the wire.",
@@ -147,14 +158,14 @@ def _common(
             factory="Mono8",
             shapes=True,
         ),
-        Choice(
+        EnumerationFeature(
             name="TestPattern",
             category=IMAGE,
             tip="Sends a drawn picture instead of the sensor's.",
             codes=numbered("Off", "GreyHorizontalRamp", "GreyVerticalRamp"),
             factory="Off",
         ),
-        Choice(
+        EnumerationFeature(
             name="AcquisitionMode",
             category=ACQUISITION,
             tip="How many frames an acquisition has.",
@@ -162,7 +173,7 @@ def _common(
             factory="Continuous",
             shapes=True,
         ),
-        Whole(
+        IntegerFeature(
             name="AcquisitionFrameCount",
             category=ACQUISITION,
             tip="Frames in mode MultiFrame.",
@@ -170,7 +181,7 @@ def _common(
             low=1,
             high=65_535,
         ),
-        Whole(
+        IntegerFeature(
             name="AcquisitionBurstFrameCount",
             category=ACQUISITION,
             tip="Frames that a FrameBurstStart trigger allows.",
@@ -178,15 +189,15 @@ def _common(
             low=1,
             high=1023,
         ),
-        Press(name="AcquisitionStart", category=ACQUISITION, tip="Starts the acquisition."),
-        Press(name="AcquisitionStop", category=ACQUISITION, tip="Ends the acquisition."),
-        Switch(
+        CommandFeature(name="AcquisitionStart", category=ACQUISITION, tip="Starts the acquisition."),
+        CommandFeature(name="AcquisitionStop", category=ACQUISITION, tip="Ends the acquisition."),
+        BooleanFeature(
             name="AcquisitionFrameRateEnable",
             category=ACQUISITION,
             tip="No two frames come sooner than AcquisitionFrameRate says, triggered ones neither.",
             factory=False,
         ),
-        Real(
+        FloatFeature(
             name="AcquisitionFrameRate",
             category=ACQUISITION,
             tip="Rate of a free-running acquisition, and limit of a triggered one.",
@@ -195,14 +206,14 @@ def _common(
             high=200.0,
             unit="Hz",
         ),
-        Choice(
+        EnumerationFeature(
             name="TriggerSelector",
             category=ACQUISITION,
             tip="Which trigger the trigger features are about.",
             codes=numbered(*selectors),
             factory=selector,
         ),
-        Choice(
+        EnumerationFeature(
             name="TriggerMode",
             category=ACQUISITION,
             tip="Whether that trigger is waited for.",
@@ -210,7 +221,7 @@ def _common(
             codes=numbered("Off", "On"),
             factory="Off",
         ),
-        Choice(
+        EnumerationFeature(
             name="TriggerSource",
             category=ACQUISITION,
             tip="Where the trigger comes from.",
@@ -218,7 +229,7 @@ def _common(
             codes={**numbered(*lines), "Software": 16},
             factory=source,
         ),
-        Choice(
+        EnumerationFeature(
             name="TriggerActivation",
             category=ACQUISITION,
             tip="Edge of the line that triggers.",
@@ -226,7 +237,7 @@ def _common(
             codes=numbered(*activations),
             factory="RisingEdge",
         ),
-        Real(
+        FloatFeature(
             name="TriggerDelay",
             category=ACQUISITION,
             tip="Time from the trigger to what it starts.",
@@ -236,27 +247,27 @@ def _common(
             high=1_000_000.0,
             unit="us",
         ),
-        Press(
+        CommandFeature(
             name="TriggerSoftware",
             category=ACQUISITION,
             tip="Triggers, if the source is Software.",
             selector="TriggerSelector",
         ),
-        Choice(
+        EnumerationFeature(
             name="ExposureMode",
             category=ACQUISITION,
             tip="What ends an exposure.",
             codes=numbered("Timed", "TriggerWidth"),
             factory="Timed",
         ),
-        Choice(
+        EnumerationFeature(
             name="ExposureAuto",
             category=ACQUISITION,
             tip="Whether the camera chooses the exposure time.",
             codes=numbered("Off", "Once", "Continuous"),
             factory=autos,
         ),
-        Real(
+        FloatFeature(
             name="ExposureTime",
             category=ACQUISITION,
             tip="Duration of an exposure in mode Timed.",
@@ -266,21 +277,21 @@ def _common(
             unit="us",
             auto="ExposureAuto",
         ),
-        Choice(
+        EnumerationFeature(
             name="GainSelector",
             category=ANALOG,
             tip="Which gain the gain features are about.",
             codes=numbered("All"),
             factory="All",
         ),
-        Choice(
+        EnumerationFeature(
             name="GainAuto",
             category=ANALOG,
             tip="Whether the camera chooses the gain.",
             codes=numbered("Off", "Once", "Continuous"),
             factory=autos,
         ),
-        Real(
+        FloatFeature(
             name="Gain",
             category=ANALOG,
             tip="Amplification.",
@@ -291,14 +302,14 @@ def _common(
             unit="dB",
             auto="GainAuto",
         ),
-        Choice(
+        EnumerationFeature(
             name="BlackLevelSelector",
             category=ANALOG,
             tip="Which black level is meant.",
             codes=numbered("All"),
             factory="All",
         ),
-        Real(
+        FloatFeature(
             name="BlackLevel",
             category=ANALOG,
             tip="Added to every pixel.",
@@ -307,15 +318,17 @@ def _common(
             low=lowest,
             high=highest,
         ),
-        Real(name="Gamma", category=ANALOG, tip="Exponent of the grey values.", factory=gamma, low=0.25, high=4.0),
-        Choice(
+        FloatFeature(
+            name="Gamma", category=ANALOG, tip="Exponent of the grey values.", factory=gamma, low=0.25, high=4.0
+        ),
+        EnumerationFeature(
             name="LineSelector",
             category=DIGITAL_IO,
             tip="Which line the line features are about.",
             codes=numbered(*lines),
             factory=lines[0],
         ),
-        Choice(
+        EnumerationFeature(
             name="LineMode",
             category=DIGITAL_IO,
             tip="Whether the line is an input or an output.",
@@ -324,30 +337,30 @@ def _common(
             factory="Input",
             differing=line_modes,
         ),
-        Switch(
+        BooleanFeature(
             name="LineInverter",
             category=DIGITAL_IO,
             tip="A rising edge counts as a falling one.",
             selector="LineSelector",
             factory=False,
         ),
-        Switch(
+        BooleanFeature(
             name="ChunkModeActive",
             category=CHUNK,
             tip="Appends data to the pixels of each payload.",
             factory=False,
             shapes=True,
         ),
-        Choice(
+        EnumerationFeature(
             name="UserSetSelector",
             category=USER_SET,
             tip="Which set of values the commands are about.",
             codes=numbered(DEFAULT_SET, OWNERS_SET),
             factory=DEFAULT_SET,
         ),
-        Press(name="UserSetLoad", category=USER_SET, tip="Takes over all values of the set."),
-        Shown(name="PayloadSize", category=TRANSPORT, tip="Bytes of a payload.", unit="B"),
-        Whole(
+        CommandFeature(name="UserSetLoad", category=USER_SET, tip="Takes over all values of the set."),
+        ReadOnlyInteger(name="PayloadSize", category=TRANSPORT, tip="Bytes of a payload.", unit="B"),
+        IntegerFeature(
             name="TLParamsLocked",
             category=TRANSPORT,
             tip="Set by the host while the stream runs: locks what changes the payload.",
@@ -358,8 +371,8 @@ def _common(
     )
 
 
-def _limit_mode() -> Choice:
-    return Choice(
+def _limit_mode() -> EnumerationFeature:
+    return EnumerationFeature(
         name="DeviceLinkThroughputLimitMode",
         category=DEVICE,
         tip="Whether DeviceLinkThroughputLimit counts.",
@@ -403,7 +416,7 @@ BLACKFLY = Maker(
             throughput=(380_000_000, 380_000_000),
             decimates=True,
         ),
-        Choice(
+        EnumerationFeature(
             name="TriggerOverlap",
             category=ACQUISITION,
             tip="Whether a trigger is taken while the last frame is read out.",
@@ -411,8 +424,8 @@ BLACKFLY = Maker(
             codes=numbered("Off", "ReadOut"),
             factory="Off",
         ),
-        Switch(name="GammaEnable", category=ANALOG, tip="Whether Gamma counts.", factory=True),
-        Switch(
+        BooleanFeature(name="GammaEnable", category=ANALOG, tip="Whether Gamma counts.", factory=True),
+        BooleanFeature(
             name="LUTEnable",
             category=LUT,
             tip="Sends the values through a table, which brightens the dark ones.",
@@ -457,14 +470,14 @@ ACE = Maker(
             decimates=True,
         ),
         _limit_mode(),
-        Choice(
+        EnumerationFeature(
             name="OverlapMode",
             category=ACQUISITION,
             tip="Whether an exposure may begin while the last frame is read out.",
             codes=numbered("Off", "On"),
             factory="On",
         ),
-        Real(
+        FloatFeature(
             name="ExposureOverlapTimeMax",
             category=ACQUISITION,
             tip="In mode TriggerWidth an exposure begins no sooner than this before the end of the last readout.",
@@ -531,7 +544,7 @@ def check_saved(maker: Maker, saved: Mapping[str, Value]) -> None:
             raise ValueError(f"saved: {maker.model} has no feature '{name}'; {remedy}")
         if word is not None:
             selector = None if feature.selector is None else settable[feature.selector]
-            if not isinstance(selector, Choice) or word not in selector.codes:
-                allowed = ", ".join(selector.codes) if isinstance(selector, Choice) else "none"
+            if not isinstance(selector, EnumerationFeature) or word not in selector.codes:
+                allowed = ", ".join(selector.codes) if isinstance(selector, EnumerationFeature) else "none"
                 raise ValueError(f"saved: {name}[{word}]; allowed in brackets are {allowed}")
         feature.code(value)

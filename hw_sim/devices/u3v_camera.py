@@ -17,7 +17,7 @@ from hw_sim.devices import u3v_descriptors as usb
 from hw_sim.devices import u3v_registers
 from hw_sim.devices.board import Shot
 from hw_sim.devices.feature_book import FeatureBook
-from hw_sim.devices.gencp_memory import Refused, Status
+from hw_sim.devices.gencp_memory import AccessError, Status
 from hw_sim.devices.picture import payload
 from hw_sim.devices.power_on import POLITE, PowerOn
 from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, ReadFrame, Settings, Shutter
@@ -151,11 +151,11 @@ class U3vCamera:
         return (self._clock_offset_ns + int(time_ns * (1.0 + self._clock_ppm * 1e-6)) + ahead_ns) // tick_ns * tick_ns
 
     def start(self) -> None:
-        """Execute AcquisitionStart. Raises Refused."""
+        """Execute AcquisitionStart. Raises AccessError."""
         if usb.STREAM_IN in self._halted:
-            raise Refused(Status.STREAM_ENDPOINT_HALTED)
+            raise AccessError(Status.STREAM_ENDPOINT_HALTED)
         if self.power_on.needs_lock and self.book is not None and not self.book.number("TLParamsLocked"):
-            raise Refused(Status.ACCESS_DENIED)
+            raise AccessError(Status.ACCESS_DENIED)
         self._overrun_told = False
         if not self.acquiring:
             self._swapped = None
@@ -192,10 +192,10 @@ class U3vCamera:
         self._time.condition.notify_all()
 
     def stream(self, on: bool) -> None:
-        """Set the stream interface's control bit. Raises Refused."""
+        """Set the stream interface's control bit. Raises AccessError."""
         if on and not self.streaming:
             if usb.STREAM_IN in self._halted:
-                raise Refused(Status.STREAM_ENDPOINT_HALTED)
+                raise AccessError(Status.STREAM_ENDPOINT_HALTED)
             self.setup.check(self.region, self.rules)
             self.once_enabled = True
         if on != self.streaming:

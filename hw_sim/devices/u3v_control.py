@@ -6,7 +6,7 @@ import struct
 from collections import deque
 from collections.abc import Callable
 
-from hw_sim.devices.gencp_memory import Memory, Refused, Status
+from hw_sim.devices.gencp_memory import AccessError, Memory, Status
 from hw_sim.timing.world_time import WorldTime
 
 MAX_COMMAND, MAX_ACKNOWLEDGE = 1024, 1024
@@ -84,23 +84,23 @@ class ControlChannel:
         life = self._life
         try:
             status, answer = Status.SUCCESS, self._read(payload) if command == _READ else self._write(payload)
-        except Refused as refused:
-            status, answer = refused.status, b""
+        except AccessError as error:
+            status, answer = error.status, b""
         # A device that has just reset itself no longer answers.
         if wants_ack and self._life == life:
             self._acknowledge(status, command | 1, request_id, answer)
 
     def _read(self, payload: bytes) -> bytes:
         if len(payload) != 12:
-            raise Refused(Status.INVALID_PARAMETER)
+            raise AccessError(Status.INVALID_PARAMETER)
         address, _, size = struct.unpack("<QHH", payload)
         if size > MAX_ACKNOWLEDGE - _HEADER.size:
-            raise Refused(Status.INVALID_PARAMETER)
+            raise AccessError(Status.INVALID_PARAMETER)
         return self._memory.read(address, size)
 
     def _write(self, payload: bytes) -> bytes:
         if len(payload) <= 8 or len(payload) > MAX_COMMAND - _HEADER.size:
-            raise Refused(Status.INVALID_PARAMETER)
+            raise AccessError(Status.INVALID_PARAMETER)
         data = payload[8:]
         self._memory.write(int.from_bytes(payload[:8], "little"), data)
         return struct.pack("<HH", 0, len(data))

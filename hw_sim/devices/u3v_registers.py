@@ -16,7 +16,7 @@ from typing import Protocol
 
 from hw_sim.devices import feature_registers, feature_xml, u3v_control
 from hw_sim.devices.feature_book import FeatureBook
-from hw_sim.devices.gencp_memory import Memory, Refused, Register, Status
+from hw_sim.devices.gencp_memory import AccessError, Memory, Register, Status
 from hw_sim.devices.power_on import PowerOn
 from hw_sim.devices.shutter import (
     AUTO_CONTINUOUS,
@@ -93,9 +93,9 @@ class Limits:
     step: int = 1
 
     def check(self, value: int) -> None:
-        """Check a value. Raises Refused."""
+        """Check a value. Raises AccessError."""
         if not self.low <= value <= self.high or (value - self.low) % self.step:
-            raise Refused(Status.INVALID_PARAMETER)
+            raise AccessError(Status.INVALID_PARAMETER)
 
 
 def zipped_description(lacks: tuple[str, ...] = ()) -> bytes:
@@ -219,7 +219,7 @@ def _stream_interface(memory: Memory, core: CameraCore) -> None:
     def field(name: str) -> tuple[Callable[[], int], Callable[[int], None]]:
         def write(value: int) -> None:
             if core.streaming:
-                raise Refused(Status.ACCESS_DENIED)
+                raise AccessError(Status.ACCESS_DENIED)
             setattr(core.setup, name, value)
 
         return lambda: int(getattr(core.setup, name)), write
@@ -267,7 +267,7 @@ def _features(memory: Memory, core: CameraCore) -> None:
 
         def write(value: int) -> None:
             if core.acquiring or core.streaming:
-                raise Refused(Status.ACCESS_DENIED)
+                raise AccessError(Status.ACCESS_DENIED)
             region = core.region
             limits(region).check(value)
             values = {key: getattr(region, key) for key in ("width", "height", "offset_x", "offset_y")}
@@ -286,7 +286,7 @@ def _features(memory: Memory, core: CameraCore) -> None:
 
         def checked(value: int) -> None:
             if getattr(core.settings, auto) != AUTO_OFF:
-                raise Refused(Status.ACCESS_DENIED)
+                raise AccessError(Status.ACCESS_DENIED)
             write(value)
 
         return read, checked
@@ -296,11 +296,11 @@ def _features(memory: Memory, core: CameraCore) -> None:
     ) -> tuple[Callable[[], int], Callable[[int], None]]:
         def write(value: int) -> None:
             if locked and core.acquiring:
-                raise Refused(Status.ACCESS_DENIED)
+                raise AccessError(Status.ACCESS_DENIED)
             if isinstance(allowed, Limits):
                 allowed.check(value)
             elif value not in allowed:
-                raise Refused(Status.INVALID_PARAMETER)
+                raise AccessError(Status.INVALID_PARAMETER)
             setattr(core.settings, name, value)
             if then is not None:
                 then()

@@ -6,7 +6,7 @@ import struct
 from collections import deque
 from dataclasses import dataclass
 
-from hw_sim.devices.gencp_memory import Refused, Status
+from hw_sim.devices.gencp_memory import AccessError, Status
 
 LEADER_BYTES, TRAILER_BYTES = 52, 32
 ALIGNMENT_LOG2 = 3
@@ -122,16 +122,16 @@ class Setup:
     final2: int = 0
 
     def check(self, region: Region, rules: StreamRules) -> None:
-        """Check that a block of that region fits into the transfers. Raises Refused."""
+        """Check that a block of that region fits into the transfers. Raises AccessError."""
         step = 1 << rules.alignment_log2
         if any(length % step for length in (self.size, self.final1, self.final2)):
-            raise Refused(Status.PAYLOAD_SIZE_NOT_ALIGNED)
+            raise AccessError(Status.PAYLOAD_SIZE_NOT_ALIGNED)
         if rules.aligned_leader and (self.max_leader % step or self.max_trailer % step):
-            raise Refused(Status.REGISTERS_INCONSISTENT)
+            raise AccessError(Status.REGISTERS_INCONSISTENT)
         # USB3 Vision 1.0, SIRM: equal transfers, then up to two final ones.
         room = self.size * self.count + self.final1 + self.final2
         if room < region.payload_bytes or self.max_leader < LEADER_BYTES or self.max_trailer < region.trailer_bytes:
-            raise Refused(Status.REGISTERS_INCONSISTENT)
+            raise AccessError(Status.REGISTERS_INCONSISTENT)
 
     def transfers(self) -> list[int]:
         """Return the lengths of the transfers of a payload."""

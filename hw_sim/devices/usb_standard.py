@@ -19,7 +19,7 @@ class Stall(Exception):
 def device(
     usb: int, device_class: tuple[int, int, int], packet0: int, vendor: int, product: int, release: int
 ) -> bytes:
-    """Return a device descriptor with one configuration; strings 1, 2, 3 are manufacturer, product, serial number."""
+    """Return a device descriptor with one configuration; strings 1 to 3: manufacturer, product, serial number."""
     return struct.pack("<BBHBBBBHHHBBBB", 18, DEVICE, usb, *device_class, packet0, vendor, product, release, 1, 2, 3, 1)
 
 

@@ -27,7 +27,7 @@ RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class BentPlates:
-    """The forms of the ChArUco board's plate and of the plane, besides their bow. Raises ValueError for impossible numbers."""
+    """The forms of the ChArUco board's plate and of the plane, besides their bow. Raises ValueError."""
 
     board_saddle_mm: float = 0.0
     """Height of the front in the middle of its right edge above the middle: (x² − y²)/a², a half the width."""

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def fresnel(cosine: float, index: float) -> float:
-    """Return the reflection of unpolarised light at an angle of incidence, into a medium of relative ``index`` ≥ 1."""
+    """Return the reflection of unpolarised light at a medium of relative ``index`` ≥ 1."""
     # c = cos of incidence, g² = n² − 1 + c².
     g = math.sqrt(index * index - 1.0 + cosine * cosine)
     ratio = (g - cosine) / (g + cosine)

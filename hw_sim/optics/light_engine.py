@@ -130,7 +130,7 @@ class LightEngine:
         return plane_s
 
     def table_s(self, response: Light, begin_s: float, end_s: float, frame_s: float = FRAME_S) -> Light:
-        """Return the light of each code, (256,) float32 in seconds of white, between two times after a vertical blank.
+        """Return each code's light, (256,) float32 in seconds of white, between two times after a vertical blank.
 
         ``response`` is the light of a whole frame; a whole frame gives it, in steps of a bit plane.
         """

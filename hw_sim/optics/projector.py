@@ -139,7 +139,7 @@ def _blur(light: Light, sigma_px: float) -> Light:
 def collect(
     pixels: Light, light: Light, white: np.float32, ambient: np.float32, backscatter: Light, electrons: Light
 ) -> None:
-    """Add to ``electrons`` (h, w): ``white`` × projected light, ``ambient`` × grey, and the ``backscatter`` (h, w).
+    """Add projected light × ``white``, grey × ``ambient``, and ``backscatter`` (h, w) to ``electrons`` (h, w).
 
     ``pixels`` (h, w, 5) are (p, q, lit, softness, grey) as in ``geometry``; ``light`` is what ``soften`` gives, sampled
     by the cubic B-spline; p and q lie within PAD − 2 px of the pattern wherever ``lit`` is not zero.

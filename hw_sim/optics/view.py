@@ -102,7 +102,7 @@ class Surface:
         self._pose = pose
 
     def distance_mm(self, points_rig_mm: ArrayLike) -> NDArray[np.float64]:
-        """Return signed distances (n,) float64 of points (n, 3) in the rig frame, outside positive; exact near the surface."""
+        """Return signed distances (n,) float64 of rig points (n, 3), outside positive; exact near the surface."""
         points = np.reshape(np.asarray(points_rig_mm, np.float64), (-1, 3))
         out = np.empty(len(points))
         pose = self._pose

@@ -1,4 +1,4 @@
-"""Failures of the computer in the housing: its worker dies or hangs, its disk refuses or fills, its power fails.
+"""Failures of the computer in the housing: of its worker, its disk and its power.
 
 Like a diver it uses the status file, which names the process and lies in ``run`` of the storage root.
 """

@@ -1,4 +1,4 @@
-"""The diver's script: a list of steps, played by a thread that knows the product only through its status file."""
+"""The diver's script: steps of a thread that knows the product only through its status file."""
 
 from __future__ import annotations
 

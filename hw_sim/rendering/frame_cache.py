@@ -37,7 +37,10 @@ class FrameCache:
         lasers: tuple[bool, bool],
         frame: int | None,
     ) -> Hashable:
-        """Return a key that is equal for equal images. ``frame``: of the sequence; no camera gives two frames the same noise."""
+        """Return a key that is equal for equal images.
+
+        ``frame``: index in the sequence; no camera gives two frames the same noise.
+        """
         light = tuple(part.key() for part in slices)
         return camera, scene, light, round(exposure_s, 6), gain_db, lasers, frame
 

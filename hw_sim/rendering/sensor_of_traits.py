@@ -27,7 +27,7 @@ class SensorOfTraits:
     """One camera's sensor; its fixed pattern belongs to the seed."""
 
     def __init__(self, width_px: int, height_px: int, seed: int, noise: bool, traits: CameraTraits) -> None:
-        """Draw the fixed pattern; without ``noise`` there is neither pattern nor noise, only response and black level."""
+        """Draw the fixed pattern. Without ``noise`` there are only response and black level."""
         rng = np.random.default_rng([seed, 78])
         shape = (height_px, width_px)
         self._noise, self._traits = noise, traits

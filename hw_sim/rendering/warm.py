@@ -1,4 +1,4 @@
-"""The warm-up: an empty image that runs the kernels of every image, so that they are compiled before the world opens.
+"""The warm-up: an empty image that compiles the kernels of every image before the world opens.
 
 ``PIECES`` can be compiled in parallel, the longest first. Kernels for fish, particles, uneven light and other rare
 effects are not included: they are compiled on first use, in a second or two.

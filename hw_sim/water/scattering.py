@@ -51,7 +51,7 @@ def phase_function(angle_rad: Array) -> Array:
 
 
 def survival(period_mm: float, way_mm: float = WAY_MM) -> float:
-    """Return the share of once scattered light that still carries fringes of ``period_mm`` after a way of ``way_mm``."""
+    """Return the share of once scattered light that carries fringes of ``period_mm`` after ``way_mm``."""
     from scipy.special import j0  # half a second that a start of the world does not need
 
     angles = np.geomspace(1e-7, math.pi, 4000)

@@ -153,7 +153,7 @@ class WindowLoop:
 
 
 def name_of(code: int, scancode: int) -> str:
-    """Return a letter as the layout has it (where that is no Latin one: as a US keyboard has it), or the key's name."""
+    """Return a letter of the layout (if it is not Latin: of a US keyboard), or the key's name."""
     if code in NAMED:
         return NAMED[code]
     letter = glfw.get_key_name(code, scancode) if code != glfw.KEY_UNKNOWN else None

@@ -11,14 +11,14 @@ GAP_NS = 100_000_000
 
 
 class Fingers:
-    """The moments of the keyboard's changes in the world. Times in ns: real ones monotonic, world ones the world's."""
+    """The world times of the keyboard's changes; all times in ns, real ones monotonic."""
 
     def __init__(self) -> None:
         self._pressed: dict[str, tuple[int, int]] = {}
         self._last: tuple[int, int] | None = None
 
     def at(self, key: str, down: bool, real_ns: int, now_ns: int) -> int:
-        """Return the world time of a change that came at ``real_ns``; ``now_ns`` is the world's time now, never later."""
+        """Return the world time of a change that came at ``real_ns``; ``now_ns``: the present world time."""
         world_ns = now_ns
         if self._last is not None:
             last_real_ns, last_world_ns = self._last

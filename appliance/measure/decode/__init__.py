@@ -1,1 +1,1 @@
-"""Decoding: the frames of one camera become pattern coordinates, modulation, and a reason where there are none."""
+"""Decoding: pattern coordinates, modulation, and reasons for missing ones, from one camera's frames."""

@@ -29,7 +29,7 @@ STRUCK = np.uint8(Mask.CONTRADICTION)
 _NAN, _ZERO, _ONE = np.float32(np.nan), np.uint8(0), np.uint8(1)
 
 
-class Allowed(NamedTuple):
+class DisagreementLimits(NamedTuple):
     """Disagreement without specks."""
 
     second_x: np.float32
@@ -50,7 +50,7 @@ def warm_up(frames: NDArray[np.uint8]) -> None:
     """Run the kernels on frames (n, h, w) of any content."""
     shape, zero = frames.shape[1:], np.float32(0.0)
     p_px, q_px, mask = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
-    allowed = Allowed(*(zero for _ in Allowed._fields))
+    allowed = DisagreementLimits(*(zero for _ in DisagreementLimits._fields))
     a, b, c, d, e, f, g, h = frames[:8]
     _mask(a, b, c, d, e, f, g, h, np.zeros((shape[0], 2), np.int32), allowed, p_px, q_px, mask)
 
@@ -72,7 +72,7 @@ def mask_specks(
     )
 
 
-def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: CameraNoise) -> Allowed | None:
+def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: CameraNoise) -> DisagreementLimits | None:
     stride = max(1, int((mask.size / SAMPLES) ** 0.5))
     sample = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
     valid = mask[sample] == Mask.VALID
@@ -91,7 +91,7 @@ def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: Cam
         seconds.append(float(np.median(off[strong] / second[strong])) if strong.any() else 0.0)
     means = float(np.median(i[0] + i[1] + i[2] + i[3] - i[4] - i[5] - i[6] - i[7]))
     dark_dn2 = 4.0 * noise.dark_variance_dn2
-    return Allowed(
+    return DisagreementLimits(
         np.float32(seconds[0]),
         np.float32(seconds[1]),
         np.float32(offsets[0]),
@@ -116,7 +116,7 @@ def _flag(
     i3: NDArray[np.uint8],
     second: np.float32,
     offset: np.float32,
-    allowed: Allowed,
+    allowed: DisagreementLimits,
     total: NDArray[np.float32],
     length: NDArray[np.float32],
     struck: NDArray[np.uint8],
@@ -151,7 +151,7 @@ def _mask(
     g: NDArray[np.uint8],
     h: NDArray[np.uint8],
     illuminated: NDArray[np.int32],
-    allowed: Allowed,
+    allowed: DisagreementLimits,
     p_px: NDArray[np.float32],
     q_px: NDArray[np.float32],
     mask: NDArray[np.uint8],

@@ -92,7 +92,7 @@ def patch_pitch_mm(patches: Patches) -> float:
 
 
 def _gradient(value: Array, patches: Patches) -> Array:
-    """Return the gradient (gh, gw, 3) along the surface from central differences; NaN where a neighbour is missing."""
+    """Return the gradient (gh, gw, 3) along the surface from central differences; NaN without neighbours."""
     gradient = np.full((*value.shape, 3), np.nan)
     c = patches.centre_mm
     across, down = c[1:-1, 2:] - c[1:-1, :-2], c[2:, 1:-1] - c[:-2, 1:-1]

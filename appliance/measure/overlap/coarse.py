@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.light.volume import WorkingVolume
 from appliance.measure.overlap.features import Features
-from appliance.measure.overlap.fine import Prepared
+from appliance.measure.overlap.fine import PreparedScan
 from appliance.measure.overlap.patches import Array
 from appliance.measure.overlap.rigid import Rigid
 
@@ -152,7 +152,7 @@ def same(first: Rigid, second: Rigid, within_mm: float = DISTINCT_MM, depth_mm: 
     return bool(np.linalg.norm(first.of(around) - second.of(around), axis=1).max() < within_mm)
 
 
-def guess_by_shape(a: Prepared, b: Prepared, near: Rigid | None = None, count_limit: int = 6) -> list[Guess]:
+def guess_by_shape(a: PreparedScan, b: PreparedScan, near: Rigid | None = None, count_limit: int = 6) -> list[Guess]:
     """Return at most ``count_limit`` distinct poses of B on A that fit by shape, the best first.
 
     ``a`` and ``b`` have coarse patches of some 4 mm. ``near``: an approximate pose of B, such as that of the scan

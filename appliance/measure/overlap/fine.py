@@ -8,7 +8,7 @@ moves.
 Fit                    the pose, its covariance, and what the caller needs to accept or reject it: overlap, outliers,
                        and how far each direction is determined beyond noise (``significance``)
 DepthErrorEquations    what this pair contributes to the estimate of the depth error of all scans of one calibration
-Prepared               a scan at one resolution
+PreparedScan           a scan at one resolution
 correspond, refine     the two parts of the iteration
 self_resistance        how well the shape of one scan alone determines a pose
 derivatives, depth_error_equations    the equations for the depth error
@@ -107,14 +107,14 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prepared:
+class PreparedScan:
     """One scan at one resolution, ready to be registered."""
 
     patches: Patches
     texture: Texture
 
 
-def correspond(a: Prepared, b: Prepared, pose: Rigid, max_distance_mm: float) -> Correspondences:
+def correspond(a: PreparedScan, b: PreparedScan, pose: Rigid, max_distance_mm: float) -> Correspondences:
     """Return the patches of B that lie on A at ``pose``, at most ``max_distance_mm`` from A's surface."""
     pa, pb = a.patches, b.patches
     index = np.flatnonzero(pb.valid)
@@ -193,8 +193,8 @@ def correspond(a: Prepared, b: Prepared, pose: Rigid, max_distance_mm: float) ->
 
 
 def refine(
-    a: Prepared,
-    b: Prepared,
+    a: PreparedScan,
+    b: PreparedScan,
     start: Rigid,
     *,
     max_distance_mm: float = FIRST_LIMIT_MM,
@@ -218,7 +218,7 @@ def refine(
     return _assess(a, b, pose, with_texture)
 
 
-def self_resistance(scan: Prepared) -> Resistance:
+def self_resistance(scan: PreparedScan) -> Resistance:
     """Return the resistance of a scan's shape to a displacement against itself.
 
     No pair with this scan can have more. The two factors of each product are a patch's normal and the mean normal of
@@ -237,7 +237,7 @@ def self_resistance(scan: Prepared) -> Resistance:
     ).resistance()
 
 
-def _assess(a: Prepared, b: Prepared, pose: Rigid, with_texture: bool) -> Fit | None:
+def _assess(a: PreparedScan, b: PreparedScan, pose: Rigid, with_texture: bool) -> Fit | None:
     correspondences = correspond(a, b, pose, 1.0)
     if len(correspondences.source) < FEWEST:
         return None
@@ -274,7 +274,7 @@ def _assess(a: Prepared, b: Prepared, pose: Rigid, with_texture: bool) -> Fit | 
 
 
 def _depth_error(
-    system: System, correspondences: Correspondences, b: Prepared, pose: Rigid, resistance: Resistance
+    system: System, correspondences: Correspondences, b: PreparedScan, pose: Rigid, resistance: Resistance
 ) -> DepthErrorEquations:
     positions_b_mm = b.patches.centre_mm.reshape(-1, 3)[correspondences.source]
     B = np.zeros((len(system.r), DEPTH_ERROR_TERMS))

@@ -1,4 +1,4 @@
-"""Guide the diver to the next view: the overlap of a scan from the present pose, and the direction to a better one.
+"""Guidance to the next view: the overlap of a scan from the present pose, and the direction to a better one.
 
 Keypoints of the kept scan's bright image, with their points, are matched with a live image. They determine the camera's
 pose (P3P within RANSAC, M. Fischler and R. Bolles 1981; X. Gao et al. 2003), refraction included. The kept scan's

@@ -25,7 +25,7 @@ from appliance.measure.guidance import NO_OVERLAP, UNKNOWN, Overlap
 from appliance.measure.overlap.albedo import Texture
 from appliance.measure.overlap.coarse import Guess, guess_by_features, guess_by_shape, in_common, turn_error_mm
 from appliance.measure.overlap.features import Features, Keypoints, find_keypoints, points_below
-from appliance.measure.overlap.fine import Prepared, refine
+from appliance.measure.overlap.fine import PreparedScan, refine
 from appliance.measure.overlap.patches import Array, Projection, patches_of
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud
@@ -76,7 +76,7 @@ class CoarseView:
     _marks: tuple[Keypoints, ...] = ()
     """Keypoints of the images that were searched so far."""
     _features: Features | None = None
-    _shape: Prepared | None = None
+    _shape: PreparedScan | None = None
     _surface: tuple[Array, Array] | None = None
     _coverage: float | None = None
 
@@ -103,7 +103,7 @@ class CoarseView:
             self._features = Features(points[confirmed], first.descriptors[confirmed], first.strength[confirmed])
         return self._features
 
-    def shape(self) -> Prepared:
+    def shape(self) -> PreparedScan:
         """Return the coarse cloud as patches without texture."""
         if self._shape is None:
             nothing = np.zeros(self.points_mm.shape[:2], np.uint8)
@@ -113,7 +113,7 @@ class CoarseView:
             )
             patches = patches_of(cloud, projection, BLOCK)
             unknown = np.full(patches.sigma_mm.shape, np.nan)
-            self._shape = Prepared(patches, Texture(unknown, np.full((*unknown.shape, 3), np.nan), unknown))
+            self._shape = PreparedScan(patches, Texture(unknown, np.full((*unknown.shape, 3), np.nan), unknown))
         return self._shape
 
     def surface(self) -> tuple[Array, Array]:

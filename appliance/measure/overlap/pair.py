@@ -25,7 +25,7 @@ from appliance.measure.overlap.albedo import Texture, patch_pitch_mm, texture_of
 from appliance.measure.overlap.coarse import Guess, guess_by_features, guess_by_shape, in_common, same
 from appliance.measure.overlap.equations import Resistance
 from appliance.measure.overlap.features import Features, features_of
-from appliance.measure.overlap.fine import Fit, Prepared, refine, self_resistance
+from appliance.measure.overlap.fine import Fit, PreparedScan, refine, self_resistance
 from appliance.measure.overlap.patches import Array, Patches, Projection, coarser, patches_of, projection_of
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud
@@ -152,8 +152,8 @@ class PairRefusal(Enum):
 class ReadyScan:
     """A scan that is prepared for registration."""
 
-    fine: Prepared
-    coarse: Prepared
+    fine: PreparedScan
+    coarse: PreparedScan
     features: Features
     repeats: tuple[Array, ...]
     resistance: Resistance
@@ -209,10 +209,10 @@ def ready(
 def ready_with(cloud: OrganisedCloud, projection: Projection, light_mm: Array) -> ReadyScan:
     """Prepare a scan with a projection that was fitted before."""
     patches = patches_of(cloud, projection)
-    fine = Prepared(patches, texture_of(patches, light_mm))
+    fine = PreparedScan(patches, texture_of(patches, light_mm))
     joined = coarser(patches, COARSE)
     unknown = np.full(joined.sigma_mm.shape, np.nan)
-    coarse = Prepared(joined, Texture(unknown, np.full((*unknown.shape, 3), np.nan), unknown))
+    coarse = PreparedScan(joined, Texture(unknown, np.full((*unknown.shape, 3), np.nan), unknown))
     return ReadyScan(fine, coarse, features_of(cloud), tuple(repeats_of(patches, fine.texture)), self_resistance(fine))
 
 

@@ -30,7 +30,7 @@ _SHARED, _MASKED = np.uint8(1), np.uint8(2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fused:
+class FusionResult:
     """A fused cloud, and shares 0..1 of its points."""
 
     cloud: Cloud
@@ -41,7 +41,9 @@ class Fused:
     """Share removed of the points that both clouds have."""
 
 
-def fuse(surface: Surface, first: Cloud, second: Cloud, registration: Registration, grey: tuple[float, float]) -> Fused:
+def fuse(
+    surface: Surface, first: Cloud, second: Cloud, registration: Registration, grey: tuple[float, float]
+) -> FusionResult:
     """Fuse ``first``, of which ``surface`` was made, and ``second`` in the first one's frame and pixels.
 
     ``grey``: factors of both clouds' intensities that bring them to the same light.
@@ -64,7 +66,7 @@ def fuse(surface: Surface, first: Cloud, second: Cloud, registration: Registrati
     added = np.flatnonzero(placed >= 0)
     cloud = _joined(first, second, (points_mm, sigma_mm), fate != _MASKED, added, moved_mm, placed, grey)
     n = max(1, len(cloud.pixel))
-    return Fused(cloud, len(added) / n, shared / n, masked / max(1, shared + masked))
+    return FusionResult(cloud, len(added) / n, shared / n, masked / max(1, shared + masked))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

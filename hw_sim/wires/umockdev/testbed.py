@@ -31,7 +31,7 @@ PRELOAD = "libumockdev-preload.so.0"
 
 
 @dataclass(slots=True)
-class _Plugged:
+class _PluggedDevice:
     """A device that is in the test bed now."""
 
     enumeration: int
@@ -48,7 +48,7 @@ class Testbed:
 
     def __init__(self, world: World, tap: Tap | None = None) -> None:
         self._world, self._tap = world, tap
-        self._plugged: dict[str, _Plugged] = {}
+        self._plugged: dict[str, _PluggedDevice] = {}
         self._addresses = 1
         self._ending = False
         self._stack = ExitStack()
@@ -133,7 +133,7 @@ class Testbed:
                 plugged = self._plug_keypad(enumeration) if camera is None else self._plug_camera(camera, enumeration)
                 self._plugged[name] = plugged
 
-    def _plug_camera(self, camera: U3vCamera, enumeration: int) -> _Plugged:
+    def _plug_camera(self, camera: U3vCamera, enumeration: int) -> _PluggedDevice:
         self._addresses += 1
         port = 1 + list(self._world.cameras.values()).index(camera)
         device = plugs.camera(camera, port, self._addresses)
@@ -145,9 +145,9 @@ class Testbed:
         shared.enumeration = enumeration
         server = NodeServer(self.root, node, lambda: UsbFile(shared))
         self._tree.add(device)
-        return _Plugged(enumeration, [device], server, ready)
+        return _PluggedDevice(enumeration, [device], server, ready)
 
-    def _plug_keypad(self, enumeration: int) -> _Plugged:
+    def _plug_keypad(self, enumeration: int) -> _PluggedDevice:
         self._addresses += 1
         devices = plugs.keypad(pad, enumeration, self._addresses)
         node = devices[-1].node or ""
@@ -157,7 +157,7 @@ class Testbed:
         server = NodeServer(self.root, node, lambda: hidraw_node.HidFile(shared))
         for device in devices:
             self._tree.add(device)
-        return _Plugged(enumeration, devices, server, ready)
+        return _PluggedDevice(enumeration, devices, server, ready)
 
     def _pull(self, name: str) -> None:
         plugged = self._plugged.pop(name)

@@ -15,7 +15,7 @@ from typing import Self
 from hw_sim.wires.usbip import messages
 from hw_sim.wires.usbip.messages import ProtocolError
 from hw_sim.wires.usbip.ports import BUS, Port, ports_of
-from hw_sim.wires.usbip.session import JOIN_TIMEOUT_S, Gone, Session, receive
+from hw_sim.wires.usbip.session import JOIN_TIMEOUT_S, ConnectionClosedError, Session, receive
 from hw_sim.world import World
 
 LOG = logging.getLogger(__name__)
@@ -101,7 +101,7 @@ class Exporter:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 connection.settimeout(GREETING_TIMEOUT_S)
                 self._answer(connection)
-        except (Gone, OSError):
+        except (ConnectionClosedError, OSError):
             pass  # the host is gone
         except ProtocolError as error:
             LOG.warning("USB/IP: %s", error)

@@ -97,7 +97,7 @@ class Port:
 
 
 def ports_of(world: World) -> tuple[Port, ...]:
-    """Return the ports with bus ids 1-1 left camera, 1-2 right camera, 1-3 key pad, 1-4 board. With the world's lock held."""
+    """Return the ports: 1-1 left camera, 1-2 right camera, 1-3 key pad, 1-4 board. The caller holds the lock."""
     functions: list[Function] = [CameraFunction(world.cameras["left"]), CameraFunction(world.cameras["right"])]
     functions += [UsbKeypad(world.keypad), UsbBoard(world.board, world.faults)]
     return tuple(Port(f"{BUS}-{i}", i + 1, function) for i, function in enumerate(functions, 1))

@@ -22,12 +22,12 @@ MOST_PENDING = 512
 JOIN_TIMEOUT_S = 5.0
 
 
-class Gone(Exception):
+class ConnectionClosedError(Exception):
     """The host closed its end."""
 
 
 def receive(connection: socket.socket, size: int) -> bytes:
-    """Exactly ``size`` bytes. Raises Gone."""
+    """Exactly ``size`` bytes. Raises ConnectionClosedError."""
     data = bytearray()
     while len(data) < size:
         try:
@@ -35,7 +35,7 @@ def receive(connection: socket.socket, size: int) -> bytes:
         except OSError:
             part = b""
         if not part:
-            raise Gone
+            raise ConnectionClosedError
         data += part
     return bytes(data)
 
@@ -111,7 +111,7 @@ class Session:
                         raise ProtocolError(f"more than {MOST_PENDING} transfers under way")
                     self._commands.append(pending)
                     self._time.condition.notify_all()
-        except (Gone, ProtocolError):
+        except (ConnectionClosedError, ProtocolError):
             with self._time.condition:
                 self._over = True
                 self._time.condition.notify_all()

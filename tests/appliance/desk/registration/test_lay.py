@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.overlap.albedo import Texture
-from appliance.measure.overlap.fine import Prepared, correspond
+from appliance.measure.overlap.fine import PreparedScan, correspond
 from appliance.measure.overlap.patches import Patches, Projection
 from appliance.measure.overlap.rigid import Rigid
 
@@ -30,7 +30,7 @@ def pinhole() -> Projection:
     return Projection(terms, np.zeros(3), np.ones(3), (BLOCK_PX * ROWS, BLOCK_PX * COLUMNS))
 
 
-def plane(sigma_mm: float, noise: float, moved_mm: NDArray[np.float64]) -> Prepared:
+def plane(sigma_mm: float, noise: float, moved_mm: NDArray[np.float64]) -> PreparedScan:
     """A plane that faces its camera, with the paint of A seen from ``moved_mm``."""
     row, column = np.mgrid[0:ROWS, 0:COLUMNS].astype(np.float64)
     middle = np.stack([column - 0.5 * (COLUMNS - 1), row - 0.5 * (ROWS - 1)], -1) * PITCH_MM
@@ -41,14 +41,14 @@ def plane(sigma_mm: float, noise: float, moved_mm: NDArray[np.float64]) -> Prepa
         centre, normal, np.full(shape, sigma_mm), np.zeros(shape), np.full(shape, noise), BLOCK_PX, pinhole()
     )
     value = (centre + moved_mm) @ GRADIENT
-    return Prepared(patches, Texture(value, np.broadcast_to(GRADIENT, (*shape, 3)).copy(), np.full(shape, noise)))
+    return PreparedScan(patches, Texture(value, np.broadcast_to(GRADIENT, (*shape, 3)).copy(), np.full(shape, noise)))
 
 
 A, B = plane(0.02, 0.01, np.zeros(3)), plane(0.03, 0.024, SHIFT_MM)
 POSE = Rigid(np.eye(3), SHIFT_MM)
 
 
-def changed(of: Prepared, row: int, column: int, **fields: object) -> Prepared:
+def changed(of: PreparedScan, row: int, column: int, **fields: object) -> PreparedScan:
     """A scan with one patch that is another one."""
     patches = of.patches
     for name, value in fields.items():

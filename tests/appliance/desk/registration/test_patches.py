@@ -11,7 +11,7 @@ import pytest
 from appliance.desk.registration.solve import by_place, overlap
 from appliance.measure.overlap.albedo import Texture, patch_pitch_mm
 from appliance.measure.overlap.equations import EXTRA_TEXTURE, Correspondences, system_of
-from appliance.measure.overlap.fine import Prepared
+from appliance.measure.overlap.fine import PreparedScan
 from appliance.measure.overlap.pair import ReadyScan, repeats_of
 from appliance.measure.overlap.patches import Patches, block_size_px, patches_of
 from appliance.measure.overlap.rigid import Rigid
@@ -134,7 +134,7 @@ def test_a_small_dark_print_is_bridged_and_counts_for_its_grey(patches_wide: int
 def ready(cloud: OrganisedCloud) -> ReadyScan:
     patches = patches_of(cloud, SMALL, 3)
     nothing = np.full(patches.valid.shape, np.nan)
-    prepared = Prepared(patches, Texture(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
+    prepared = PreparedScan(patches, Texture(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
     system = system_of(laid(np.zeros(6)), with_texture=False)
     return ReadyScan(prepared, prepared, of_look(np.zeros((0, 128), np.float32)), (), system.resistance())
 

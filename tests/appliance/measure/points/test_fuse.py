@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.cloud import CloudSummary
-from appliance.measure.points.fuse import Fused, fuse
+from appliance.measure.points.fuse import FusionResult, fuse
 from appliance.measure.points.register import Registration
 from appliance.measure.points.surface import surface_of
 from appliance.measure.points.table import Cloud
@@ -38,7 +38,9 @@ def seen(pixel: NDArray[np.int64] = EVERY, sigma_mm: float = 0.03, apart_mm: flo
     return Cloud(points, intensity, modulation, gap, sigma, pixels, CloudSummary(n, 100.0 * n / N, None, None, None))
 
 
-def fused(first: Cloud, second: Cloud, found: Registration = AT_REST, grey: tuple[float, float] = (1.0, 1.0)) -> Fused:
+def fused(
+    first: Cloud, second: Cloud, found: Registration = AT_REST, grey: tuple[float, float] = (1.0, 1.0)
+) -> FusionResult:
     return fuse(surface_of(first, second, SHAPE), first, second, found, grey)
 
 
