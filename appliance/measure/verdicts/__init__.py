@@ -1,1 +1,1 @@
-"""Owns the answer to whether a scan can be trusted: judgements of recorded sequences, each with its numbers."""
+"""The judges of a scan: each returns a verdict with its numbers."""

@@ -1,1 +1,1 @@
-"""The verdict on identity: whether each recorded frame is the pattern that it should be."""
+"""The verdict ``identity``: whether each frame shows its pattern."""

@@ -1,25 +1,22 @@
-"""Owns what speaks against a camera's frames showing the patterns of the sequence: doubts, each 1 where it is decided.
+"""The evidence against a camera's frames showing the patterns of the sequence: doubts, each 1 at its limit.
 
-No doubt is taken from coordinates: a wrong sequence decodes to wrong ones that look right. What is counted is whether
-neighbours follow each other as they were drawn, which a surface, its colour and moderate motion leave as it is:
+No doubt is taken from coordinates, since a wrong sequence decodes to wrong ones that look right. Instead, fringes and
+stripes are followed along lines of the image. A surface, its colour and moderate motion do not change their sequence:
 
-forward    from sample to sample the fringes' phase grows, because cameras and projector are the same way up
-order      where one Gray image changes, the code goes on by one: for all images of a direction together, and for each by
-           itself, since the coarsest have an edge or two in the whole field, but each of the lines crosses it
-in phase   these edges lie at the fringes' 0° and 180°, alternately. This holds Gray code and sines together, and each Gray
-           image against all others: exchange it for anything but another of its direction, and the code's parity is wrong
+forward    from sample to sample the phase increases, because cameras and projector are the same way up
+order      where one Gray image changes, the code increases by one: for all images of a direction together, and for each
+           image alone, since the coarsest have an edge or two in the complete field, but each line crosses it
+in phase   these edges lie at 0° and 180° of the fringes, alternately. This relates Gray code and sines, and each Gray
+           image to all others: if it is exchanged for any but another of its direction, the parity of the code is wrong
 opposite   the sines of 0° and 180°, and of 90° and 270°, are each other's negative
-ends       nothing is brighter than the bright frame, nothing darker than the dark one
-place      the middle of what is seen lies about where the design puts it: nothing else tells Gray images apart of which no
-           edge is seen
-elsewhere  all of it lies about as far from there: where two such images are exchanged, quarters of the field change places and
+ends       no frame is brighter than the bright frame, none darker than the dark one
+place      the middle of the stripes lies near its nominal place: only this distinguishes Gray images without a visible
+           edge
+elsewhere  all stripes are displaced alike: if two such images are exchanged, quarters of the field change places, but
            their middle stays
 
-Steps that cross an outline, a printed edge or a place that something moved over are left out by what the fringes
-themselves do there: phase that bends, swings that differ, a bright frame that is not bright.
-
-It also owns what is counted along the lines of an image: whether fringes and stripes follow each other as they were
-drawn.
+Steps across a contour, an edge of the texture or a moving object are left out by the fringes themselves: phase that
+changes unevenly, swings that differ, a bright frame that is not bright.
 """
 
 from __future__ import annotations
@@ -39,10 +36,10 @@ from appliance.measure.verdicts.identity.lines import Lines, thresholds
 
 
 class Count(IntEnum):
-    """Places in the table of sums."""
+    """Indices of the table of sums."""
 
     ILLUMINATED = 0
-    """Samples that see the projector."""
+    """Illuminated samples."""
     FRINGE = 1
     """… with enough modulation in both directions."""
     NOT_BRIGHT = 2
@@ -52,52 +49,53 @@ class Count(IntEnum):
     STEPS = 4
     """Steps from one sample to the next on the same surface."""
     FORWARD = 5
-    """… with the phase growing, as it must wherever camera and projector are the same way up."""
+    """… with increasing phase, as it must be if camera and projector are the same way up."""
     EDGES = 6
     """Steps in which one Gray image changes."""
     IN_ORDER = 7
     """… to the next half period."""
     IN_PHASE = 8
-    """Sum of cosines: +1 for each edge at the phase where it must be, −1 half a period away."""
+    """Sum of cosines: +1 for each edge at its true phase, −1 half a period away."""
     SINES = 9
-    """Samples with fringes and both references, of which the following are sums."""
+    """Samples with fringes and both references, over which the following are sums."""
     SINE_0 = 10
-    """The first step's share of the swing; the following rows: the others'."""
+    """Share of the swing in the first step; the following rows: in the other steps."""
     SQUARE_0 = 14
     """First of the rows with the sums of those shares' squares."""
     PRODUCT_02 = 18
     PRODUCT_13 = 19
     NUMBER = 20
-    """Sum over the steps of the half period's number, by the Gray code alone."""
+    """Sum of the half-period orders over the steps, by the Gray code alone."""
     PLACE = 21
-    """Sum over the steps of the place along the line, 0 … 1."""
+    """Sum of the positions along the line over the steps, 0 … 1."""
 
 
 COUNTS = 22
 PLACES = 128
-"""Number of bins, over twice the field, in which steps are counted by how far they lie beside their place in the
-design."""
+"""Number of bins, over twice the field, for the displacements of the steps from their nominal places."""
 OFF_REFERENCE = np.float32(0.3)
-"""Bright and dark are the ends of each sample's swing, to this share of it."""
+"""Largest distance of bright and dark from the ends of a sample's swing, as a share of the swing."""
 _MIN_SWING_SHARE = np.float32(0.15)
-"""Least difference of a fringe's opposite steps, as a share of the swing over all frames: less is backscatter, in
-which only broad stripes are seen."""
+"""Least difference of a fringe's opposite steps, as a share of the swing over all frames: less is backscatter, in which
+only broad stripes are visible."""
 _MAX_STEP_COS = np.float32(-0.74)
-"""A phase that grows by more than 138° from sample to sample might as well have shrunk."""
+"""Cosine of the largest phase step from sample to sample, 138°: a larger one is ambiguous."""
 _MAX_OTHER_COS = np.float32(0.5)
-"""Largest change of the phase across a row from sample to sample, 60°, as a cosine; beyond, the surface ends here."""
+"""Cosine of the largest change of the phase of the other direction from sample to sample, 60°: a larger one is a depth
+discontinuity."""
 _LEAST_RATIO, _MOST_RATIO = np.float32(0.6), np.float32(1.67)
 """Limits of the ratio of neighbours' swings, and of the modulations of the two directions."""
 _AT_AN_EDGE = np.float32(0.7)
-"""Outlines meet the fringes at any phase, a Gray image's edges within 45° of 0° or 180°, wrong place or not."""
+"""Least |cos φ| at an edge of a Gray image, 45° from 0° or 180°, at the right place or a wrong one. Contours meet the
+fringes at any phase."""
 _BEND = np.float32(0.25)
-"""A step may differ from its neighbours by this much (rad), and by a third of itself."""
+"""Largest difference of a step from its neighbours (rad), besides a third of itself."""
 
 
 # Symbols of the kernel. Along a line with samples x: (re, im) is 2 B (cos φ, sin φ) of the fringes along the line, with
-# the phase φ and the amplitude B; (other_re, other_im) the same of the fringes across it. mine and others are their
-# lengths, the differences of opposite steps. g is the Gray code of the bits at a sample, h the number of the half
-# period that it stands for, soft the bits that are too near to their threshold to be certain.
+# the phase φ and the modulation B; (other_re, other_im) the same of the fringes across it. mine and other_length are
+# their lengths, the differences of opposite steps. g is the Gray code of the bits at a sample, h its half-period order,
+# soft the bits that are too near to their threshold to be certain.
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -119,14 +117,14 @@ def follow(
     edges: NDArray[np.float64],
     places: NDArray[np.float64],
 ) -> None:
-    """Add what lines (n, lines, samples) show to ``sums`` (COUNTS,), ``edges`` (len(gray), 2) and ``places`` (PLACES,).
+    """Add the lines ``values`` (n, lines, samples) to ``sums`` (COUNTS,), ``edges`` (len(gray), 2) and ``places``.
 
     ``order[k]`` is the row of ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and
     ``sine``: the patterns along the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images,
-    NaN where there is none, and ``doubt_dn`` (lines, samples) how near to them a bit is in doubt; ``least_dn`` (256,):
-    a fringe's least difference at a grey value. ``half_period``: its width as a share of the field. ``places``: number
-    of steps that lie −1 to 1 fields beside their place. ``edges``: of each Gray image, its edges (where it changes, or
-    another changes in its place), and how many of them are out of order although an edge of some pattern is there.
+    NaN: none; ``doubt_dn`` (lines, samples): distance from them below which a bit is uncertain; ``least_dn`` (256,):
+    least difference of a fringe at a grey value; ``half_period``: its width as a share of the field. ``places``
+    (PLACES,): number of steps by their displacement, −1 to 1 fields. ``edges``: of each Gray image, the number of its
+    edges (where it changes, or another one in its place), and of those out of order that are edges of some pattern.
     """
     samples = values.shape[2]
     bits = gray.size
@@ -140,16 +138,16 @@ def follow(
     b0, b1, b2, b3 = order[other_sine[0]], order[other_sine[1]], order[other_sine[2]], order[other_sine[3]]
     bright, dark = order[references[0]], order[references[1]]
     for line in range(values.shape[1]):
-        # First pass along a line: what each sample says by itself, and whether it can be compared with its neighbours.
+        # First pass along a line: each sample alone, and whether it can be compared with its neighbours.
         for x in range(samples):
             good[x] = False
             if not illuminated[line, x]:
                 continue
-            least, most = np.float32(low[line, x]), np.float32(high[line, x])
-            swing = most - least
+            lower_dn, upper_dn = np.float32(low[line, x]), np.float32(high[line, x])
+            swing = upper_dn - lower_dn
             sums[0] += 1.0
-            not_bright = np.float32(values[bright, line, x]) < most - OFF_REFERENCE * swing
-            not_dark = np.float32(values[dark, line, x]) > least + OFF_REFERENCE * swing
+            not_bright = np.float32(values[bright, line, x]) < upper_dn - OFF_REFERENCE * swing
+            not_dark = np.float32(values[dark, line, x]) > lower_dn + OFF_REFERENCE * swing
             sums[2] += 1.0 if not_bright else 0.0
             sums[3] += 1.0 if not_dark else 0.0
             # Four steps I0..I3 of 90° give (I0 − I2, I3 − I1) = 2 B (cos φ, sin φ).
@@ -158,34 +156,40 @@ def follow(
             other_re[x] = np.float32(values[b0, line, x]) - np.float32(values[b2, line, x])
             other_im[x] = np.float32(values[b3, line, x]) - np.float32(values[b1, line, x])
             mine = np.sqrt(re[x] * re[x] + im[x] * im[x])
-            others = np.sqrt(other_re[x] * other_re[x] + other_im[x] * other_im[x])
-            # Fringes count when they are stronger than noise and than what the water alone can show.
+            other_length = np.sqrt(other_re[x] * other_re[x] + other_im[x] * other_im[x])
+            # Fringes count if they are stronger than noise and backscatter.
             needed = max(_MIN_SWING_SHARE * swing, least_dn[high[line, x]])
-            judged = not (not_bright or not_dark)  # at the outline of what moves, it is another surface than before
+            judged = not (not_bright or not_dark)  # at the contour of a moving object, the surface has changed
             for k in range(4):
-                share[k] = (np.float32(values[order[sine[k]], line, x]) - least) / swing
-            # Not the fringes' difference, which depends on the order of the sines, but the spread of all eight, which
-            # does not: where fringes are weak and chosen by what a wrong order makes of them, an x-sine in the place of
-            # a y-sine is the opposite of its partner at just the samples that are left.
-            others_most = max(
+                share[k] = (np.float32(values[order[sine[k]], line, x]) - lower_dn) / swing
+            # Not the fringes' difference, which depends on the order of the sines, but the range of all eight, which
+            # does not. Weak fringes selected by the former, with an x-sine in the place of a y-sine, would be just the
+            # samples at which it is the opposite of its partner.
+            across_most = max(
                 max(values[b0, line, x], values[b1, line, x]), max(values[b2, line, x], values[b3, line, x])
             )
-            others_least = min(
+            across_least = min(
                 min(values[b0, line, x], values[b1, line, x]), min(values[b2, line, x], values[b3, line, x])
             )
-            own_most = max(max(share[0], share[1]), max(share[2], share[3])) * swing
-            own_least = min(min(share[0], share[1]), min(share[2], share[3])) * swing
-            spread = max(own_most, np.float32(others_most) - least) - min(own_least, np.float32(others_least) - least)
-            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Against what the water adds, which
-            # differs from place to place and is alike in all of them: the middle one of the three other pairs' means.
-            # Not the mean of their six, into which a coarse stripe in the place of a single sine would bring the same
-            # large step for all pairs.
+            along_most = max(max(share[0], share[1]), max(share[2], share[3])) * swing
+            along_least = min(min(share[0], share[1]), min(share[2], share[3])) * swing
+            spread = max(along_most, np.float32(across_most) - lower_dn) - min(
+                along_least, np.float32(across_least) - lower_dn
+            )
+            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Subtracted is the backscatter, which
+            # differs from place to place and is the same in all of them: the median of the three other pairs' means.
+            # Not the mean of their six, in which a coarse stripe in the place of a sine would be the same large step
+            # for all pairs.
             if judged and spread >= needed:
                 sums[9] += 1.0
                 half, scale = np.float32(0.5), np.float32(0.5) / swing
                 of_02, of_13 = half * (share[0] + share[2]), half * (share[1] + share[3])
-                across_02 = scale * (np.float32(values[b0, line, x]) + np.float32(values[b2, line, x]) - least - least)
-                across_13 = scale * (np.float32(values[b1, line, x]) + np.float32(values[b3, line, x]) - least - least)
+                across_02 = scale * (
+                    np.float32(values[b0, line, x]) + np.float32(values[b2, line, x]) - lower_dn - lower_dn
+                )
+                across_13 = scale * (
+                    np.float32(values[b1, line, x]) + np.float32(values[b3, line, x]) - lower_dn - lower_dn
+                )
                 lower, upper = min(across_02, across_13), max(across_02, across_13)
                 beside_02, beside_13 = max(lower, min(upper, of_13)), max(lower, min(upper, of_02))
                 for k in range(4):
@@ -194,7 +198,7 @@ def follow(
                     sums[14 + k] += share[k] * share[k]
                 sums[18] += share[0] * share[2]
                 sums[19] += share[1] * share[3]
-            if mine < needed or others < needed:
+            if mine < needed or other_length < needed:
                 continue
             sums[1] += 1.0
             if not judged:
@@ -212,13 +216,13 @@ def follow(
                 bit ^= now
                 h = 2 * h + bit
             code[x], number[x] = g, h
-            if soft != 0:  # at a stripe's own edge, its phase tells; elsewhere, the bit says nothing
+            if soft != 0:  # at an edge of its stripe the phase decides; elsewhere the bit is unknown
                 turns = np.float32(0.5 / np.pi) * np.arctan2(im[x], re[x])
                 decided = decided and periods(h, turns) == periods(plain_number(g ^ soft), turns)
-            # Both directions have the same amplitude on one surface; at an outline they have not.
-            good[x] = decided and _LEAST_RATIO * others < mine < _MOST_RATIO * others
+            # Both directions have the same modulation on one surface; not at a contour.
+            good[x] = decided and _LEAST_RATIO * other_length < mine < _MOST_RATIO * other_length
             re[x], im[x] = re[x] / mine, im[x] / mine
-            other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others
+            other_re[x], other_im[x] = other_re[x] / other_length, other_im[x] / other_length
         # Second pass: the phase steps between neighbours that lie on one surface.
         for x in range(samples - 1):
             smooth[x] = False
@@ -230,12 +234,12 @@ def follow(
                 continue
             # The cosine and sine of the phase step, as the product of one unit phasor with the conjugate of the other.
             cosine = re[x] * re[x + 1] + im[x] * im[x + 1]
-            across = other_re[x] * other_re[x + 1] + other_im[x] * other_im[x + 1]
-            if cosine < _MAX_STEP_COS or across < _MAX_OTHER_COS:
+            other_cosine = other_re[x] * other_re[x + 1] + other_im[x] * other_im[x + 1]
+            if cosine < _MAX_STEP_COS or other_cosine < _MAX_OTHER_COS:
                 continue
             smooth[x] = True
             step[x] = np.arctan2(re[x] * im[x + 1] - im[x] * re[x + 1], cosine)
-        # Third pass: steps that go on like their neighbours are counted, and whether code and phase agree there.
+        # Third pass: count the steps that are like their neighbours, and whether code and phase agree there.
         for x in range(1, samples - 2):
             if not (smooth[x - 1] and smooth[x] and smooth[x + 1]):
                 continue
@@ -243,7 +247,7 @@ def follow(
             after = abs(step[x] - step[x + 1]) - np.float32(0.35) * max(abs(step[x]), abs(step[x + 1]))
             if before > _BEND or after > _BEND:
                 continue
-            # Where the line is, by the code and by the sample: their means are compared with the design.
+            # The position on the line by the code and by the sample: their means are compared with the nominal ones.
             place = (x + 0.5) / samples
             sums[20] += number[x]
             sums[21] += place
@@ -264,7 +268,7 @@ def follow(
             sums[6] += 1.0
             sums[7] += 1.0 if in_order else 0.0
             sums[8] += cosine
-            # The bit that changes where the number goes on by one; a wrong image is blamed for edges of its own and for
+            # The bit that changes where the number increases by one. A wrong image counts with its edges and with
             # missing ones.
             expected = (number[x] ^ (number[x] >> 1)) ^ ((number[x] + 1) ^ ((number[x] + 1) >> 1))
             for k in range(bits):
@@ -275,47 +279,46 @@ def follow(
 
 
 DECIDED = 1.0
-"""A doubt of this size is an alarm.
+"""Value of a doubt from which on it is an alarm.
 
-The limits below are half way, in its own measure, between what good scans of moving, dark and turbid scenes show at
-most and what a wrong frame shows (docs/identity.md has both).
+The limits below are half way between the largest values of good scans of moving, dark and turbid scenes and those of a
+wrong frame (docs/identity.md has both).
 """
 LEAST_FORWARD = 0.7
 MOST_DISPLACED = {Direction.X: 0.2, Direction.Y: 0.15}
-"""Largest distance, in widths of the field, between where the stripes are in the image, on average, and where the
-design puts them. Along the base line they wander with distance: by 0.08 in the measuring volume, 0.15 well before
-it."""
+"""Largest mean displacement of the stripes from their nominal place, in widths of the field. Along the baseline it
+depends on the distance: 0.08 in the working volume, 0.15 well before it."""
 APART = {Direction.X: 0.2, Direction.Y: 0.1}
-"""Distance, in widths of the field, from where most of the stripes are, beyond which one is elsewhere.
+"""Distance from the median displacement, in widths of the field, beyond which a step is elsewhere.
 
-Along the base line, the near and the far end of the measuring volume are 0.16 apart; down it distance shifts nothing.
+Along the baseline, the near and the far end of the working volume are 0.16 apart; across it distance has no effect.
 """
 MOST_ELSEWHERE = {Direction.X: 0.2, Direction.Y: 0.3}
 """Largest share of the steps that may be elsewhere.
 
-Before printed squares that move 0.04 have a wrong code across the base line, 0.16 along it; of two exchanged images of
-which no edge is seen, a quarter to a half.
+Before moving printed squares 0.04 have a wrong code across the baseline, 0.16 along it; if two images without visible
+edges are exchanged, a quarter to a half.
 """
 LEAST_IN_PHASE = 0.6
-"""Mean cosine; a fifth of the edges half a period off, where only a part of the surface shows a frame to be wrong."""
+"""Least mean cosine. It is that of a fifth of the edges half a period off: a wrong frame may be visible on a part of
+the surface only."""
 MOST_OUT_OF_ORDER = 0.3
 MOST_OF_ONE_OUT_OF_ORDER = 0.6
-"""Largest share of the edges of one Gray image that may be out of order: the coarsest have few, and an outline may
-cross them."""
+"""Largest share of the edges of one Gray image that may be out of order: the coarsest have few, and a contour may cross
+them."""
 LEAST_EDGES_OF_ONE = 5
 MOST_CORRELATION = -0.4
-"""Largest correlation of sines of opposite steps; it is −1 where nothing but the pattern changes."""
+"""Largest correlation of sines of opposite steps; it is −1 if only the pattern changes."""
 MOST_BEHIND_BEST = 0.5
-"""Largest amount by which a pair's correlation may be worse than that of the best pair: colour that moves spoils all
-of them."""
+"""Largest difference of a pair's correlation from that of the best pair: moving colours spoil all of them."""
 MOST_OFF_REFERENCE = 0.8
 LEAST_BESIDE_REFERENCE, MOST_BESIDE_REFERENCE = 0.05, 0.08
 MOST_OF_OFF, NEARLY_ALL_OF_OFF = 0.5, 0.75
-"""Share of samples, or of those off the reference, by which another frame may be the better bright (or dark) one: over
-what moves, a frame from the middle of the sequence halves them. Fewer samples, down to the least that show a wrong
-order, speak where the other frame is right at nearly all of these: nothing that moves leaves one that is."""
+"""Limits of the share of samples, or of those off the reference, at which another frame is the better reference. With
+motion, a frame from the middle of the sequence halves the samples off the reference. Fewer samples count if the other
+frame is right at nearly all of these, which it never is with motion."""
 MIN_FRINGE = 60
-"""Samples with fringes in both directions, or there is nothing to judge by."""
+"""Least number of samples with fringes in both directions."""
 MIN_EDGES = 12
 MIN_SINE = 100
 _FRINGE_SIGMA = 6.0
@@ -323,25 +326,25 @@ _FRINGE_SIGMA = 6.0
 
 @dataclass(frozen=True, slots=True)
 class LineEvidence:
-    """Doubts that the lines of one camera raise about one explanation, by name, e.g. ``order gray-x-3``."""
+    """Evidence of one camera's lines against one explanation: doubts by name, e.g. ``order gray-x-3``."""
 
     doubts: Mapping[str, float]
     suspects: Mapping[str, int]
-    """The frame a doubt is about, where it is about one."""
+    """The frame that a doubt is about, for doubts about a single frame."""
     illuminated: int
     fringe: int
-    """Samples with fringes; below ``MIN_FRINGE`` no doubt means anything."""
+    """Number of samples with fringes; below ``MIN_FRINGE`` doubts have no meaning."""
     edges: int
     steps: int = 0
-    """Steps along the lines of the direction with fewer: where a camera reads the stripes of one direction only,
-    nothing is said of the frames of the other."""
+    """Number of steps along the lines, of the direction with fewer: stripes of one direction say nothing about the
+    frames of the other."""
     displaced: float = 0.0
-    """Distance of the stripes across the base line from the design's place, in widths of the field: with opposite
-    signs in both cameras where the object is near or far, with the same sign where a Gray image is wrong."""
+    """Displacement of the stripes along the baseline from their nominal place, in widths of the field: with opposite
+    signs in both cameras if the object is near or far, with the same sign if a Gray image is wrong."""
 
     @property
     def judged(self) -> bool:
-        """Is there enough to judge by?"""
+        """True if there are enough samples for a judgement."""
         enough = self.edges >= MIN_EDGES and self.steps >= MIN_FRINGE
         return self.fringe >= MIN_FRINGE and (enough or self.contradicted)
 
@@ -352,20 +355,19 @@ class LineEvidence:
 
     @property
     def contradicted(self) -> bool:
-        """Is one of the doubts decided?"""
+        """True if one of the doubts has reached its limit."""
         return self.worst >= DECIDED
 
     @property
     def total(self) -> float:
-        """All doubts together: what explanations are compared by."""
+        """Sum of all doubts, each limited to 2, by which explanations are compared."""
         return float(sum(min(doubt, 2.0) for doubt in self.doubts.values()))
 
 
 def _elsewhere(places: NDArray[np.float64], apart: float) -> float:
-    """Return the share of the steps that lie farther than ``apart`` widths of the field from where the middle one of
-    them lies.
+    """Return the share of the steps that lie farther than ``apart`` widths of the field from their median.
 
-    ``places``: (PLACES,) steps by how far beside their place they lie, −1 to 1.
+    ``places`` (PLACES,): number of steps by their displacement, −1 to 1.
     """
     middle = int(np.searchsorted(np.cumsum(places), 0.5 * places.sum()))
     far = np.abs(np.arange(PLACES) - middle) > 0.5 * PLACES * apart
@@ -373,7 +375,7 @@ def _elsewhere(places: NDArray[np.float64], apart: float) -> float:
 
 
 class Witness:
-    """One camera's lines, which can be asked about any order of its frames."""
+    """One camera's lines, which give evidence about any order of its frames."""
 
     def __init__(self, lines: Mapping[Direction, Lines], sequence: PatternSequence, noise: CameraNoise) -> None:
         self.lines = lines
@@ -387,7 +389,7 @@ class Witness:
         self._sine = {d: np.array(axis.sine, np.int64) for d, axis in self._axes.items()}
 
     def evidence(self, order: NDArray[np.int64]) -> LineEvidence:
-        """Collect the doubts about frame ``order[k]`` showing pattern k."""
+        """Return the evidence against frame ``order[k]`` showing pattern k, for all k."""
         doubts: dict[str, float] = {}
         suspects: dict[str, int] = {}
         all_sums: dict[Direction, NDArray[np.float64]] = {}
@@ -433,7 +435,7 @@ class Witness:
         name, axis = along.value, self._axes[along]
         steps = sums[Count.STEPS]
         if steps >= MIN_FRINGE:
-            # Mean place by the half periods' numbers, as a share of the field, against the mean place along the line.
+            # Mean position by the half-period orders, as a share of the field, against the mean position on the line.
             coded = (sums[Count.NUMBER] / steps + 0.5) * self._half_period(along)
             doubts[f"place {name}"] = abs(coded - sums[Count.PLACE] / steps) / MOST_DISPLACED[along]
             doubts[f"forward {name}"] = (1.0 - sums[Count.FORWARD] / steps) / (1.0 - LEAST_FORWARD)
@@ -441,10 +443,10 @@ class Witness:
         if count >= MIN_EDGES:
             doubts[f"phase {name}"] = (1.0 - sums[Count.IN_PHASE] / count) / (1.0 - LEAST_IN_PHASE)
             doubts[f"order {name}"] = (1.0 - sums[Count.IN_ORDER] / count) / MOST_OUT_OF_ORDER
-        for k, (seen, wrong) in zip(axis.gray, edges, strict=True):
+        for k, (count_of_image, wrong) in zip(axis.gray, edges, strict=True):
             if wrong >= LEAST_EDGES_OF_ONE:
                 key = f"order {self._sequence.patterns[k].name}"
-                doubts[key] = wrong / seen / MOST_OF_ONE_OUT_OF_ORDER
+                doubts[key] = wrong / count_of_image / MOST_OF_ONE_OUT_OF_ORDER
                 suspects[key] = k
 
     def _displaced(self, sums: Mapping[Direction, NDArray[np.float64]]) -> float:
@@ -458,8 +460,8 @@ class Witness:
     def _sine_doubts(
         self, sums: Mapping[Direction, NDArray[np.float64]], doubts: dict[str, float], suspects: dict[str, int]
     ) -> None:
-        """Doubt pairs of steps that are not each other's opposite."""
-        found: dict[int, float] = {}
+        """Add the doubts about pairs of steps that are not each other's opposite."""
+        correlations: dict[int, float] = {}
         for along, mine in sums.items():
             n = mine[Count.SINES]
             if n < MIN_SINE:
@@ -469,9 +471,9 @@ class Witness:
                 means = mine[[Count.SINE_0 + first, Count.SINE_0 + first + 2]] / n
                 squares = mine[[Count.SQUARE_0 + first, Count.SQUARE_0 + first + 2]] / n
                 spread = float(np.sqrt(np.maximum(squares - means**2, 1e-6)).prod())
-                found[self._axes[along].sine[first]] = float(mine[place] / n - means.prod()) / spread
-        best = min(found.values(), default=0.0)
-        for k, correlation in found.items():
+                correlations[self._axes[along].sine[first]] = float(mine[place] / n - means.prod()) / spread
+        best = min(correlations.values(), default=0.0)
+        for k, correlation in correlations.items():
             key = f"opposite {self._sequence.patterns[k].name}"
             behind = (correlation - best) / MOST_BEHIND_BEST
             doubts[key] = max(min((1.0 + correlation) / (1.0 + MOST_CORRELATION), behind), 0.0)
@@ -484,8 +486,10 @@ class Witness:
         doubts: dict[str, float],
         suspects: dict[str, int],
     ) -> None:
-        """Doubt the references where another frame is the better bright, or the better dark. At outlines of what
-        moves, none is."""
+        """Add the doubts about the references, if another frame is the better bright or the better dark one.
+
+        At contours of moving objects no frame is.
+        """
         if total[Count.ILLUMINATED] < MIN_FRINGE:
             return
         share = {"bright": total[Count.NOT_BRIGHT], "dark": total[Count.NOT_DARK]}
@@ -493,15 +497,17 @@ class Witness:
             off /= total[Count.ILLUMINATED]
             excess = 0.0
             if off > LEAST_BESIDE_REFERENCE:
-                least = float(self._off_reference()[int(name == "bright")][order].min())
+                best_off = float(self._off_reference()[int(name == "bright")][order].min())
                 nearly_all = min(MOST_BESIDE_REFERENCE, NEARLY_ALL_OF_OFF * off)
-                excess = (off - least) / max(LEAST_BESIDE_REFERENCE, nearly_all, MOST_OF_OFF * off)
+                excess = (off - best_off) / max(LEAST_BESIDE_REFERENCE, nearly_all, MOST_OF_OFF * off)
             doubts[name] = max(off / MOST_OFF_REFERENCE, excess)
             suspects[name] = self._sequence.bright if name == "bright" else self._sequence.dark
 
     def _off_reference(self) -> NDArray[np.float64]:
-        """Return (2, frames) the share of illuminated samples at which each frame is not dark, and not bright;
-        computed once."""
+        """Return the share (2, frames) of illuminated samples at which each frame is not dark, and not bright.
+
+        It is computed once.
+        """
         if self._off is None:
             frames = len(next(iter(self.lines.values())).values)
             off, illuminated = np.zeros((2, frames)), 0

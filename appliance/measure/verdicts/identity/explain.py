@@ -1,9 +1,9 @@
-"""Owns the explanations of a camera's frames: which of them is taken for which pattern, and which speaks best.
+"""Explanations of a camera's frames that contradict the sequence, and the choice of the best one.
 
-A swap, frames that all come one late or one early, and a repeat with everything after it one late put frames and
-patterns into another order, under which no doubt is left; so is a picture that lies the wrong way round, once it is
-read backwards; the missing pattern of a late sequence is foretold by the others, since four sines add up in pairs. A
-frame that repeats another, or an image that stays, is seen in the frames themselves.
+Frames may be exchanged, all one late or one early, or one late after a repeated frame. In the corrected order no doubt
+is left. The same holds for a mirrored or rotated image if its lines are read backwards. The missing pattern of a late
+sequence follows from the others, since four sines add up in pairs. A repeated frame or a still image is detected by
+comparing the frames.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from appliance.measure.verdicts.identity.evidence import MIN_FRINGE, LineEvidenc
 from appliance.measure.verdicts.identity.lines import Lines
 
 SAME = 2.0
-"""Two frames whose squared difference is less, in units of noise, are one image: noise alone gives 1, a step of the
-faintest fringes that count 4 or more."""
+"""Largest squared difference of two frames, in units of noise, that show the same image: by noise alone it is 1, by a
+step of the faintest fringes that count 4 or more."""
 SAME_MEAN = 0.15
 SHORTEST_STILL = 3
-"""Frames that show the same image to the end of the sequence; two are a repeat."""
+"""Least number of frames with the same image up to the end of the sequence; two are a repeat."""
 ENOUGH_FRINGE = 2000
-"""Samples with fringes that are asked while explanations compete; the best of them then face all lines."""
+"""Number of samples with fringes for the first comparison of explanations; the best are compared by all lines."""
 FINALISTS = 6
 CLEARLY_LESS = 0.7
-"""Least drop of the total of all doubts by which a new order is believed: what moves leaves some doubt in any order."""
+"""Least decrease of the total of all doubts for accepting a new order: motion leaves some doubt in any order."""
 
 
-class What(Enum):
+class Disagreement(Enum):
     """The ways in which frames and patterns can disagree."""
 
     SWAPPED = "swapped"
@@ -43,11 +43,11 @@ class What(Enum):
     EARLY = "early"
     """Each frame from ``frame`` on shows the pattern after its own."""
     REPEATED = "repeated"
-    """``frame`` shows what ``other`` shows."""
+    """``frame`` shows the same as ``other``."""
     STILL = "still"
     """All frames from ``frame`` on show the same image."""
     MIRRORED = "mirrored left to right"
-    """All frames are as planned, each row read from its end."""
+    """All frames are right if each row is read from its end."""
     UPSIDE_DOWN = "mirrored top to bottom"
     """The same of each column."""
     TURNED = "turned by 180°"
@@ -56,47 +56,49 @@ class What(Enum):
 
 
 WAYS_ROUND = {
-    What.MIRRORED: (Direction.X,),
-    What.UPSIDE_DOWN: (Direction.Y,),
-    What.TURNED: (Direction.X, Direction.Y),
+    Disagreement.MIRRORED: (Direction.X,),
+    Disagreement.UPSIDE_DOWN: (Direction.Y,),
+    Disagreement.TURNED: (Direction.X, Direction.Y),
 }
-"""Directions whose lines run backwards where a picture lies the wrong way round."""
+"""Directions whose lines run backwards in a mirrored or rotated image."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """One disagreement and the frames it concerns; ``other``: the second of two, where two are concerned."""
+    """One disagreement and its frames; ``other``: the second one of two frames."""
 
-    what: What
+    kind: Disagreement
     frame: int
     other: int | None = None
     identical: bool = False
-    """True if they are equal to the last bit: only a camera's memory repeats an image with its noise."""
+    """True if the frames are equal to the last bit: only a camera's memory repeats an image with its noise."""
     moved: float = 0.0
-    """Share of what is illuminated that moves by this explanation; see ``moved_share``."""
+    """Share of the illuminated samples that move under this explanation; see ``moved_share``."""
     relief: float = 0.0
-    """Drop of the total of all doubts under the order that it says; 0 where it says none."""
+    """Decrease of the total of all doubts by the new order; 0: no new order."""
 
 
 def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence) -> Explanation:
-    """Return the best explanation of frames that are contradicted by ``doubts``, the evidence for their being as
-    planned."""
+    """Return the best explanation of frames that contradict the sequence.
+
+    ``doubts``: the evidence against the planned order.
+    """
     same = differences(witness, sequence, noise)
     first = still_from(same)
     if first is not None and len(sequence) - first >= SHORTEST_STILL:
-        return Explanation(What.STILL, first, identical=not same[first:, first:].any())
+        return Explanation(Disagreement.STILL, first, identical=not same[first:, first:].any())
     reordered = _reordered(witness, sequence, noise, doubts)
     if reordered is not None:
         return _at_the_second(reordered, same)
-    unordered = _repeated(same, doubts) or Explanation(What.UNEXPLAINED, _suspect(doubts))
+    unordered = _repeated(same, doubts) or Explanation(Disagreement.UNEXPLAINED, _suspect(doubts))
     return replace(unordered, moved=moved_share(witness, sequence, np.arange(len(sequence), dtype=np.int64)))
 
 
 def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Explanation | None:
-    """Return the explanation of frames without fringes across both directions, if it is that the image stays.
+    """Return the explanation that the image stays, for frames without fringes of both directions; or ``None``.
 
-    Mere backscatter shows broad stripes only, so that all later frames are alike in it. A still image must have begun
-    before the second stripe image of the last direction, or the fringes of the first one have been seen.
+    Backscatter alone shows only broad stripes, so that all later frames are alike. So a still image must have begun
+    before the second Gray image of the last direction, or fringes of the first direction must be visible.
     """
     same = differences(witness, sequence, noise)
     first = still_from(same)
@@ -105,12 +107,14 @@ def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Ex
     fringed = sum(_fringed(lines, sequence, noise).shape[1] for lines in witness.lines.values())
     if fringed < MIN_FRINGE and first > sequence.axis(Direction.Y).gray[1]:
         return None
-    return Explanation(What.STILL, first, identical=not same[first:, first:].any())
+    return Explanation(Disagreement.STILL, first, identical=not same[first:, first:].any())
 
 
 def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.float64]:
-    """Return (n, n) squared differences of frames over illuminated samples, in units of noise: 1 between images of
-    the same."""
+    """Return the squared differences (n, n) of frames over illuminated samples, in units of noise.
+
+    It is 1 for two images of the same pattern.
+    """
     samples = [_fringed(lines, sequence, noise) for lines in witness.lines.values()]
     values = np.concatenate(samples, axis=1).astype(np.float64)
     if values.shape[1] < MIN_FRINGE:
@@ -128,10 +132,10 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
 
 
 def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.int64]) -> float:
-    """Return the share of illuminated samples whose mean over the sines of one direction is not that over the other's.
+    """Return the share of illuminated samples at which the mean over the sines differs between the directions.
 
-    For frame ``order[k]`` taken as showing pattern k. A single sine in a wrong place moves its mean by an eighth of the
-    swing at most.
+    Frame ``order[k]`` is taken as pattern k. A single sine in a wrong place changes the mean by an eighth of the swing
+    at most.
     """
     moved = illuminated = 0
     for lines in witness.lines.values():
@@ -143,12 +147,11 @@ def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.i
 
 
 def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.uint8]:
-    """Return (n, samples) those in which the fringes across columns are seen; broad stripes are seen in mere
-    backscatter too."""
+    """Return the samples (n, samples) with visible fringes of X; broad stripes are visible in backscatter as well."""
     s0, s1, s2, s3 = (lines.values[k].astype(np.float32) for k in sequence.axis(Direction.X).sine)
     variance = noise.variance_dn2(lines.high.astype(np.float32))
-    seen = (s0 - s2) ** 2 + (s3 - s1) ** 2 > 72.0 * variance
-    return np.asarray(lines.values[:, lines.illuminated & seen])
+    has_fringes = (s0 - s2) ** 2 + (s3 - s1) ** 2 > 72.0 * variance
+    return np.asarray(lines.values[:, lines.illuminated & has_fringes])
 
 
 def still_from(same: NDArray[np.float64]) -> int | None:
@@ -162,33 +165,35 @@ def still_from(same: NDArray[np.float64]) -> int | None:
 def _reordered(
     witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence
 ) -> Explanation | None:
-    """Return the order under which the least doubt is left, none is decided, and clearly less than of the frames as
-    planned."""
+    """Return the order with the smallest total of doubts.
+
+    None of them may have reached its limit, and the total must be clearly less than that of the planned order.
+    """
     every = max(1, min(doubts.fringe // ENOUGH_FRINGE, 8))
     # Every order is tried on a part of the lines; only the finalists face all of them.
     thin = {along: _thinned(lines, every) for along, lines in witness.lines.items()}
     scores = [
-        (found.total, number)
+        (evidence.total, number)
         for number, (_, order, holder) in enumerate(_ordered(Witness(thin, sequence, noise), sequence, noise))
-        if (found := holder.evidence(order)).judged
+        if (evidence := holder.evidence(order)).judged
     ]
     best: tuple[float, Explanation] | None = None
     chosen = {number for _, number in sorted(scores)[:FINALISTS]}
     for number, (explanation, order, holder) in enumerate(_ordered(witness, sequence, noise)):
         if number not in chosen:
             continue
-        found = holder.evidence(order)
-        clearly = found.total <= doubts.total - CLEARLY_LESS
-        if found.judged and clearly and not found.contradicted and (best is None or found.total < best[0]):
-            relief = doubts.total - found.total
-            best = found.total, replace(explanation, moved=moved_share(holder, sequence, order), relief=relief)
+        evidence = holder.evidence(order)
+        clearly = evidence.total <= doubts.total - CLEARLY_LESS
+        if evidence.judged and clearly and not evidence.contradicted and (best is None or evidence.total < best[0]):
+            relief = doubts.total - evidence.total
+            best = evidence.total, replace(explanation, moved=moved_share(holder, sequence, order), relief=relief)
     return None if best is None else best[1]
 
 
 def _at_the_second(explanation: Explanation, same: NDArray[np.float64]) -> Explanation:
-    """Name the second of two frames of one image as the one at which all begins to be late."""
+    """Return the explanation, late from the second of two frames of one image on instead of the first."""
     frame = explanation.frame
-    if explanation.what is What.LATE and same[frame, frame + 1] < SAME:
+    if explanation.kind is Disagreement.LATE and same[frame, frame + 1] < SAME:
         return replace(explanation, frame=frame + 1)
     return explanation
 
@@ -196,24 +201,24 @@ def _at_the_second(explanation: Explanation, same: NDArray[np.float64]) -> Expla
 def _ordered(
     witness: Witness, sequence: PatternSequence, noise: CameraNoise
 ) -> Iterator[tuple[Explanation, NDArray[np.int64], Witness]]:
-    """Yield explanations that are another order, with the frame that each pattern then is, and who has these frames."""
+    """Yield explanations by another order, with the frame of each pattern, and the witness that has these frames."""
     n = len(sequence)
     straight = np.arange(n, dtype=np.int64)
     for i in range(n):
         for j in range(i + 1, n):
             order = straight.copy()
             order[[i, j]] = j, i
-            yield Explanation(What.SWAPPED, i, j), order, witness
-    # Row n is the pattern that was not recorded, as the others foretell it.
+            yield Explanation(Disagreement.SWAPPED, i, j), order, witness
+    # Row n is the pattern that was not captured, as computed from the others.
     last = Witness({along: _with_last(lines, sequence) for along, lines in witness.lines.items()}, sequence, noise)
     for first in range(n - 1):
-        yield Explanation(What.LATE, first), np.where(straight < first, straight, straight + 1), last
+        yield Explanation(Disagreement.LATE, first), np.where(straight < first, straight, straight + 1), last
     bright = Witness({along: _with(lines, lines.high) for along, lines in witness.lines.items()}, sequence, noise)
-    yield Explanation(What.EARLY, 0), np.where(straight == 0, n, straight - 1), bright
-    # No wrong order, but the right one read from the other end: where nothing else is wrong, all doubts end with it.
-    for what, backwards in WAYS_ROUND.items():
+    yield Explanation(Disagreement.EARLY, 0), np.where(straight == 0, n, straight - 1), bright
+    # The planned order with lines read backwards.
+    for kind, backwards in WAYS_ROUND.items():
         turned = {along: _backwards(lines) if along in backwards else lines for along, lines in witness.lines.items()}
-        yield Explanation(what, 0), straight, Witness(turned, sequence, noise)
+        yield Explanation(kind, 0), straight, Witness(turned, sequence, noise)
 
 
 def _backwards(lines: Lines) -> Lines:
@@ -235,25 +240,33 @@ def _with(lines: Lines, frame: NDArray[np.uint8]) -> Lines:
 
 
 def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
-    """Append the last sine step, when everything is one late: those of 90° and 270° add up to those of 0° and 180°."""
+    """Append the last sine step, missing if all is one late: 90° and 270° have the same sum as 0° and 180°."""
     steps = sequence.axis(Direction.Y).sine
     place = steps.index(len(sequence) - 1)
-    after, opposite, before = (lines.values[steps[(place + by) % PHASE_STEPS] + 1].astype(np.int16) for by in (1, 2, 3))
+    after, opposite, before = (
+        lines.values[steps[(place + offset) % PHASE_STEPS] + 1].astype(np.int16) for offset in (1, 2, 3)
+    )
     return _with(lines, np.clip(after + before - opposite, 0, 255).astype(np.uint8))
 
 
 def _repeated(same: NDArray[np.float64], doubts: LineEvidence) -> Explanation | None:
-    """Return a frame that is doubted and equals another; neighbours first, then the doubt that is greatest."""
+    """Return the explanation by a repeated frame, if two frames are equal: the pair with the largest doubt.
+
+    Of equal doubts, that of the nearest frames.
+    """
     n = len(same)
-    named = {doubts.suspects[name]: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
+    doubt_by_frame = {doubts.suspects[name]: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
     pairs = [(i, j) for j in range(1, n) for i in range(j) if same[i, j] < SAME]
     if not pairs:
         return None
     # The second of two is the repeat: time goes one way.
-    i, j = max(pairs, key=lambda pair: (max(named.get(pair[0], 0.0), named.get(pair[1], 0.0)), pair[0] - pair[1]))
-    return Explanation(What.REPEATED, j, i, identical=not same[i, j])
+    i, j = max(
+        pairs,
+        key=lambda pair: (max(doubt_by_frame.get(pair[0], 0.0), doubt_by_frame.get(pair[1], 0.0)), pair[0] - pair[1]),
+    )
+    return Explanation(Disagreement.REPEATED, j, i, identical=not same[i, j])
 
 
 def _suspect(doubts: LineEvidence) -> int:
-    about = {name: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
-    return doubts.suspects[max(about, key=lambda name: about[name])] if about else 0
+    doubt_by_name = {name: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
+    return doubts.suspects[max(doubt_by_name, key=lambda name: doubt_by_name[name])] if doubt_by_name else 0

@@ -1,11 +1,11 @@
-"""Owns the samples that the identity check looks at, and the thresholds by which their Gray bits are told.
+"""The samples for the judge of identity, and the thresholds of their Gray bits.
 
-The samples lie along a few whole rows and columns, where one stripe follows the next. Half way between a sample's
-darkest and brightest value a Gray image's bit is told only as long as the water's backscatter is fainter than the
-object. Beyond, coarse stripes that illuminate the water turn bits over, in good scans too. What decoding does about
-that (``appliance.measure.decode.backscatter``) is done here along the lines: the fringes give the object's light, and sure
-samples how much of the backscatter each image illuminates. Across the base line nothing need be done: there the water
-is illuminated by the same stripe as what it hides.
+The samples lie along a few complete rows and columns, where one stripe follows the next. The mean of a sample's darkest
+and brightest value is a good threshold only if the backscatter is fainter than the object. Otherwise coarse stripes
+that illuminate the water invert bits, also in good scans. The remedy of decoding
+(``appliance.measure.decode.backscatter``) is applied here along the lines: the fringes give the object's light, and
+samples with certain bits give the share of the backscatter that each image illuminates. For lines across the baseline
+no remedy is needed: the stripe that illuminates the object illuminates the water before it as well.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from appliance.measure.light.noise import CameraNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
 
 LINES = 32
-"""Rows, and columns: each crosses each stripe's edge once."""
+"""Number of rows, and of columns: each crosses each stripe's edge once."""
 SAMPLES = 400
-"""Number of samples along a line, about: what is seen at full resolution and on a small camera is then the same."""
+"""Approximate number of samples along a line, for cameras of any resolution."""
 COARSE = 80
-"""Pixels across the image that are asked where to look closer."""
+"""Number of pixels across the image by which the illuminated part is found."""
 THIRD = 3
-"""Stride over the frames that are looked at for this: fringes of both directions are among them."""
+"""Stride over the frames that are used for this: fringes of both directions are among them."""
 MIN_SWING_DN = 8.0
-"""A sample that changes by less over the sequence sees nothing of the projector."""
+"""Least change of an illuminated sample over the sequence."""
 MIN_SWING_SIGMA = 8.0
-"""The same in units of noise, which alone spreads 24 frames over four."""
+"""The same in standard deviations of the noise; the range of 24 frames is four by noise alone."""
 MIN_PERIOD_PX = 4.0
-"""A fringe must be this long in the image, or its steps cannot be followed from one pixel to the next."""
+"""Least length of a fringe in the image, for following the phase from one pixel to the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,28 +54,32 @@ class Lines:
 
     along: Direction
     values: NDArray[np.uint8]
-    """(n, lines, samples): each frame's."""
+    """(n, lines, samples): all frames."""
     low: NDArray[np.uint8]
-    """(lines, samples): the darkest frame's. Which one that is says nothing: any frame may be in the wrong place."""
+    """(lines, samples): least value over all frames, since any frame may be in the wrong place."""
     high: NDArray[np.uint8]
-    """(lines, samples): the brightest frame's."""
+    """(lines, samples): largest value over all frames."""
     illuminated: NDArray[np.bool_]
     """(lines, samples): changes by more than noise."""
 
 
 def can_follow(sequence: PatternSequence, width_px: int) -> bool:
-    """Say whether the fringes are long enough in an image ``width_px`` wide. Camera and projector have about the
-    same field."""
+    """Return True if the fringes are long enough in an image ``width_px`` wide.
+
+    Camera and projector are assumed to have the same field.
+    """
     return sequence.period_px * width_px / sequence.width_px >= MIN_PERIOD_PX
 
 
 class LineTaker:
-    """Takes rows and columns of one camera's sequence over what is illuminated, frame by frame; a sixth of a fringe or
-    less between samples. ``noise`` is the camera's."""
+    """Takes rows and columns over the illuminated part of one camera's images, frame by frame.
+
+    Samples are a sixth of a fringe apart or less. ``noise`` is the camera's.
+    """
 
     def __init__(self, sequence: PatternSequence, noise: CameraNoise) -> None:
         self._sequence, self._noise = sequence, noise
-        # Any frame may be in the wrong place: fringes of both directions tell where it is light, whatever the order.
+        # Any frame may be in the wrong place: fringes of both directions show the illuminated part in any order.
         self._last_asked = (len(sequence) - 1) // THIRD * THIRD
         self._places: dict[Direction, NDArray[np.intp]] = {}
         self._values: dict[Direction, NDArray[np.uint8]] = {}
@@ -111,7 +115,7 @@ class LineTaker:
 
 
 def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Mapping[Direction, Lines]:
-    """Take the lines of whole ``frames`` (n, h, w) uint8."""
+    """Take the lines of complete ``frames`` (n, h, w) uint8."""
     taker = LineTaker(sequence, noise)
     for index in range(len(frames)):
         taker.push(frames, index)
@@ -119,7 +123,7 @@ def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: Came
 
 
 def _where_illuminated(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns over what is illuminated: a small thing gets as many as a large one."""
+    """Return rows and columns over the illuminated part: as many on a small object as on a large one."""
     _, height_px, width_px = frames.shape
     coarse = max(1, width_px // COARSE)
     few = np.ascontiguousarray(frames[::THIRD, coarse // 2 :: coarse, coarse // 2 :: coarse])
@@ -129,8 +133,10 @@ def _where_illuminated(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[N
 
 
 def _spread(illuminated: NDArray[np.int64], size_px: int, coarse_px: int) -> NDArray[np.intp]:
-    """Return ``LINES`` places from the first to the last illuminated one, but for a fiftieth at either end that may
-    be specks."""
+    """Return ``LINES`` positions from the first to the last illuminated one.
+
+    A fiftieth at either end is left out, since it may be specks.
+    """
     first, stop = 0.0, float(size_px)
     if illuminated.any():
         share = np.cumsum(illuminated) / illuminated.sum()
@@ -153,44 +159,46 @@ def _lines(along: Direction, values: NDArray[np.uint8], noise: CameraNoise) -> L
 
 ALL = (slice(None), slice(None))
 CLEAR_MODULATION_DN = 3.0
-"""Least modulation of the fringes by which the object's share of the light is measured: less than decoding needs,
-since few samples serve."""
+"""Least modulation of samples by which the object's share of the light is measured: less than decoding needs, since
+there are few samples."""
 
 
 def thresholds(
     lines: Lines, sequence: PatternSequence, noise: CameraNoise, order: NDArray[np.int64]
 ) -> tuple[Floats, Floats]:
-    """Return the threshold of each Gray image along the lines, with frame ``order[k]`` taken as pattern k: (images,
-    lines, samples), or (1, lines, samples) where one serves all, NaN where there is none; and how near to it a bit
-    is in doubt, (lines, samples). Both in DN."""
+    """Return the thresholds of the Gray images along the lines, and the distance below which a bit is uncertain.
+
+    Frame ``order[k]`` is taken as pattern k. Thresholds: (images, lines, samples), or (1, lines, samples) if they are
+    the same for all images; NaN: none. Distances: (lines, samples). Both in DN.
+    """
     plain = np.float32(0.5) * (lines.low.astype(np.float32) + lines.high.astype(np.float32))
-    none = np.zeros(plain.shape, np.float32)
+    no_doubt_dn = np.zeros(plain.shape, np.float32)
     if lines.along is not Direction.X:
-        return plain[None], none
+        return plain[None], no_doubt_dn
     frames = lines.values[order]
     bright, dark = (frames[k].astype(np.float32) for k in (sequence.bright, sequence.dark))
     mask = np.where(bright - dark < MIN_LIGHT_DN, np.uint8(1), np.uint8(0))
     scale = scale_of_backscatter(sequence, frames, mask, noise, CLEAR_MODULATION_DN)
     if scale is None:
-        return plain[None], none
+        return plain[None], no_doubt_dn
     pixels = sample_pixels(sequence, frames, ALL, scale)
-    # Light is the object's own and the backscatter; the threshold is what an image illuminates of the latter, and half
-    # of the former.
-    own = np.minimum(pixels.object_dn, pixels.light_dn)
-    backscatter_dn, apart_dn = pixels.light_dn - own, np.float32(APART_SIGMAS) * pixels.noise_dn
-    room_dn = np.float32(0.5) * own + np.maximum(np.float32(BEYOND) * own, apart_dn)
+    # Light is that of the object plus backscatter; the threshold is the part of the latter that an image illuminates,
+    # plus half of the former.
+    object_dn = np.minimum(pixels.object_dn, pixels.light_dn)
+    backscatter_dn, apart_dn = pixels.light_dn - object_dn, np.float32(APART_SIGMAS) * pixels.noise_dn
+    room_dn = np.float32(0.5) * object_dn + np.maximum(np.float32(BEYOND) * object_dn, apart_dn)
     sure = np.float32(SURE) * pixels.object_dn - np.float32(NOISE_SIGMAS) * pixels.noise_dn
     without_backscatter = np.where(pixels.light_dn < np.float32(2.0) * sure, plain, np.float32(np.nan))
-    found = []
+    middles = []
     for k in sequence.axis(Direction.X).gray:
         gray = frames[k].astype(np.float32) - dark
-        middle = _of_samples(illuminated_share(gray, pixels), gray.shape) * backscatter_dn + np.float32(0.5) * own
-        known = pixels.usable & np.isfinite(middle)
-        # Farther from its threshold than object and noise can bring it, a value is explained by neither bit.
+        middle = _of_samples(illuminated_share(gray, pixels), gray.shape) * backscatter_dn + np.float32(0.5) * object_dn
+        is_known = pixels.usable & np.isfinite(middle)
+        # A value too far from its threshold for object and noise fits neither bit.
         middle[abs(gray - middle) > room_dn] = np.nan
-        found.append(np.where(known, dark + middle, without_backscatter))
-    doubt_dn = np.minimum(np.float32(MARGIN_OF_VEIL) * backscatter_dn, np.float32(MARGIN) * own)
-    return np.stack(found), doubt_dn + np.maximum(apart_dn - np.float32(0.5) * own, np.float32(0.0))
+        middles.append(np.where(is_known, dark + middle, without_backscatter))
+    doubt_dn = np.minimum(np.float32(MARGIN_OF_VEIL) * backscatter_dn, np.float32(MARGIN) * object_dn)
+    return np.stack(middles), doubt_dn + np.maximum(apart_dn - np.float32(0.5) * object_dn, np.float32(0.0))
 
 
 def _of_samples(share: Floats, shape: tuple[int, ...]) -> Floats:

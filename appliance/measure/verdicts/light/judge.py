@@ -142,9 +142,9 @@ def judge_light(
     """Return the verdict ``light`` with its numbers, at most one fault, and the proposed exposures.
 
     From the frames alone. ``present``: their exposure; ``steps``: exposures that may be proposed, from dark to bright
-    (``appliance.measure.light.exposure.ladder``). ``bend_px``: RMS of the phase error of non-sinusoidal fringes, which look like light
-    that changes by a part of that. ``samples`` and ``early``: those of both sides and their ``fit_early``, if taken
-    while the frames arrived.
+    (``appliance.measure.light.exposure.ladder``). ``bend_px``: RMS of the phase error of non-sinusoidal fringes, which
+    look like light that changes by a part of that. ``samples`` and ``early``: those of both sides and their
+    ``fit_early``, if taken while the frames arrived.
     """
     noise = {side: of_side(images.noise, side) for side in SIDES}
     samples = samples or {side: sample(images.frames[side], images.sequence) for side in SIDES}

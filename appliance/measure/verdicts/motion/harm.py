@@ -6,13 +6,13 @@ other*. With E = ε left − ε right, in pattern px per frame, the ripple of th
 square that is the sum of
 
 - δ²/8, where δ is the mean position of the fringes in the steps 0° and 180° minus that in 90° and 270° (the error is
-  δ/2 · cos 2φ). For a steady motion it is E if the steps rise, and 0 if both pairs have the same middle; for an unsteady
-  one see ``course``.
+  δ/2 · cos 2φ). For a steady motion it is E if the steps rise, and 0 if both pairs have the same middle; for an
+  unsteady one see ``course``.
 - 2 w² κ² E² by the drift of the projector's second harmonic, κ of the first: E κ · sin 2φ (n cos φ − m sin φ), with
   m images from 0° to 180°, n from 90° to 270°, and w² = (m² + n²)/8.
 - (P/2π)² g² w² E² by an albedo with a gradient g, in modulations per px, that both cameras see at two places; and
-  (P/2π)² g² a²/8 by an albedo that moves by a px on average from one image of a pair to the other. The error has g² a²/4,
-  of which half is common to both cameras.
+  (P/2π)² g² a²/8 by an albedo that moves by a px on average from one image of a pair to the other. The error has
+  g² a²/4, of which half is common to both cameras.
 - The uneven part of the phase error by moving albedo. The error is the same in both cameras, but they sample it at
   different places. In the order 0°, 90°, 270°, 180° the contradiction of the steps does not contain the mean light of a
   moving albedo, and so has half of its size with rising steps: there it counts twice.
@@ -120,7 +120,7 @@ def _face(
     cosine: NDArray[np.float32],
     inside: NDArray[np.intp],
 ) -> int:
-    """Write ``facing`` of ``points_mm`` (n, 3) to the beginnings of ``cosine`` and ``inside`` (n,); return the count."""
+    """Write ``facing`` of ``points_mm`` (n, 3) to the first elements of ``cosine`` and ``inside``; return the count."""
     wide_px, n = np.uint32(width_px), pixel.size
     # Rows and columns that any point lies in, and the grid that has them all.
     highest = np.uint32(0)

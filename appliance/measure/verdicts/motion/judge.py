@@ -43,8 +43,8 @@ NAME = "motion"
 MOST_ADDED = 0.07
 """Largest added noise, as a fraction of the noise at rest.
 
-It is half way between an unnoticeable fraction (0.05) and an unacceptable one (0.10), as a ratio of the added variances:
-predictions of these are as often too large as too small.
+It is half way between an unnoticeable fraction (0.05) and an unacceptable one (0.10), as a ratio of the added
+variances: predictions of these are as often too large as too small.
 """
 
 _SHADOW, _SATURATED, _CONTRADICTION = (np.uint8(m) for m in (Mask.SHADOW, Mask.SATURATED, Mask.CONTRADICTION))
@@ -194,7 +194,7 @@ def _count(mask: NDArray[np.uint8]) -> tuple[np.int64, np.int64]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _count_row(row: NDArray[np.uint8]) -> tuple[np.uint16, np.uint16]:
-    """Return the same for one ``row`` (w,) of less than 65,536 pixels, by numbers of 16 bits, which vectorise better."""
+    """Return the same for one ``row`` (w,) of less than 65,536 pixels, in 16 bits, which vectorise better."""
     in_light = lost = np.uint16(0)
     for u in range(row.size):
         in_light = np.uint16(in_light + np.uint16((row[u] != _SHADOW) & (row[u] != _SATURATED)))
@@ -208,7 +208,7 @@ def _axial(harm: Harm) -> float | None:
 
 
 def _turning_mm_s(harm: Harm) -> float:
-    """Return the RMS speed over the cells; for a rotation, the median says nothing."""
+    """Return the RMS speed over the cells, since the median of a rotation is near 0."""
     is_known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
     return float(np.sqrt(np.mean(harm.depth_rate_mm_s[is_known] ** 2)))
 
