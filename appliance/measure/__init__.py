@@ -300,8 +300,8 @@ if TYPE_CHECKING:
     )
     from .verdicts.window import (
         CELLS,  # Columns and rows of cells over each image
-        SLACK,  # A fall that every cell is forgiven
-        Windows,  # One scan. By side left and right; arrays (CELLS[0] · CELLS[1],), cells by row
+        SLACK,  # Loss of contrast that is allowed in every cell
+        Windows,  # Contrast of one scan by side left and right; arrays (CELLS[0] · CELLS[1],), cells by row
     )
     from .warm import (
         PIECES,  # The pieces for every scan, just recorded or stored

@@ -81,7 +81,7 @@ class Gatherer:
         self._sampler = Sampler(sequence)
         self._averager = Averager(sequence)
         self._grids = (water_grid(sequence), window_grid(sequence))
-        self._of_x: tuple[EarlyFit, VisibleFringes] | None = None
+        self._results_of_x: tuple[EarlyFit, VisibleFringes] | None = None
         self._pushed = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
@@ -93,15 +93,15 @@ class Gatherer:
         for grid in self._grids:
             grid.push(frames, index)
         if index == self._sequence.axis(Direction.X).last:
-            self._of_x = fit_early(self._sampler.grey, self._sequence), see(frames, self._sequence, self._noise)
+            self._results_of_x = fit_early(self._sampler.grey, self._sequence), see(frames, self._sequence, self._noise)
 
     def finish(self) -> JudgeSamples:
         """Return the samples, after the last frame. Raises ValueError if frames are missing."""
-        if self._of_x is None or self._pushed != len(self._sequence):
+        if self._results_of_x is None or self._pushed != len(self._sequence):
             raise ValueError(
                 f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
             )
-        light, visible = self._of_x
+        light, visible = self._results_of_x
         return JudgeSamples(
             self._lines.finish(), self._sampler.finish(), light, visible, self._averager.finish(), *self._grids
         )

@@ -45,7 +45,7 @@ class PixelGrid:
         if index in self._indices:
             self.grey[self._indices.index(index)] = frames[index][self.at]
 
-    def taken(self, frames: NDArray[np.uint8]) -> PixelGrid:
+    def take_all(self, frames: NDArray[np.uint8]) -> PixelGrid:
         """Take the pixels of complete ``frames`` (n, h, w) uint8; return itself."""
         for index in range(len(frames)):
             self.push(frames, index)

@@ -20,7 +20,7 @@ MOST_NOISIER = 1.2
 
 
 def judge_fringes(bend: PhaseBend, period_px: int) -> Judgement:
-    """Judge the added noise of a scan with fringes of ``period_px`` by the phase error ``bend`` of the response."""
+    """Judge the noise that the phase error ``bend`` adds to a scan with fringes of ``period_px``."""
     noisier = math.sqrt(bend.variance_factor(period_px)) if bend.counts else 1.0
     numbers: dict[str, float | None] = {"bend_px": bend.rms_px, "noise_factor": noisier, "limit": MOST_NOISIER}
     if noisier <= MOST_NOISIER:

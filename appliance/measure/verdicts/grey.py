@@ -50,11 +50,11 @@ class _Share:
 
 
 def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judgement:
-    """Judge by ``samples`` of both sides whether the mean of the sines is the same share of each camera's light.
+    """Judge whether the mean of the sines is the same share of the light in both cameras.
 
-    Failed with GREY_BENT: the fault's device has the larger share. ``None``: too few pixels are well illuminated, or
-    the directions contradict each other. Numbers: the share of each camera, as mean of both directions, and the
-    ``limit`` of their difference.
+    ``samples``: of both sides. Failed with GREY_BENT: the fault's device has the larger share. ``None``: too few pixels
+    are well illuminated, or the directions contradict each other. Numbers: the share of each camera, as mean of both
+    directions, and the ``limit`` of their difference.
     """
     shares = {side: _share(samples[side], sequence) for side in SIDES}
     numbers: dict[str, float | None] = {

@@ -1,4 +1,4 @@
-"""The verdicts on the final cloud: ``holes`` where the left camera saw a surface, and ``distance`` of the points.
+"""The verdicts ``holes``, where the left camera saw a surface, and ``distance``, of the points.
 
 Coverage counts pixels. It cannot distinguish a hole from places where no scan has points: shadow, dark surfaces, and
 those that the right camera does not see. A surface is *seen* without a point where pixels are saturated, or where their
@@ -43,11 +43,11 @@ def grid_step_px(width_px: int) -> int:
 def judge_holes(
     mask: NDArray[np.uint8], dark: NDArray[np.uint8], has_point: Mask2D, before: Mask2D | None = None
 ) -> Judgement:
-    """Judge the holes by grid points (h, w) of the left image: ``mask``, ``dark`` frame, and whether they have points.
+    """Judge the holes of a cloud by grid points (h, w) of the left image.
 
-    ``before``: whether they had points before motion compensation; ``None``: not compensated. Numbers: ``hole_percent``
-    and ``largest_percent``, all holes and the largest one, of the seen surface; ``saturated_percent`` of the holes'
-    pixels.
+    ``mask`` and ``dark`` frame at the grid points; ``has_point``: whether they have points; ``before``: whether they
+    had points before motion compensation; ``None``: not compensated. Numbers: ``hole_percent`` and ``largest_percent``,
+    all holes and the largest one, of the seen surface; ``saturated_percent`` of the holes' pixels.
     """
     # Where the dark frame is saturated, the projector adds nothing, and decoding masks the pixel as shadow.
     burnt = dark >= np.uint8(FULL_DN)

@@ -36,7 +36,7 @@ In air it is 0.04 to 0.09, with the nominal calibration 0.32 to 0.45; in water 1
 def judge_medium(
     left_px: NDArray[np.float64], right_px: NDArray[np.float64], rig: StereoRig, water_index: float
 ) -> Judgement:
-    """Judge the medium by correspondences (n, 2) of both cameras, which are traced in water of ``water_index``.
+    """Judge the medium by correspondences (n, 2) of both cameras, traced in water of ``water_index``.
 
     Failed with NOT_IN_WATER: rays meet in air, and not in the water. Numbers: ``water_gap_mm`` and ``air_gap_mm``, the
     median distance of the signed ray gaps from their median in each medium.

@@ -1,4 +1,4 @@
-"""The verdict ``sides``: whether the left camera is the left one; the rays of a scan meet in one order only.
+"""The verdict ``sides``: whether the left camera is the left one, by the rays of a scan.
 
 Converging cameras see objects beside the axis at different heights: each sees larger what is nearer to it. If their
 images are exchanged, the rays of a point miss each other, with opposite signs at the left and at the right, by

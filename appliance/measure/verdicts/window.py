@@ -1,4 +1,4 @@
-"""The verdict ``windows``: where the fringes of one camera have less contrast than those of the other, by its port.
+"""The verdict ``windows``: where the port of one camera reduces the contrast of its fringes.
 
 Fog, a scratch or dirt on a port scatters light: fringes lose contrast there, the mean grey value hardly changes.
 Contrast is also lost on the object (light from one part of it on another, a blurred projector) and in the water. But
@@ -101,7 +101,7 @@ def look_at_windows(images: ScanImages, grids: Mapping[str, PixelGrid] | None = 
 
     ``grids``: those of both sides if they were filled while the frames arrived.
     """
-    grids = grids or {side: window_grid(images.sequence).taken(images.frames[side]) for side in SIDES}
+    grids = grids or {side: window_grid(images.sequence).take_all(images.frames[side]) for side in SIDES}
     samples = {side: _look(images, side, grids[side]) for side in SIDES}
     falls: dict[str, Array] = {}
     wholes: dict[str, float | None] = {}
@@ -179,7 +179,7 @@ def ask(
 
 
 def _falls(mine: _PixelSample, theirs: _PixelSample) -> tuple[Array, float | None]:
-    """Return the share of contrast that this camera's fringes lack against the other's, in each cell and in all.
+    """Return the share of contrast that these fringes lack against the other camera's, by cell and in all.
 
     Both are compared in the same cell of the pattern. The cells (cells,) are NaN, and the value of all is ``None``,
     where they are unknown.

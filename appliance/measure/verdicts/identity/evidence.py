@@ -1,4 +1,4 @@
-"""The evidence against a camera's frames showing the patterns of the sequence: doubts, each 1 at its limit.
+"""Doubts about a camera's frames showing the patterns of the sequence; each is 1 at its limit.
 
 No doubt is taken from coordinates, since a wrong sequence decodes to wrong ones that look right. Instead, fringes and
 stripes are followed along lines of the image. A surface, its colour and moderate motion do not change their sequence:
@@ -117,14 +117,15 @@ def follow(
     edges: NDArray[np.float64],
     places: NDArray[np.float64],
 ) -> None:
-    """Add the lines ``values`` (n, lines, samples) to ``sums`` (COUNTS,), ``edges`` (len(gray), 2) and ``places``.
+    """Add the lines ``values`` (n, lines, samples) to ``sums``, ``edges`` and ``places``.
 
-    ``order[k]`` is the row of ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and
-    ``sine``: the patterns along the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images,
-    NaN: none; ``doubt_dn`` (lines, samples): distance from them below which a bit is uncertain; ``least_dn`` (256,):
-    least difference of a fringe at a grey value; ``half_period``: its width as a share of the field. ``places``
-    (PLACES,): number of steps by their displacement, −1 to 1 fields. ``edges``: of each Gray image, the number of its
-    edges (where it changes, or another one in its place), and of those out of order that are edges of some pattern.
+    ``sums`` (COUNTS,), ``edges`` (len(gray), 2): tables to which the counts are added. ``order[k]`` is the row of
+    ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and ``sine``: the patterns along
+    the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images, NaN: none; ``doubt_dn``
+    (lines, samples): distance from them below which a bit is uncertain; ``least_dn`` (256,): least difference of a
+    fringe at a grey value; ``half_period``: its width as a share of the field. ``places`` (PLACES,): number of steps by
+    their displacement, −1 to 1 fields. ``edges``: of each Gray image, the number of its edges (where it changes, or
+    another one in its place), and of those out of order that are edges of some pattern.
     """
     samples = values.shape[2]
     bits = gray.size

@@ -95,7 +95,7 @@ def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, dou
 
 
 def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Explanation | None:
-    """Return the explanation that the image stays, for frames without fringes of both directions; or ``None``.
+    """Return the explanation that the image stays, for frames without fringes, or ``None``.
 
     Backscatter alone shows only broad stripes, so that all later frames are alike. So a still image must have begun
     before the second Gray image of the last direction, or fringes of the first direction must be visible.
@@ -132,7 +132,7 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
 
 
 def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.int64]) -> float:
-    """Return the share of illuminated samples at which the mean over the sines differs between the directions.
+    """Return the share of illuminated samples whose means over the sines of X and Y differ.
 
     Frame ``order[k]`` is taken as pattern k. A single sine in a wrong place changes the mean by an eighth of the swing
     at most.
@@ -147,7 +147,10 @@ def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.i
 
 
 def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.uint8]:
-    """Return the samples (n, samples) with visible fringes of X; broad stripes are visible in backscatter as well."""
+    """Return the samples (n, samples) with visible fringes of X.
+
+    Broad stripes do not count, since they are visible in backscatter as well.
+    """
     s0, s1, s2, s3 = (lines.values[k].astype(np.float32) for k in sequence.axis(Direction.X).sine)
     variance = noise.variance_dn2(lines.high.astype(np.float32))
     has_fringes = (s0 - s2) ** 2 + (s3 - s1) ** 2 > 72.0 * variance
@@ -155,7 +158,7 @@ def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDA
 
 
 def still_from(same: NDArray[np.float64]) -> int | None:
-    """Return the first of the frames that show the same image up to the last one; ``None``: the last two differ."""
+    """Return the first frame from which on all show the same image; ``None``: the last two differ."""
     first = len(same) - 1
     while first > 0 and same[first - 1, -1] < SAME:
         first -= 1
@@ -201,7 +204,7 @@ def _at_the_second(explanation: Explanation, same: NDArray[np.float64]) -> Expla
 def _ordered(
     witness: Witness, sequence: PatternSequence, noise: CameraNoise
 ) -> Iterator[tuple[Explanation, NDArray[np.int64], Witness]]:
-    """Yield explanations by another order, with the frame of each pattern, and the witness that has these frames."""
+    """Yield explanations by another order, with the frame of each pattern and the witness with these."""
     n = len(sequence)
     straight = np.arange(n, dtype=np.int64)
     for i in range(n):
@@ -240,7 +243,7 @@ def _with(lines: Lines, frame: NDArray[np.uint8]) -> Lines:
 
 
 def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
-    """Append the last sine step, missing if all is one late: 90° and 270° have the same sum as 0° and 180°."""
+    """Append the last sine step, missing if all is one late: 90° + 270° equals 0° + 180°."""
     steps = sequence.axis(Direction.Y).sine
     place = steps.index(len(sequence) - 1)
     after, opposite, before = (
@@ -250,7 +253,7 @@ def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
 
 
 def _repeated(same: NDArray[np.float64], doubts: LineEvidence) -> Explanation | None:
-    """Return the explanation by a repeated frame, if two frames are equal: the pair with the largest doubt.
+    """Return the explanation by a repeated frame: of equal frames, those with the largest doubt.
 
     Of equal doubts, that of the nearest frames.
     """

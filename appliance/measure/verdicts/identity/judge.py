@@ -1,4 +1,4 @@
-"""The verdict ``identity``: whether each frame shows its pattern, by the images alone, and if not, the cause.
+"""The verdict ``identity``: whether each frame shows its pattern, by the images, else the cause.
 
 ``judge_identity`` is the entry. It is called the fifth witness of a sequence, since the ledger of a capture has four:
 flips, pulses, left and right frames. ``evidence.py`` computes doubts; ``explain.py`` finds the explanation that leaves
@@ -106,9 +106,10 @@ def judge_identity(
     exposure: Exposure = NOMINAL,
     lines: Mapping[str, Mapping[Direction, Lines]] | None = None,
 ) -> Judgement:
-    """Judge ``identity`` by the frames (n, h, w) uint8 of ``left`` and ``right``, captured with ``exposure``.
+    """Judge whether each frame of ``left`` and ``right`` shows its pattern.
 
-    They are in the order of ``sequence``. ``lines``: those of both sides, if they were taken while the frames arrived.
+    ``frames``: (n, h, w) uint8, captured with ``exposure``. They are in the order of ``sequence``. ``lines``: those of
+    both sides, if they were taken while the frames arrived.
 
     Passed: every frame shows its pattern. None: too little of the projector's light is seen, or too much moves. Failed,
     with a fault: ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device
@@ -199,7 +200,7 @@ def _look(
 
 
 def _saturated_share(witness: Witness, sequence: PatternSequence) -> float:
-    """Return the share of the illuminated samples at which two steps of one direction or more are saturated."""
+    """Return the share of illuminated samples with two or more saturated steps of one direction."""
     saturated = illuminated = 0
     for lines in witness.lines.values():
         steps = [lines.values[list(sequence.axis(d).sine)][:, lines.illuminated] == FULL_DN for d in Direction]
@@ -247,9 +248,9 @@ def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
 
 
 def _parallax_percent(cameras: list[_Camera]) -> float | None:
-    """Return the displacement of the stripes to the right in the left camera and to the left in the right one.
+    """Return the parallax of the stripes in percent of the field; ``None``: a camera sees too few.
 
-    In percent of the field; positive for a near object. ``None``: one of the cameras sees too few.
+    It is positive for a near object: displaced to the right in the left camera, and to the left in the right one.
     """
     aside = {camera.device: camera.evidence.displaced for camera in cameras}
     left, right = aside.get("camera.left", 0.0), aside.get("camera.right", 0.0)

@@ -85,7 +85,7 @@ class LineTaker:
         self._values: dict[Direction, NDArray[np.uint8]] = {}
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
-        """Take the samples of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0 for each sequence."""
+        """Take the samples of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
         if index < self._last_asked:
             return
         first = index
@@ -166,10 +166,11 @@ there are few samples."""
 def thresholds(
     lines: Lines, sequence: PatternSequence, noise: CameraNoise, order: NDArray[np.int64]
 ) -> tuple[Floats, Floats]:
-    """Return the thresholds of the Gray images along the lines, and the distance below which a bit is uncertain.
+    """Return the thresholds of the Gray images along the lines, and where bits are uncertain.
 
-    Frame ``order[k]`` is taken as pattern k. Thresholds: (images, lines, samples), or (1, lines, samples) if they are
-    the same for all images; NaN: none. Distances: (lines, samples). Both in DN.
+    The second result is the distance from the threshold below which a bit is uncertain. Frame ``order[k]`` is taken as
+    pattern k. Thresholds: (images, lines, samples), or (1, lines, samples) if they are the same for all images; NaN:
+    none. Distances: (lines, samples). Both in DN.
     """
     plain = np.float32(0.5) * (lines.low.astype(np.float32) + lines.high.astype(np.float32))
     no_doubt_dn = np.zeros(plain.shape, np.float32)

@@ -1,1 +1,1 @@
-"""The verdict ``light``: saturation, modulation, changes of ambient light, and the exposures to try next."""
+"""The verdict ``light``: saturation, modulation, changing ambient light; and proposed exposures."""

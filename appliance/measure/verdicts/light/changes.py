@@ -1,4 +1,4 @@
-"""Changes of the ambient light during a sequence: their place and strength, and the phase errors that they cause.
+"""Changes of the ambient light during a sequence: place, strength, and their phase errors.
 
 Principle. The four sine images I0..I3 of one direction give (I0 − I2, I3 − I1) = 2B (cos φ, sin φ). That is a circle
 about the origin, and bright and dark image tell its radius. Ambient light that changes by δ0..δ3 moves the circle's
@@ -76,7 +76,10 @@ UNKNOWN = Changes(None, None, None, None, None, None)
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Differences of the four levels in each block over the projector's light, in one direction, and their sigma."""
+    """Differences of the four levels of one direction in each block, and their sigma.
+
+    They are shares of the projector's light.
+    """
 
     cosine: Floats
     sine: Floats
@@ -91,7 +94,7 @@ class _Fit:
 
 @dataclass(frozen=True, slots=True)
 class EarlyFit:
-    """Fit of X from its own frames; arrays over the sample's pixels (rows, columns) and over its blocks, row by row."""
+    """Fit of X before the frames of Y; arrays by the sample's pixels or its blocks, row by row."""
 
     good: NDArray[np.bool_]
     """(rows, columns): pixels that were used."""
@@ -200,7 +203,7 @@ def _fit_changed_blocks(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> tuple[Floats, Floats]:
-    """Return the result of ``fit_blocks``, but fit only blocks that have lost a pixel since the ``early`` fit."""
+    """Return the result of ``fit_blocks``; fit only blocks that lost pixels since the ``early`` fit."""
     numbers = _numbers(rows, columns, order, ends, good.shape)
     v, u = np.nonzero(good != early.good)
     lost = np.bincount(
@@ -227,7 +230,7 @@ def _fit(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> _Fit:
-    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column) by ``fit``, block by block."""
+    """Fit ``four`` (4, n) sine images at ``places`` (row and column) by ``fit``, block by block."""
     coefficients, third = fit(four, contrast, *places, order, ends)
     # Usual changes of light are many grey values before bright pixels, usual noise is not. Neither is an edge.
     usual = CLIP * MAD_TO_SIGMA

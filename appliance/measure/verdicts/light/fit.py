@@ -47,7 +47,7 @@ def warm_up() -> None:
 def in_blocks(
     good: NDArray[np.bool_], blocks: tuple[int, int], least: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Return the ``good`` pixels (n,) of an image (rows, columns), their rows and columns, ``order`` and ``ends``.
+    """Return the ``good`` pixels (n,) of an image, their rows and columns, ``order`` and ``ends``.
 
     The last two assign them to blocks as in ``fit_blocks``. ``blocks``: numbers of rows and columns of blocks; blocks
     with fewer pixels than ``least`` are left out.
@@ -116,11 +116,12 @@ def fit_blocks(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> tuple[Floats, Floats]:
-    """Fit the four sine images (4, n) of n pixels block by block; return coefficients (5, blocks) and residuals (n,).
+    """Fit the four sine images (4, n) of n pixels block by block.
 
-    Coefficients: cosine and sine of the shift, third difference, sigma, and the sigma expected for a noise of one grey
-    value. Residuals: those of each pixel's third difference over ``contrast`` (n,); outside of blocks, all of it. The
-    pixels of block k are ``order[ends[k − 1]:ends[k]]``; ``row`` and ``column`` (n,) are their positions.
+    Returns coefficients (5, blocks) and residuals (n,). Coefficients: cosine and sine of the shift, third difference,
+    sigma, and the sigma expected for a noise of one grey value. Residuals: those of each pixel's third difference over
+    ``contrast`` (n,); outside of blocks, all of it. The pixels of block k are ``order[ends[k − 1]:ends[k]]``; ``row``
+    and ``column`` (n,) are their positions.
     """
     coefficients = np.empty((5, ends.size))
     residuals = (four[0] - four[1] + four[2] - four[3]) / contrast
@@ -204,11 +205,11 @@ def common_of_neighbours(
     most_dn: float,
     most_share: float,
 ) -> Floats:
-    """Return each block's mean product of neighbouring pixels' ``residuals`` (n,), to which only light contributes.
+    """Return each block's mean product of the ``residuals`` (n,) of neighbouring pixels.
 
-    Noise of neighbouring pixels has no common part. Values are clipped at the larger of ``most_share`` and ``most_dn``
-    over the contrast. Pairs have weights by their noise, which is about the same everywhere in grey values
-    (``residuals`` · ``contrast``). Pixels come row by row, from left to right.
+    Only light contributes. Noise of neighbouring pixels has no common part. Values are clipped at the larger of
+    ``most_share`` and ``most_dn`` over the contrast. Pairs have weights by their noise, which is about the same
+    everywhere in grey values (``residuals`` · ``contrast``). Pixels come row by row, from left to right.
     """
     common = np.zeros(ends.size)
     value = residuals * contrast
@@ -252,7 +253,7 @@ def common_of_neighbours(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _span(position: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
-    """Return the sum of the least and the greatest position and their difference, which scale positions to −1..1."""
+    """Return the sum and the difference of the greatest and the least position, for scaling to −1..1."""
     low, high = position[block[0]], position[block[0]]
     for pixel in block:
         low, high = min(low, position[pixel]), max(high, position[pixel])
@@ -261,10 +262,10 @@ def _span(position: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> tuple[Floats, float, float]:
-    """Return the coefficients of a robust fit of ``terms`` (k, n) with ``weight`` (n,), and two standard deviations.
+    """Return the coefficients of a robust fit of ``terms`` (k, n), and two standard deviations.
 
-    The first is the larger sigma of the first two coefficients, the second the one expected if ``value`` ·
-    ``contrast`` (n,) had a noise of 1.
+    ``weight``: (n,). The first is the larger sigma of the first two coefficients, the second the one expected if
+    ``value`` · ``contrast`` (n,) had a noise of 1.
     """
     size, n = terms.shape
     # Normal equations of weighted least squares: X W Xᵀ b = X W y, with the terms X and the values y.
@@ -322,7 +323,7 @@ def _dot(a: Floats, b: Floats) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def quantile_of(values: Floats, share: float) -> float:
-    """Return the value below which ``share`` of the finite ``values`` lie, interpolated between two of them.
+    """Return the quantile ``share`` of the finite ``values``, interpolated between two of them.
 
     Values are counted into bins, and only the bin with the quantile is divided again. A partition would take longer
     than the fit of a block of some hundred pixels, since its branches cannot be predicted.

@@ -52,7 +52,7 @@ def propose(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[E
 
 
 def without_flicker(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[Exposure]) -> Exposure | None:
-    """Return the step at which lamps on 50 Hz mains do not flicker, if it is well inside of the band; else ``None``."""
+    """Return the step at which lamps on 50 Hz mains do not flicker; ``None``: it is outside of the band."""
     for step in steps:
         share = top_dn / scale_dn * step.light / present.light
         is_whole_period = step.time_us == MAINS_PERIOD_US and step.time_us != present.time_us
@@ -79,7 +79,10 @@ their modulation; both in grey values at the present exposure."""
 def propose_second(
     cameras: Sequence[Light], scale_dn: Sequence[float], present: Exposure, steps: Sequence[Exposure]
 ) -> Exposure | None:
-    """Return the step that shows clearly more with the present exposure than any single one; ``None``: none does."""
+    """Return the step that shows clearly more, together with the present one, than any single one.
+
+    ``None``: no step does.
+    """
     if any(top.size == 0 for top, _ in cameras):
         return None
     now = _lost(cameras, scale_dn, 1.0)
@@ -203,7 +206,7 @@ def _propose(
 
 
 def _flickers(changes: dict[str, Changes], bend_px: float) -> Fault | None:
-    """Return the fault of flickering light, if both cameras have it: they see the same light at the same time."""
+    """Return the fault of flickering light, if both cameras see it, as they must."""
     measured = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
     smaller = min(measured, key=lambda c: c.harmed or 0.0, default=None)
     if smaller is None or smaller.harmed is None or smaller.harmed <= MAX_HARMED:

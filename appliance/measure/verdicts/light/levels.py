@@ -74,7 +74,7 @@ class Sampler:
         return self._grey
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
-        """Take the pixels of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0 for each sequence."""
+        """Take the pixels of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
         references = (self._sequence.bright, self._sequence.dark)
         if index < max(references):
             return
@@ -123,7 +123,10 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
 def _describe(
     grey: NDArray[np.uint8], bright: int, dark: int, sines: NDArray[np.int64], sums: Floats, flags: NDArray[np.bool_]
 ) -> None:
-    """Write the levels of ``grey`` (n, pixels) to ``sums`` (5, pixels) and ``flags`` (2, pixels), as in ``Sample``."""
+    """Write the levels of ``grey`` (n, pixels) to ``sums`` and ``flags``, as in ``Sample``.
+
+    ``sums``: (5, pixels); ``flags``: (2, pixels).
+    """
     for i in range(grey.shape[1]):
         light, black = np.float32(grey[bright, i]), np.float32(grey[dark, i])
         top, modulation = light, np.float32(np.inf)
@@ -149,7 +152,7 @@ def _places(size_px: int, stride: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Light of one camera's images. Shares are of illuminated pixels, 0..1; ``None``: no pixel is illuminated."""
+    """Light of one camera's images; shares are of illuminated pixels, 0..1; ``None``: there are none."""
 
     illuminated_share: float
     """Illuminated pixels as a share of all pixels."""

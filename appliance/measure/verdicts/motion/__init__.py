@@ -1,1 +1,1 @@
-"""The verdict ``motion``: drift of the fringes, moved edges and texture, and the added noise of the points."""
+"""The verdict ``motion``: drift of the fringes, moved edges and texture, and the added noise."""

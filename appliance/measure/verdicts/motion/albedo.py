@@ -173,7 +173,7 @@ def _well_illuminated(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _solve(sums: Array) -> tuple[Array, Array]:
-    """Return the displacement of the albedo in each image, (images, 2), and its standard deviation (images,).
+    """Return the displacement (images, 2) of the albedo, and its standard deviation (images,).
 
     NaN: unknown.
     """

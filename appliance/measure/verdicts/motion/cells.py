@@ -107,7 +107,7 @@ def _add_pixels(
     apart: NDArray[np.float64],
     means: NDArray[np.void],
 ) -> None:
-    """Add every ``stride``-th row and column of the four ``images`` to the sums of the cells, as in ``CellSums``."""
+    """Add every ``stride``-th row and column of the four ``images`` to the sums of ``CellSums``."""
     i0, i1, i2, i3 = images
     height, width = p_px.shape
     rows, columns = means.shape
@@ -122,7 +122,7 @@ def _add_pixels(
             cell = means[row, column]
             _terms(images, v, u, x)
             squared = x[1] * x[1] + x[2] * x[2]
-            # The pixel below: noise of both with four images each, 4 σ² at either's light; 4 B² makes it a phase, squared.
+            # The pixel below: noise of both with four images each, 4 σ² at either's light; over 4 B², a squared phase.
             if v + 1 < height and p_px[v + 1, u] >= 0.0:
                 _terms(images, v + 1, u, below)
                 cell.apart_noise += 4.0 * (2.0 * dark_dn2 + per_dn * (x[5] + below[5]))

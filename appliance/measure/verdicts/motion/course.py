@@ -1,4 +1,4 @@
-"""The ripple of an unsteady motion, by the displacements of the fringes in the Gray images before the sines.
+"""The ripple of an unsteady motion, by the positions of the fringes before the sines.
 
 Let x₀ x₉₀ x₂₇₀ x₁₈₀ be the positions of the fringes in the four x-sines. The ripple is proportional to the offset of
 both pairs of steps, δ = (x₀ + x₁₈₀ − x₉₀ − x₂₇₀)/2. It is 0 for a steady motion, and a for an acceleration of a per

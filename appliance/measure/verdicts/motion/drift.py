@@ -30,7 +30,7 @@ DRIFT_PIXELS = 40
 
 @dataclass(frozen=True, slots=True)
 class DriftMap:
-    """Drift in one camera's images; arrays (rows, columns) float64 of the pattern's cells, NaN: too few pixels."""
+    """Drift in one camera's images; arrays (rows, columns) of the pattern's cells, NaN: too few pixels."""
 
     drift_px: NDArray[np.float64]
     """Drift of the fringes ε, pattern px per frame; positive: a pixel's coordinate grows."""

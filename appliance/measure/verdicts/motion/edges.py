@@ -1,4 +1,4 @@
-"""The shifts of the Gray stripes' edges, frame by frame, against the phase of the sine images after them.
+"""The shifts of the Gray stripes' edges, frame by frame, against the phase of the sine images.
 
 A pixel's grey value between dark and bright says on which side of a stripe's edge it is, and near the edge how far
 away. The phase says the same, some frames later. The difference is the motion in between. It is less precise than the
@@ -115,7 +115,7 @@ def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: Pat
 
 @lru_cache(maxsize=4)
 def edges_of(sequence: PatternSequence) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the nearest edges and their signs (images, width) in all Gray images of X, as ``_edges`` gives them.
+    """Return the nearest edges and their signs (images, width), by ``_edges``, in all Gray images of X.
 
     They are the same in every scan. Do not write to them.
     """
@@ -124,7 +124,10 @@ def edges_of(sequence: PatternSequence) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return each pattern column's nearest edge within reach, and whether light begins (+1) or ends (−1) there."""
+    """Return the nearest edge of each pattern column, and whether light begins (+1) or ends (−1) there.
+
+    NaN: no edge within reach.
+    """
     brightness = codes.astype(np.int16)
     after = np.flatnonzero(np.diff(brightness))
     columns = np.arange(codes.size, dtype=np.float32)
@@ -138,7 +141,7 @@ def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.fl
 
 
 def _shifts_of_sums(sums: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return the shifts of the edges: an edge that moves by a px changes the light by that of a px, with any blur."""
+    """Return the shifts of the edges: each px of shift changes the light by that of a px."""
     count, low, high = sums["inner"], sums["low"], sums["high"]
     with np.errstate(invalid="ignore", divide="ignore"):
         # The step between both sides scales the light; the excess over that of an unmoved edge is the shift.

@@ -82,7 +82,7 @@ def surface_map(
 
 
 def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Return |cos θ| of the points that have neighbours on all four sides, and the numbers of these points.
+    """Return |cos θ| of the points that have neighbours on all four sides, and their numbers.
 
     Their pixels in an image ``width_px`` wide lie on a grid of rows and columns at equal distances.
     """
@@ -120,7 +120,7 @@ def _face(
     cosine: NDArray[np.float32],
     inside: NDArray[np.intp],
 ) -> int:
-    """Write ``facing`` of ``points_mm`` (n, 3) to the first elements of ``cosine`` and ``inside``; return the count."""
+    """Write ``facing`` of ``points_mm`` (n, 3) to ``cosine`` and ``inside`` (n,); return their count."""
     wide_px, n = np.uint32(width_px), pixel.size
     # Rows and columns that any point lies in, and the grid that has them all.
     highest = np.uint32(0)
@@ -215,7 +215,7 @@ over all positions."""
 
 @dataclass(frozen=True, slots=True)
 class Harm:
-    """Noise that motion adds to the points; maps (rows, columns) float64 of the pattern's cells, NaN: unknown."""
+    """Noise that motion adds to the points; maps (rows, columns) of the pattern's cells, NaN: unknown."""
 
     drift_px: Array
     """E: of the fringes, left less right, pattern px per frame."""
@@ -331,7 +331,7 @@ def predict(
 
 
 def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: float) -> Array:
-    """Return the displacement along the left ray, mm, that moves the fringes by one px of E; (rows, columns)."""
+    """Return the displacement along the left ray, mm, for one px of E; (rows, columns)."""
     left_px = np.stack([left.u_px, left.v_px], -1)
     right_px = np.stack([right.u_px, right.v_px], -1)
     is_known = np.isfinite(left.u_px) & np.isfinite(right.u_px)
@@ -364,7 +364,10 @@ OFF_MIDDLE = 0.12
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Centre of the added noise, px of the left image, and ``left right upper lower everywhere`` or two of them."""
+    """Centre of the added noise in the left image.
+
+    ``word``: ``left right upper lower everywhere`` or two of them.
+    """
 
     u_px: float
     v_px: float
@@ -372,7 +375,7 @@ class Place:
 
 
 def place_of(harm: Harm, size_px: tuple[int, int]) -> Place | None:
-    """Return the place of most of the added noise in an image of ``size_px``; ``None``: no cell has a ripple."""
+    """Return the place of most of the added noise in an image of ``size_px``; ``None``: no ripple."""
     squared = np.nan_to_num(harm.ripple_mm) ** 2 * harm.weight
     total = float(squared.sum())
     if total <= 0.0:

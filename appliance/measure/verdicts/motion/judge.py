@@ -183,7 +183,7 @@ def _lost_share(decoded: CameraDecoder) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _count(mask: NDArray[np.uint8]) -> tuple[np.int64, np.int64]:
-    """Return the numbers of illuminated, unsaturated pixels of ``mask`` (h, w), and of those that count as lost."""
+    """Return the numbers of illuminated, unsaturated and of lost pixels of ``mask`` (h, w)."""
     illuminated = lost = np.int64(0)
     for v in range(mask.shape[0]):
         in_light, lost_pixels = _count_row(mask[v])

@@ -80,11 +80,11 @@ def drift_trend(harm: Harm) -> DriftTrend | None:
 
 
 def edge_course(left_px: Array, right_px: Array, harm: Harm) -> tuple[Array, Array]:
-    """Return the shift of the Gray edges, left less right, and its standard deviation, pattern px; NaN: too few cells.
+    """Return the shift of the Gray edges, left less right, and its standard deviation, in pattern px.
 
-    Both are (images,). ``left_px`` and ``right_px``: by ``edge_shifts``. They are medians over the cells. If the drift
-    of most cells is certain, shifts are taken in units of it (and returned for the typical drift): a rotation then does
-    not cancel, and does not look different in frames whose edges lie elsewhere.
+    NaN: too few cells. Both are (images,). ``left_px`` and ``right_px``: by ``edge_shifts``. They are medians over the
+    cells. If the drift of most cells is certain, shifts are taken in units of it (and returned for the typical drift):
+    a rotation then does not cancel, and does not look different in frames whose edges lie elsewhere.
     """
     # Left less right: lateral motion moves both alike, depth moves them against each other.
     shift = left_px - right_px
@@ -105,7 +105,7 @@ def edge_course(left_px: Array, right_px: Array, harm: Harm) -> tuple[Array, Arr
 
 
 def drift_unit(harm: Harm) -> tuple[NDArray[np.bool_], float] | None:
-    """Return the cells with a certain and not too small drift, and the typical drift in pattern px per frame.
+    """Return the cells with a certain drift that is not too small, and the typical drift, px per frame.
 
     ``None``: the drift of most cells is uncertain.
     """

@@ -150,9 +150,9 @@ def texture_change(
     variance_dn2: tuple[float, float],
     means: Means,
 ) -> TextureChange | None:
-    """Measure the change of the texture in one camera's frames (n, h, w) uint8; ``None``: too few decoded pixels.
+    """Measure the change of the texture in one camera's frames (n, h, w) uint8.
 
-    ``variance_dn2`` as in ``drift_map``.
+    ``None``: too few decoded pixels. ``variance_dn2`` as in ``drift_map``.
     """
     bin_px, stride = _bins(frames.shape[2])
     references, first, second = means.references, means.x, means.y
@@ -268,9 +268,9 @@ def _subtract(
 def _clipped_sd(
     residual: NDArray[np.float32], smooth: NDArray[np.float32], around: NDArray[np.float32], inside: NDArray[np.bool_]
 ) -> float:
-    """Return the standard deviation of residual − smooth / around inside, clipped at ``CLIP`` times the unclipped one.
+    """Return the clipped standard deviation of residual − smooth / around inside.
 
-    ``residual`` is overwritten.
+    The limit is ``CLIP`` times the unclipped one. ``residual`` is overwritten.
     """
     count, total, squares = 0, 0.0, 0.0
     for j in range(residual.shape[0]):
@@ -294,7 +294,7 @@ def _clipped_sd(
 
 
 def follow_px(decoded: CameraDecoder, means: Means) -> tuple[float, float] | None:
-    """Return the displacement of the texture right and down, px of the camera, from the x-sines to the y-sines.
+    """Return the displacement of the texture right and down, px, from the x-sines to the y-sines.
 
     It is one vector for the image, between the means of the sines. ``None``: the texture stays, or is no longer the
     same. Light is divided by its surroundings first: the projector's light stays with the instrument, only albedo

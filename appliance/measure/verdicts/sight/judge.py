@@ -135,9 +135,9 @@ def _brightest(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int
 
 
 def _clear_everywhere(brightest: Floats, places: Array) -> NDArray[np.bool_]:
-    """Return True for each of n points if all its windows at ``places`` (n, depths, 2: column, row) are unsaturated.
+    """Return (n,) whether all windows of a row of ``places`` are unsaturated.
 
-    Windows outside of the image do not count.
+    ``places``: (n, depths, 2: column, row). Windows outside of the image do not count.
     """
     clear = np.asarray((_windows(brightest) < CLEAR_DN).all(axis=(2, 3)))
     corner, inside = _within(places, clear.shape)
@@ -150,7 +150,7 @@ def _windows(images: Floats) -> Floats:
 
 
 def _within(places: Array, corners: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return ``places`` as integers, and which of them are within ``corners`` (rows, columns); the others are 0."""
+    """Return ``places`` as integers, 0 outside of ``corners`` (rows, columns), and which are inside."""
     rounded = np.rint(places)
     inside = np.asarray(((rounded >= 0.0) & (rounded < corners[::-1])).all(axis=-1))
     return np.where(inside[..., None], rounded, 0.0).astype(np.int64), inside
@@ -162,7 +162,7 @@ def _tiled(image: Floats) -> Floats:
 
 
 def candidate_depths_mm(rig: StereoRig, water_index: float) -> Array:
-    """Return depths at which the centre of the left image is seen ``STEP_PX`` apart in the reduced right image."""
+    """Return depths at which the left image's centre is ``STEP_PX`` apart in the reduced right image."""
     nearest_mm, farthest_mm = rig.volume.scaled(_NEAREST_MM), rig.volume.scaled(_FARTHEST_MM)
     near, far = 1.0 / nearest_mm, 1.0 / farthest_mm
     middle = np.array([[0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)]])
@@ -179,9 +179,9 @@ def seen_at_depths(rig: StereoRig, water_index: float, uv_px: Array, depths_mm: 
 
 
 def _likeness(left: Floats, right: Floats, corner: tuple[int, int], places: Array) -> Floats:
-    """Return the correlation of the left window with those at ``places`` (depths, 2: column, row) of the right image.
+    """Return the correlation of the left window with those at ``places`` of the right image.
 
-    It is 0 outside of the image.
+    ``places``: (depths, 2: column, row). The correlation is 0 outside of the image.
     """
     v, u = corner
     mine = _own(left[None, :, v : v + ROWS, u : u + COLUMNS])[0]
@@ -247,7 +247,7 @@ def look(
     parallax_percent: float | None = None,
     visible: Mapping[str, VisibleFringes] | None = None,
 ) -> Verdict:
-    """Return the verdict ``sight`` on the images and on the points of ``loose``, which has no limits of depth.
+    """Return the verdict ``sight`` on the images and the points of ``loose``, without limits of depth.
 
     It is neither passed nor failed: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are ``None`` if
     no fringes are seen, ``glow_per_m`` (attenuation by the shape of the backscatter) if some are. ``visible``: the
@@ -275,7 +275,7 @@ def look(
 
 
 def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> VisibleFringes:
-    """Measure fringes and light of one camera's ``frames`` (n, h, w) uint8; those of Y may still be missing."""
+    """Measure fringes and light of one camera's ``frames`` (n, h, w) uint8; Y may still be missing."""
     rows, columns = frames.shape[1:]
     step = max(1, int((rows * columns / SAMPLES) ** 0.5))
     down, across = np.arange(step // 2, rows, step), np.arange(step // 2, columns, step)
@@ -348,8 +348,8 @@ def _sum_cells(
 def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> float | None:
     """Return the depth in mm at which stripes have this parallax against the middle of the volume.
 
-    It is rough, but known in saturated images as well, since the borders of dark stripes are visible there. ``None``: no
-    finite depth.
+    It is rough, but known in saturated images as well, since the borders of dark stripes are visible there. ``None``:
+    no finite depth.
     """
     middle_mm = float(rig.volume_centre_mm(water_index)[2])
     half_baseline_mm = 0.5 * float(np.linalg.norm(rig.right.translation_mm))
@@ -359,7 +359,7 @@ def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> 
 
 
 def _places(depth_mm: Array, limits: QualityLimits, by_parallax_mm: float | None) -> dict[str, float | None]:
-    """Return the numbers of the distance, by points or windows; by parallax alone only far outside of the limits."""
+    """Return the numbers of the distance, by points or windows, or by parallax far outside of the limits."""
     if not len(depth_mm):
         near = by_parallax_mm is not None and by_parallax_mm < (1.0 - ROUGHLY) * limits.min_depth_mm
         far = by_parallax_mm is not None and by_parallax_mm > (1.0 + ROUGHLY) * limits.max_depth_mm

@@ -1,4 +1,4 @@
-"""The backscatter of a scan, separated from the object's light by the Gray stripes; also specks and flicker.
+"""The backscatter of a scan, separated from the object's light by the Gray stripes; specks; flicker.
 
 A camera's ray crosses the projector's beam for hundreds of millimetres, so that fine stripes across the baseline
 illuminate half of the water along it, independent of the pixel at its end. In the middle of a dark stripe a pixel shows
@@ -93,7 +93,7 @@ class BackscatterSample:
 
 
 def water_grid(sequence: PatternSequence) -> PixelGrid:
-    """Return the grid of pixels by which the water is judged: bright, dark, some Gray images, the sines of X and Y."""
+    """Return the grid of pixels for the judge of water: bright, dark, some Gray images, all sines."""
     across = sequence.axis(Direction.X)
     gray = [across.gray[bit] for bit, _ in _useful_stripes(sequence.period_px, len(across.gray))]
     sines = [k for direction in Direction for k in sequence.axis(direction).sine]
@@ -214,7 +214,7 @@ def warm_up() -> None:
 
 
 def _useful_stripes(period_px: int, bits: int) -> list[tuple[int, float]]:
-    """Return (bit, stripe width in px) of the Gray images whose stripes are neither too fine nor too coarse."""
+    """Return (bit, stripe width in px) of the Gray images with stripes neither too fine nor too coarse."""
     widths = [(bit, float(period_px * 2 ** (bits - 1 - bit))) for bit in range(bits)]
     chosen = [(bit, width) for bit, width in widths if STRIPES_PX[0] <= width <= STRIPES_PX[1]]
     return chosen or [widths[-1]]
@@ -285,7 +285,7 @@ def _contrast(steps: NDArray[np.uint8], cells: Cells) -> float | None:
 def _passing(
     cell: NDArray[np.intp], directions: tuple[NDArray[np.uint8], NDArray[np.uint8]]
 ) -> tuple[float, float | None]:
-    """Return flicker and share of specks, by the differences of the sums of opposite steps: sines have none.
+    """Return flicker and share of specks by differing sums of opposite steps, which are equal for sines.
 
     The part common to all pixels is flicker. The second harmonic of the projector's response, which differs by blur, is
     fitted cell by cell. Residuals are compared with their own median, so that an even residual (by motion) is no speck.
@@ -303,7 +303,7 @@ def _passing(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def disagreement(steps: NDArray[np.uint8], cell: NDArray[np.intp], cells: int) -> tuple[float, Floats]:
-    """Return the median difference of the sums of opposite ``steps`` (4, n), and the residuals (n,) of all pixels.
+    """Return the median difference of the sums of opposite ``steps`` (4, n), and its residuals (n,).
 
     A residual is the difference less median and second harmonic, over the root of the pixel's light.
     """

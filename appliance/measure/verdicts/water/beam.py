@@ -1,4 +1,4 @@
-"""The backscatter of each camera ray by single scattering of the projector's beam in water of a given attenuation.
+"""The backscatter of each camera ray, by single scattering of the projector's beam.
 
 The projector is half way between the cameras and points at the middle of the volume. The angles of its beam follow from
 the points of a scan and their pattern coordinates; without points, it is nominal, with the cameras' field of view.
@@ -77,7 +77,7 @@ class GatheredLight:
 def beam_of(
     rig: StereoRig, water_index: float, points_mm: Array, pattern_px: Array, size_px: tuple[int, int]
 ) -> ProjectorBeam | None:
-    """Fit the beam to points (n, 3) and their pattern coordinates (n, 2); ``None`` if they do not span a beam."""
+    """Fit the beam to points (n, 3) and pattern coordinates (n, 2); ``None``: they span no beam."""
     between = np.asarray(rig.right.translation_mm)
     middle = 0.5 * between
     x = between / np.linalg.norm(between)
@@ -105,7 +105,7 @@ def beam_of(
 
 
 def gather(beam: ProjectorBeam, origins_mm: Array, directions: Array, ends_mm: Array) -> GatheredLight:
-    """Integrate along rays (n, 3) in the left camera frame, from their port to ``ends_mm`` (n,) along them."""
+    """Integrate along rays (n, 3) in the left camera frame, from their port to ``ends_mm`` (n,)."""
     o = (origins_mm - beam.start_mm) @ beam.to_beam.T
     d = directions @ beam.to_beam.T
     first = np.maximum((beam.depth_mm - o[:, 2]) / d[:, 2], 0.0)
@@ -160,7 +160,7 @@ MOST_OF_OBJECT = 0.25
 
 
 def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_index: float) -> float | None:
-    """Return the attenuation in 1/m that fits the left camera's backscatter best; ``None``: too little light.
+    """Return the attenuation, 1/m, that fits the left camera's backscatter best; ``None``: too faint.
 
     ``glow_dn``: (cells[0] · cells[1],). A surface of any brightness across the middle of the volume is fitted as well:
     in turbid water an object may send back light without visible fringes. If this were more than ``MOST_OF_OBJECT`` of

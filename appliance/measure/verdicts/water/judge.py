@@ -123,7 +123,7 @@ def judge_water(
     ``grid``: that of the left camera, if it was filled while the frames arrived.
     """
     decoded = images.decoded["left"]
-    grid = grid or water_grid(images.sequence).taken(images.frames["left"])
+    grid = grid or water_grid(images.sequence).take_all(images.frames["left"])
     sample = measure_backscatter(images.sequence, grid, decoded, images.noise.left)
     numbers: dict[str, float | None] = {
         "attenuation_per_m": None,
@@ -160,7 +160,10 @@ def judge_water(
 def fit_attenuation(
     cells: Cells, gathered: GatheredLight, black_dn: float, flicker_dn: float, min_entry_mm: float = MIN_ENTRY_MM
 ) -> Attenuation | None:
-    """Return attenuation and strength of the backscatter by its change over the cells; ``None``: too uncertain."""
+    """Return attenuation and strength of the backscatter by its change over the cells.
+
+    ``None``: too uncertain.
+    """
     use = gathered.enters_mm >= min_entry_mm
     if np.count_nonzero(use) < MIN_CELLS:
         return None
