@@ -22,9 +22,9 @@ class PackArchive(Verb):
     kernels: ClassVar[bool] = False
 
     source: Path = operand("SOURCE", "storage root with the scans", parse=Path)
-    out: Path | None = path_option("--out", "the archive, made where it is not there", metavar="ARCHIVE")
-    all: bool = switch("--all", "also the rejected ones")
-    remove: bool = switch("--remove", "remove each scan from SOURCE once its packed copy was compared with it")
+    out: Path | None = path_option("--out", "folder of the archive, made if it does not exist", metavar="ARCHIVE")
+    all: bool = switch("--all", "also rejected scans")
+    remove: bool = switch("--remove", "remove each scan from SOURCE after its packed copy has been compared with it")
 
     def run(self) -> Exit:
         """Pack the scans. Raises UsageError, StorageError, MissingLibraryError."""
@@ -42,7 +42,7 @@ class UnpackArchive(Verb):
 
     archive: Path = operand("ARCHIVE", "storage root with packed scans", parse=Path)
     scans: Sequence[str] = operands("SCAN", "numbers (default: all)", at_least_one=False)
-    out: Path | None = path_option("--out", "storage root, made where it is not there", metavar="ROOT")
+    out: Path | None = path_option("--out", "storage root, made if it does not exist", metavar="ROOT")
 
     def run(self) -> Exit:
         """Restore the scans. Raises UsageError, UnknownScan, StorageError, MissingLibraryError."""
@@ -61,7 +61,11 @@ def _report(verb: Verb, report: ArchiveReport) -> Exit:
         scans.append({"scan": scan.scan, "done": done, "reason": scan.reason, "bytes": scan.size_bytes})
         if scan.outcome is not None:
             scans[-1]["bytes_there"] = scan.target_bytes
-    sizes = f"{source_bytes / MB:.1f} MB are {target_bytes / MB:.1f} MB there" if source_bytes else "nothing to do"
+    sizes = (
+        f"{source_bytes / MB:.1f} MB read, {target_bytes / MB:.1f} MB in the target"
+        if source_bytes
+        else "nothing to do"
+    )
     verb.tell(
         {
             "different": [
@@ -83,8 +87,8 @@ def _report(verb: Verb, report: ArchiveReport) -> Exit:
 
 def _copy_sentence(copy: Path | None) -> str:
     if copy is None:
-        return "is there twice with other content; move away the one with a checksum in its name, and call again"
-    return f"the one there stays; the one from here lies beside it as {copy.name}"
+        return "the target has two copies that differ; move away the one with a checksum in its name, and call again"
+    return f"the target keeps its file; the file of the source is beside it as {copy.name}"
 
 
 def storage_root(what: str, root: Path) -> Path:
@@ -99,7 +103,7 @@ def target_folder(out: Path | None, source: Path | None) -> Path:
     if out is None:
         raise UsageError("--out is missing; give the folder to write to")
     if source is not None and out.resolve() == source.resolve():
-        raise UsageError(f"--out {out}: is where the scans are read from; give another folder")
+        raise UsageError(f"--out {out}: is the folder that the scans are read from; give another folder")
     check_new_folder(out)
     if not out.absolute().parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.absolute().parent}; make it first")

@@ -31,43 +31,47 @@ class CalibrateAir(WithRoot):
 
     folder: Path = operand(
         "FOLDER",
-        "pairs NAME_left.png, NAME_right.png, or folders of --live or of scans; of --pair pictures whose names tell "
-        "left from right",
+        "images NAME_left.png and NAME_right.png, or a folder of --live or of scans; with --pair, images whose names "
+        "show left and right",
         parse=Path,
     )
     board: str | None = option(
         "--board",
-        "squares across and down, their size and the markers' in mm (default: 15x12x18x13.5); of --pair 18, 18x13.5 or "
-        "15x12x18 will do: the rest is found, but for the size of a square, which no picture tells",
+        "squares across and down, their size and the markers' in mm (default: 15x12x18x13.5); with --pair, 18, 18x13.5 "
+        "or 15x12x18 is enough: the images show the rest, but not the size of a square",
         metavar="15x12x18x13.5",
     )
     """Design of the board; ``None`` for that of the folder, else the default."""
-    out: Path | None = path_option("--out", "default: air.json or pair.json in FOLDER; pictures and more go beside it")
+    out: Path | None = path_option(
+        "--out", "default: air.json or pair.json in FOLDER; its figures are written beside it"
+    )
     install: bool = switch("--install", "make it the start of this instrument's calibrations")
     live: int | None = option(
         "--live",
-        "record up to N views first, with this instrument, into FOLDER",
+        "first record up to N views into FOLDER with this instrument",
         parse=whole_number(6, 200),
         metavar="N",
     )
-    room_light: bool = switch("--room-light", "of --live: the projector stays dark")
+    room_light: bool = switch("--room-light", "with --live: the projector stays dark")
     exposure_ms: float | None = option(
-        "--exposure-ms", "of --live, default: the rig file's", parse=number(0.05, 16.0), metavar="MS"
+        "--exposure-ms", "with --live; default: the rig file's", parse=number(0.05, 16.0), metavar="MS"
     )
     timeout_s: float = option(
         "--timeout-s",
-        "of --live: without a new view, default: %(default)g",
+        "with --live: longest time without a new view; default: %(default)g",
         default=300.0,
         parse=number(1.0, 86400.0),
         metavar="S",
     )
-    pair: str | None = option("--pair", "any two cameras, called NAME; no rig file is read", metavar="NAME")
+    pair: str | None = option(
+        "--pair", "calibrate any two cameras, and call them NAME; no rig file is read", metavar="NAME"
+    )
     sides: str | None = option(
         "--sides",
-        "of --pair: which pictures are the left and the right camera's, with one * each",
+        "with --pair: file names of the left and of the right images, each with one *",
         metavar="'a/*.png,b/*.png'",
     )
-    flat: bool = switch("--flat", "of --pair: the board is known to be flat: its shape is not adjusted")
+    flat: bool = switch("--flat", "with --pair: the board is known to be flat; its shape is not adjusted")
 
     @property
     def says_news(self) -> bool:
@@ -78,10 +82,10 @@ class CalibrateAir(WithRoot):
         check_writable(self.out)
         if self.pair is not None:
             if self.live is not None or self.install:
-                raise UsageError("--pair: is of cameras that are not the instrument's; leave --live and --install out")
+                raise UsageError("--pair: is for cameras that are not the instrument's; leave out --live and --install")
             return self._of_pair(self.pair)
         if self.sides is not None or self.flat:
-            raise UsageError("--sides and --flat: are for --pair")
+            raise UsageError("--sides and --flat: are for --pair; give --pair NAME, or leave them out")
         return self._of_instrument()
 
     # ------------------------------------------------------------------------------------- the instrument's
@@ -89,7 +93,7 @@ class CalibrateAir(WithRoot):
     def _of_instrument(self) -> Exit:
         rig = self.rooted_rig()
         if self.live is None:  # --live makes the folder
-            check_folder("FOLDER", self.folder, "the pictures of the board")
+            check_folder("FOLDER", self.folder, "the images of the board")
         from appliance.base import ContentError
         from appliance.calibrate import BoardDesign, ViewFolder, calibrate_folder
         from appliance.calibrate import install as install_air
@@ -126,7 +130,7 @@ class CalibrateAir(WithRoot):
         left, comma, right = (self.sides or "").partition(",")
         if self.sides is not None and not comma:
             raise UsageError(f"--sides {self.sides}: give two with a comma between them, for example 'a/*.png,b/*.png'")
-        check_folder("FOLDER", self.folder, "the pictures of the board")
+        check_folder("FOLDER", self.folder, "the images of the board")
         from appliance.calibrate import BoardDescription, calibrate_pictures
 
         across, down, square_mm, marker_mm = sizes_mm
@@ -152,7 +156,8 @@ class CalibrateAir(WithRoot):
         """
         if self.board is None:
             raise UsageError(
-                "--board is missing: no picture tells how large a board is; measure a row of squares, and give --board "
+                "--board is missing: images do not show the size of a square; measure a row of squares, and give "
+                "--board "
                 "18"
             )
         match = _BOARD.fullmatch(self.board)
@@ -183,7 +188,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
     return [
         table(("VIEW", "CORNERS", "RESIDUAL PX", "NOISE PX", ""), rows),
         *(f"left out: {text}" for text in report["left_out"]),
-        *(f"neither left nor right by its name: {text}" for text in report.get("unnamed", ())),
+        *(f"name shows neither left nor right: {text}" for text in report.get("unnamed", ())),
         *(f"{name:<27} {value}" for name, value in _figures(report)),
     ]
 
@@ -193,9 +198,9 @@ def _figures(report: dict[str, Any]) -> list[tuple[str, str]]:
     names = {
         "file": "file",
         "opencv_file": "for OpenCV",
-        "told_by": "left and right told by",
+        "told_by": "left and right from",
         "installed": "installed",
-        "before": "the one before is",
+        "before": "the former one is",
     }
     return [
         ("residual", f"{report['residual_px']:.4f} px"),

@@ -25,17 +25,19 @@ SCANS_CHECKED = 0.1
 class CalibrateWater(WithRoot):
     """Calibrate from the list's scans; FAILED if an artefact was not found, after all else was done without it."""
 
-    list: Path = operand("LIST", "which artefact each scan shows, as for evaluate", parse=Path)
+    list: Path = operand("LIST", "the list of scans and their artefacts, as for evaluate", parse=Path)
     method: str = option(
         "--method",
-        "paper as published, for comparison: beside FILE its pinholes FILE-pm.json and its ports FILE-rm.json; "
+        "paper: as published, for comparison; it also writes its pinholes FILE-pm.json and its ports FILE-rm.json; "
         "default: %(default)s",
         default=Method.SPLINE.value,
         choices=[m.value for m in Method],
     )
-    calibration: Path | None = path_option("--calibration", "the one to begin with (default: the instrument's in air)")
+    calibration: Path | None = path_option(
+        "--calibration", "the calibration to start from (default: the instrument's air calibration)"
+    )
     out: Path | None = path_option("--out", "the calibration; beside it FILE-report.html and .json")
-    install: bool = switch("--install", "use it from now on; the one of before is kept")
+    install: bool = switch("--install", "use it from now on; the former one is kept")
 
     def run(self) -> Exit:
         options = self.scan_options()
@@ -53,7 +55,7 @@ class CalibrateWater(WithRoot):
                     f"--out {target}: {path} exists already; a calibration is never replaced; give a new name"
                 )
         if data.absolute() == self.list.absolute():
-            raise UsageError(f"--out {target}: {data} is the list itself; give another name")
+            raise UsageError(f"--out {target}: {data} is the list of scans; give another name")
         from appliance.store import ScanList
 
         scans = ScanList.read(self.list)
@@ -118,7 +120,7 @@ def _lines(content: dict[str, Any], page: Path, calibration: Path) -> list[str]:
             f"{port['tilt_y_deg']:+.3f}°"
             for side, port in ports.items()
         ),
-        *([f"{'not seen':<24} {', '.join(content['unobserved'])}"] if content["unobserved"] else []),
+        *([f"{'not observable':<24} {', '.join(content['unobserved'])}"] if content["unobserved"] else []),
         f"{'report':<24} {page}",
         f"{'calibration':<24} {calibration}",
     ]

@@ -32,7 +32,7 @@ class ShowCalibration(WithRoot):
     """Show the calibration in use, that of a file, or the nominal one of the rig file, and whether it still holds."""
 
     file: str | None = operand(
-        "FILE", f"a calibration's file, or {NOMINAL}: that of the design (default: the one in use)", optional=True
+        "FILE", f"a calibration file, or {NOMINAL} for that of the design (default: the one in use)", optional=True
     )
     out: Path | None = path_option("--out", "write it to a file, which is never replaced")
 
@@ -83,7 +83,7 @@ class UseCalibration(WithRoot):
     kernels: ClassVar[bool] = False
 
     name: str | None = operand(
-        "NAME", "a file of calibration/kept, or with a slash any file (default: the last one kept)", optional=True
+        "NAME", "a file of calibration/kept; with a slash, any file (default: the last one kept)", optional=True
     )
 
     def run(self) -> Exit:
@@ -99,8 +99,8 @@ class UseCalibration(WithRoot):
             calibration = load_calibration(path)
             if calibration.rig_serial != rig.rig.serial or calibration.method == IN_AIR:
                 raise UsageError(
-                    f"NAME {path}: is of instrument {calibration.rig_serial}, method {calibration.method}; wanted is "
-                    "one in water "
+                    f"NAME {path}: is of instrument {calibration.rig_serial}, method {calibration.method}; allowed are "
+                    "water calibrations "
                     f"of {rig.rig.serial}"
                 )
             with hold_lock(root):
@@ -159,7 +159,7 @@ class AcceptHealth(WithRoot):
             file = HealthFile(root, calibration.hash)
             trend = file.read()
             if trend.alarm is None:
-                raise UsageError(f"REPORT {self.report}: there is no alarm to be taken back; nothing was changed")
+                raise UsageError(f"REPORT {self.report}: no alarm to withdraw; nothing was changed")
             # Under the lock: the alarm that is answered is the one that stands now.
             _recorded_since(self.report, content, trend)
             answer = f"{self.report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
@@ -214,7 +214,7 @@ def _health_lines(calibration: Calibration, trend: HealthTrend, eye: ThirdEye) -
     from appliance.calibrate import FITTED_SCANS, LEARNT_SCANS, UNMEASURED
 
     if calibration.method in UNMEASURED:
-        return [f"uncalibrated: this calibration ({calibration.method}) was never measured in water; no trend"]
+        return [f"uncalibrated: this calibration ({calibration.method}) is not one in water; there is no trend"]
     return [
         f"whether it still holds: {trend.judged} scans judged",
         f"reference   {len(trend.reference.rests_um)} of {LEARNT_SCANS} scans",
@@ -248,7 +248,7 @@ def _content(report: Path, calibration_hash: str) -> dict[str, Any]:
     # A length that is right with another calibration says nothing about the one with the alarm.
     if calibration_used != calibration_hash:
         raise UsageError(
-            f"REPORT {report}: it was made with calibration {calibration_used!s:.16}; evaluate with the one in use"
+            f"REPORT {report}: is made with calibration {calibration_used!s:.16}; evaluate with the one in use"
         )
     return content
 
@@ -257,7 +257,7 @@ def _worst_percent(report: Path, content: dict[str, Any]) -> float:
     worst = content["summary"]["e_l_ball_bar_percent"]
     # JSON's true is a bool, which Python counts as an integer: it would pass as an error of 1 %.
     if isinstance(worst, bool) or not isinstance(worst, int | float) or content.get("complete") is not True:
-        raise UsageError(f"REPORT {report}: no ball bar was measured in it; scan the ball bar and evaluate again")
+        raise UsageError(f"REPORT {report}: has no ball bar; scan the ball bar and evaluate again")
     return float(worst)
 
 

@@ -45,17 +45,17 @@ class MakeCloud(WithObjects):
 
     what: Sequence[str] = operands(
         "WHAT",
-        "scans, by numbers or folders; SCAN+SCAN: one cloud of two exposures from the same place; incomplete:N: an "
+        "scans, by numbers or folders; SCAN+SCAN: one cloud from two exposures of one place; incomplete:N: an "
         "unchecked cloud of a recording that broke after its first direction; object:NAME",
         at_least_one=True,
     )
     out: tuple[str, ...] = repeated(
         "--out",
         "points: .ply .e57 .las, on the pixel grid .npz; meshes: .stl .obj; may be repeated; {} stands for the scan's "
-        "name, and must where there are many (default: {}.ply)",
+        "name, and is needed for several scans (default: {}.ply)",
         metavar="FILE",
     )
-    mesh: bool = switch("--mesh", "triangles instead of points in .ply files")
+    mesh: bool = switch("--mesh", "in .ply files, write triangles instead of points")
     normals: bool = switch(
         "--normals", "normals, and grey as colour, in .ply files of scans, instead of the instrument's own form"
     )
@@ -64,7 +64,7 @@ class MakeCloud(WithObjects):
     )
     close_holes: float | None = option(
         "--close-holes",
-        "close holes of an object's mesh that are no wider; what is filled in was not measured, and has no sigma",
+        "close holes of an object's mesh up to this width; filled parts are not measured and have no sigma",
         parse=number(0.1, 1000.0, "mm"),
         metavar="MM",
     )
@@ -75,7 +75,7 @@ class MakeCloud(WithObjects):
         if name is None:
             return self._of_scans(options)
         if len(self.what) > 1 or self.normals:
-            raise UsageError(f"object:{name}: has files of its own, without --normals; give it alone")
+            raise UsageError(f"object:{name}: takes neither other scans nor --normals; give it alone")
         return self._of_object(options, name)
 
     # ------------------------------------------------------------------------------------- scans
@@ -131,7 +131,7 @@ class MakeCloud(WithObjects):
                 check_writable(out)
                 if out in works:
                     raise UsageError(
-                        f"{word_by_file[out]} and {word}: both would be written to {out}; make them one by one"
+                        f"{word_by_file[out]} and {word}: both would be written to {out}; make them in two calls"
                     )
                 works[out], word_by_file[out] = work, word
         return works
@@ -154,14 +154,14 @@ class MakeCloud(WithObjects):
             raise UsageError(f"{word}: its cloud is written as {OWN}, in the instrument's own form")
         name = "+".join(folder.name for folder in folders)
         if len(folders) > 2:
-            raise UsageError(f"{name}: one cloud is made of two scans at most")
+            raise UsageError(f"{name}: has more than two scans; one cloud is made from two at most")
 
         def work(out: Path, progress: ProgressLine) -> dict[str, Any]:
             from appliance.desk import write_cloud
 
             report = write_cloud(folders, out, options, progress, own_form=own_form, mesh=meshed)
             if report.get("salvaged"):
-                log.warning("%s: salvaged, not to be measured in: %s", folders[0], "; ".join(report["salvaged"]))
+                log.warning("%s: salvaged, do not measure in it: %s", folders[0], "; ".join(report["salvaged"]))
             return report
 
         return f"incomplete-{name}" if broken else name, work

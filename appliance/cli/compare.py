@@ -33,7 +33,7 @@ def _six(text: str) -> tuple[float, ...]:
         values = ()
     if len(values) != _PLACE or not all(abs(value) < _FARTHEST_MM for value in values):
         raise argparse.ArgumentTypeError(
-            f"{text}: allowed are six numbers with commas: x,y,z in mm and the turn as axis times angle in degrees"
+            f"{text}: allowed are six numbers with commas: x,y,z in mm and the rotation vector in degrees"
         )
     return values
 
@@ -51,19 +51,18 @@ class Compare(WithObjects):
         metavar="FILE",
     )
     tolerance: float | None = option(
-        "--tolerance", "mm that a deviation may have: more is counted", parse=number(0.001, 100.0, "mm"), metavar="MM"
+        "--tolerance", "tolerance in mm: larger deviations are counted", parse=number(0.001, 100.0, "mm"), metavar="MM"
     )
     limit: float = option(
         "--limit",
-        "mm beyond which a point is none of the CAD model's (5)",
+        "largest distance in mm at which a point belongs to the CAD model (5)",
         default=5.0,
         parse=number(0.1, 100.0, "mm"),
         metavar="MM",
     )
     start: tuple[float, ...] | None = option(
         "--start",
-        "roughly where it lies in the CAD model's frame, instead of searching: x,y,z in mm, turn as axis times angle "
-        "in degrees",
+        "approximate pose in the CAD model's frame, instead of a search: x,y,z in mm, rotation vector in degrees",
         parse=_six,
         metavar="X,Y,Z,RX,RY,RZ",
     )

@@ -33,7 +33,7 @@ class WithObjects(WithCalibration):
 
     spacing: float = option(
         "--spacing",
-        "mm between points of an object, or of what is compared (0.3)",
+        "distance in mm between the points of an object or a comparison (0.3)",
         default=SPACING_MM,
         parse=number(0.02, 20.0, "mm"),
         metavar="MM",
@@ -119,7 +119,7 @@ def check_writable(out: Path | None, name: str = "--out") -> None:
     if out.is_dir():
         raise UsageError(f"{name} {out}: is a folder; give the name of a file in it, for example {out / 'cloud.ply'}")
     if out.exists() and not out.is_file():
-        raise UsageError(f"{name} {out}: is no ordinary file and would be replaced by one; give the name of a file")
+        raise UsageError(f"{name} {out}: is not a regular file and would be replaced; give the name of a file")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{name} {out}: there is no folder {out.parent}; make it first, or give another one")
 

@@ -22,8 +22,8 @@ SCANS_CHECKED = 0.1
 class Evaluate(WithCalibration):
     """Measure every artefact of the list; FAILED if any is not found, with the report written all the same."""
 
-    list: Path = operand("LIST", "which artefact each scan shows (TOML or JSON)", parse=Path)
-    out: Path | None = path_option("--out", "the page, and beside it FILE with .json")
+    list: Path = operand("LIST", "the list of scans and their artefacts (TOML or JSON)", parse=Path)
+    out: Path | None = path_option("--out", "the page; the JSON is written beside it as FILE with .json")
 
     def run(self) -> Exit:
         options = self.scan_options()
@@ -32,10 +32,10 @@ class Evaluate(WithCalibration):
         # `--out x.json` would be overwritten by the JSON beside the page.
         if data == page:
             raise UsageError(
-                f"--out {page}: the JSON is written beside the page; give the page's name, for example x.html"
+                f"--out {page}: is the JSON, which is written beside the page; give the page's name, for example x.html"
             )
         if data.absolute() == self.list.absolute():
-            raise UsageError(f"--out {page}: {data} is the list itself; give another name")
+            raise UsageError(f"--out {page}: {data} is the list of scans; give another name")
         check_page(page)
         check_writable(data)
         from appliance.store import ScanList

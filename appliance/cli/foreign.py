@@ -16,13 +16,15 @@ class Import(Verb):
     """Import images of another rig as points, from a folder or by a description (docs/foreign.md)."""
 
     source: Path = operand(
-        "FOLDER | DESCRIPTION", "the images of one pose with the cameras' files, or what they show (TOML)", parse=Path
+        "FOLDER | DESCRIPTION",
+        "a folder with the images of one pose and the cameras' files, or an image set description (TOML)",
+        parse=Path,
     )
     out: Path | None = path_option(
-        "--out", "a cloud: .ply .e57 .las .npz (default: NAME.ply here); a folder: a scan like our own"
+        "--out", "a cloud: .ply .e57 .las .npz (default: NAME.ply here); a folder: a scan as the instrument stores it"
     )
-    as_described: bool = switch("--as-described", "import it also where the images contradict the description")
-    reasons: Path | None = path_option("--reasons", "draw why pixels have no point (PNG)", metavar="PICTURE")
+    as_described: bool = switch("--as-described", "import it although the images contradict the description")
+    reasons: Path | None = path_option("--reasons", "draw the mask reason of each pixel (PNG)", metavar="PICTURE")
 
     def run(self) -> Exit:
         out = self.out or Path(f"{self.source.absolute().stem}.ply")
@@ -51,9 +53,10 @@ class Import(Verb):
         """Raise UsageError for options or files that a folder of images does not allow."""
         if self.as_described or not out.suffix:
             raise UsageError(
-                "import: of a folder a cloud is made (.ply .e57 .las .npz), and nothing is described yet; import the "
-                "description that it writes"
+                "import: a folder of images makes a cloud (.ply .e57 .las .npz); --as-described and a scan folder "
+                "need a "
+                "description; import the one that is written with the cloud"
             )
         description = out.with_suffix(".toml")
         if description.exists():
-            raise UsageError(f"{description} is there already: import it, or give another name with --out FILE")
+            raise UsageError(f"{description} exists already; import it, or give another name with --out FILE")

@@ -51,9 +51,9 @@ class Check(WithRig):
         self.tell(
             [{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in states],
             [
-                table(("DEVICE", "", *(fact.upper() for fact in facts), "WHAT IT IS, OR WHAT IS WRONG"), rows),
+                table(("DEVICE", "", *(fact.upper() for fact in facts), "IDENTITY, OR FAULT"), rows),
                 "",
-                table(("BUS", "WHAT IS THERE"), _buses(states)),
+                table(("BUS", "FOUND"), _buses(states)),
             ],
         )
         return Exit.OK if all(h.ok for h in states) else Exit.FAILED

@@ -105,7 +105,7 @@ class CompileKernels(Verb):
     kernels: ClassVar[bool] = False
 
     out: Path | None = path_option("--out", "default: within the installed environment", metavar="DIR")
-    common: bool = switch("--common", "for every x86-64-v3 processor instead of this one: for images")
+    common: bool = switch("--common", "for every x86-64-v3 processor instead of this one, for disk images")
 
     def run(self) -> Exit:
         from appliance.base import COMMON_KERNELS, build_kernels, shipped_kernels

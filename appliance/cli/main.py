@@ -123,7 +123,7 @@ class _Parser(argparse.ArgumentParser):
         if not option.startswith("-"):
             has_list = any(action.nargs in ("*", "+") for action in self._actions if not action.option_strings)
             return f"{word}: one word too many" + (
-                "; give it beside the others, with no option between" if has_list else ""
+                "; give all operands together, without an option between them" if has_list else ""
             )
         return f"{option}: no such option" + suggestion(
             option, (text for action in self._actions for text in action.option_strings)
@@ -228,7 +228,7 @@ class _Version(argparse.Action):
 
 def _overview() -> str:
     """Return the list of all verbs, one line each, below their headings."""
-    lines = ["Handheld underwater 3D scanner. `kingfisher help VERB` says more of one."]
+    lines = ["Handheld underwater 3D scanner. `kingfisher help VERB` describes a verb."]
     entries = {entry.name: entry for entry in VERBS}
     for heading, names in SECTIONS.items():
         lines += ["", f"{heading}:"]

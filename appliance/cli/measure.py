@@ -32,9 +32,11 @@ class MeasureInstrument(WithRoot):
 
     what: str = operand("WHAT", ", ".join(NAMES), choices=tuple(NAMES))
     scans: Sequence[str] = operands(
-        "SCAN", "its number or its folder; for exposures several of a surface that fills the image", at_least_one=True
+        "SCAN",
+        "number or folder of a scan; for exposures, several scans of a surface that fills the image",
+        at_least_one=True,
     )
-    install: bool = switch("--install", "used by this instrument from its next start on", either="file")
+    install: bool = switch("--install", "use it on this instrument from its next start on", either="file")
     out: Path | None = path_option("--out", "write noise or response to a file", either="file")
 
     def run(self) -> Exit:
@@ -44,7 +46,10 @@ class MeasureInstrument(WithRoot):
             self._refuse_replacing(self.out)
         if self.what == "exposures":
             if self.install or self.out is not None:
-                raise UsageError("--install and --out: are for noise and response; exposures go into the rig file")
+                raise UsageError(
+                    "--install and --out: are for noise and response; leave them out, and copy exposures into the "
+                    "rig file"
+                )
         elif len(self.scans) > 1:
             raise UsageError(f"{' '.join(self.scans)}: the {self.what} is measured in one scan; give one")
         with open_scans(options, self.scans) as (sources, progress):
@@ -131,9 +136,8 @@ class MeasureInstrument(WithRoot):
         delays_us = sorted({item.trigger_delay_us for item in exposures})
         if len(delays_us) > 1:
             raise ScanError(
-                f"{', '.join(self.scans)}: taken with trigger delays of {' and '.join(map(str, delays_us))} us; an "
-                f"exposure sees other "
-                "bits where it begins at another moment; give scans of one board.trigger_delay_us"
+                f"{', '.join(self.scans)}: taken with trigger delays of {' and '.join(map(str, delays_us))} us; the "
+                "delay decides which bits an exposure contains; give scans of one board.trigger_delay_us"
             )
         # An exposure is as good as its worst scan.
         times_ms = {item.exposure.time_us / 1000.0: True for item in exposures}
@@ -161,7 +165,7 @@ class MeasureInstrument(WithRoot):
                     [n.upper().replace("_", " ") for n in names],
                     [[_format_cell(row[n]) for n in names] for row in rows],
                 ),
-                end if straight_ms else "none of them leaves fringes straight; try longer ones",
+                end if straight_ms else "no exposure keeps the fringes sinusoidal; try longer ones",
             ],
         )
         return Exit.OK if straight_ms else Exit.FAILED

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 LEAST_SCANS = 2
 """Least number of scans with a pose in a solved object."""
 _NAME = "the object's name; a folder objects/NAME is made under the storage root"
-_TAKEN_AS = "all scans that the instrument took as object N, besides those named; what it has already is left out"
+_TAKEN_AS = "also all scans that the instrument took as object N; those already in the object are left out"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class AddToObject(WithRoot):
         root = library_root(self.scan_options())
         new = not object_exists(root, self.name)
         if not new and not self.scans and self.taken_as is None:
-            raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
+            raise UsageError("SCAN is missing; give numbers or folders of scans, or --taken-as N")
         added = _add_scans(self, root)
         # Reported, because a mistyped name makes a new object.
         self.tell(_document(added), [*([f"new object under {root}"] if new else []), *_lines(added)])
@@ -86,7 +86,7 @@ class SolveObject(WithCalibration):
     taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole_number(1, 999_999), metavar="N")
     with_estimate: bool = switch(
         "--with-estimate",
-        "believe what the overlaps say of the depth error that all scans share, and take it out of the points",
+        "remove from the points the shared depth error that the overlaps show",
     )
 
     def run(self) -> Exit:
@@ -140,7 +140,7 @@ def _taken_as(root: Path, number: int | None) -> Sequence[str]:
     scans = library.scans_of_object(number)
     if not scans:
         numbers = ", ".join(str(item) for item in library.objects()) or "none; name the scans instead"
-        raise UsageError(f"--taken-as {number}: no scan under {root} was taken as that object; there are {numbers}")
+        raise UsageError(f"--taken-as {number}: no scan under {root} has this object; there are {numbers}")
     return scans
 
 
@@ -187,14 +187,15 @@ def lines_of(places: Places) -> list[str]:
         from appliance.calibrate import OVERLAP_LIMIT
 
         lines.append(
-            f"overlaps and calibration agree: {places.shared_error_score:.1f} times what is stated"
+            f"overlaps and calibration agree: depth error {places.shared_error_score:.1f} times the stated one"
             if places.shared_error_score <= OVERLAP_LIMIT
-            else f"warning: the overlaps bend the depth by {places.shared_error_score:.1f} times what the calibration states: calibrate "
-            "again, or check it with the ball bar"
+            else f"warning: the overlaps show a depth error of {places.shared_error_score:.1f} times the stated "
+            "one: calibrate "
+            "again, or check the calibration with the ball bar"
         )
     lines.append(
-        f"standard deviation of the depth error that all scans share: {1000.0 * places.shared_error_spread_mm:.0f} µm, "
-        f"{1000.0 * places.shared_error_aided_mm:.0f} µm with the overlaps' estimate, which is "
-        f"{'taken out of the points' if places.shared_error_removed else 'not used (--with-estimate)'}"
+        f"standard deviation of the shared depth error: {1000.0 * places.shared_error_spread_mm:.0f} µm, "
+        f"{1000.0 * places.shared_error_aided_mm:.0f} µm with the estimate from the overlaps, which is "
+        f"{'removed from the points' if places.shared_error_removed else 'not used (--with-estimate)'}"
     )
     return lines

@@ -109,7 +109,7 @@ def flush() -> None:
 def stdout() -> TextIO:
     """Return standard output. Raises OutputError if it was closed before the program began."""
     if sys.stdout is None:
-        raise OutputError("results cannot be written: standard output is closed; open it, or send it to a file")
+        raise OutputError("results cannot be written: standard output is closed; open it, or redirect it to a file")
     return sys.stdout
 
 
@@ -124,7 +124,7 @@ def _writing() -> Iterator[None]:
         with suppress(OSError):
             sys.stdout.close()
         raise OutputError(
-            f"results cannot be written to standard output: {error.strerror or error}; send it elsewhere"
+            f"results cannot be written to standard output: {error.strerror or error}; redirect it elsewhere"
         ) from error
 
 

@@ -33,7 +33,7 @@ class WithRoot(WithRig):
     """A verb that works below a storage root."""
 
     root: Path | None = path_option(
-        "--root", "storage root (default: the one you stand in, KINGFISHER_ROOT, the rig file's)", metavar="PATH"
+        "--root", "storage root (default: that of the current folder, KINGFISHER_ROOT, the rig file's)", metavar="PATH"
     )
 
     def named_root(self) -> Path | None:
@@ -60,7 +60,7 @@ class WithRoot(WithRig):
         if self.root is None:
             return None
         if self.root.exists() and not self.root.is_dir():
-            raise UsageError(f"--root {self.root}: is a file; give a folder, which is made if it is not there")
+            raise UsageError(f"--root {self.root}: is a file; give a folder, which is made if it does not exist")
         return self.root.absolute()
 
     def scan_options(self) -> ScanOptions:
@@ -82,10 +82,10 @@ class WithCalibration(WithRoot):
     """A verb that makes points, by default with each scan's own calibration."""
 
     calibration: Path | None = path_option(
-        "--calibration", "default: the one the scan was taken with", either="calibration"
+        "--calibration", "calibration file (default: that of the scan)", either="calibration"
     )
-    current: bool = switch("--current", "the one in use under the storage root", either="calibration")
-    foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
+    current: bool = switch("--current", "use the calibration in use under the storage root", either="calibration")
+    foreign_calibration: bool = switch("--foreign-calibration", "accept the calibration of another instrument")
 
     def scan_options(self) -> ScanOptions:
         """Return the options of ``WithRoot`` with the choice of a calibration.
@@ -115,8 +115,8 @@ def reject_air_calibration(calibration: Path | None) -> None:
 
     if load_calibration(calibration).method == IN_AIR:
         raise UsageError(
-            f"--calibration {calibration}: is one in air, which only calibrating in water begins with; "
-            "give one made in water (`kingfisher calibration water`)"
+            f"--calibration {calibration}: is an air calibration, from which only a water calibration starts; "
+            "give a water calibration (`kingfisher calibration water`)"
         )
 
 

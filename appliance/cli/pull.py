@@ -21,18 +21,18 @@ class Pull(Verb):
 
     kernels: ClassVar[bool] = False
 
-    host: str = operand("HOST", "[user@]address[:port] of the instrument, or a folder: its mounted disk, a copy")
+    host: str = operand("HOST", "[user@]address[:port] of the instrument, or a folder: its mounted disk, or a copy")
     out: Path | None = path_option(
-        "--out", "storage root at the desk, made where it is not there; one for each instrument", metavar="DIR"
+        "--out", "storage root at the desk, one for each instrument; made if it does not exist", metavar="DIR"
     )
     identity: Path | None = path_option("--identity", "private key (default: those of ssh)")
     known_hosts: Path | None = path_option(
         "--known-hosts", "file of the host keys that are trusted (default: that of ssh)"
     )
     timeout_s: float = option(
-        "--timeout-s", f"longest silence of the link ({ANSWER_S:g})", default=ANSWER_S, parse=number(2, 3600)
+        "--timeout-s", f"longest time without data ({ANSWER_S:g})", default=ANSWER_S, parse=number(2, 3600)
     )
-    all: bool = switch("--all", "also the rejected ones")
+    all: bool = switch("--all", "also rejected scans")
 
     def run(self) -> Exit:
         """Copy the scans. Raises UsageError, PullError, StorageError, MissingLibraryError."""

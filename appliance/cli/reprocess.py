@@ -31,23 +31,31 @@ class Reprocess(Verb):
 
     source: Path = operand("SOURCE", "storage root, packed or not", parse=Path)
     list: Path | None = operand(
-        "LIST", "which artefacts are shown, as for `kingfisher evaluate`", parse=Path, optional=True
+        "LIST", "the list of scans and their artefacts, as for `kingfisher evaluate`", parse=Path, optional=True
     )
-    out: Path | None = path_option("--out", "folder of results, one below it for each setting", metavar="DIR")
-    calibration: Path | None = path_option("--calibration", "default: each scan's own")
-    foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
+    out: Path | None = path_option(
+        "--out", "folder of the results, with a folder for each set of options", metavar="DIR"
+    )
+    calibration: Path | None = path_option("--calibration", "calibration file (default: that of each scan)")
+    foreign_calibration: bool = switch("--foreign-calibration", "accept the calibration of another instrument")
     water: tuple[float, float] | None = option(
-        "--water", "temperature in °C and salinity in PSU of the water, not the recorded", parse=_water, metavar="C,PSU"
+        "--water",
+        "temperature in °C and salinity in PSU of the water, instead of the recorded ones",
+        parse=_water,
+        metavar="C,PSU",
     )
-    table_only: bool = switch("--table-only", "no clouds: rows of the table only")
-    all: bool = switch("--all", "also the rejected ones")
+    table_only: bool = switch("--table-only", "write the table only, no clouds")
+    all: bool = switch("--all", "also rejected scans")
     workers: str | None = option(
         "--workers",
-        "processes of this computer (default: its cores), or the address of a scheduler of Dask's: work on its workers",
+        "number of processes here (default: one a core), or address of a Dask scheduler, whose workers are used",
         metavar="N | ADDRESS",
     )
     timeout_s: float = option(
-        "--timeout-s", "time for one scan before it is begun again (600)", default=600.0, parse=number(1, 86_400)
+        "--timeout-s",
+        "longest time for one scan; it is then started again (600)",
+        default=600.0,
+        parse=number(1, 86_400),
     )
 
     def run(self) -> Exit:
@@ -101,8 +109,7 @@ class Reprocess(Verb):
         folders = Library(self.source).folders(every=self.all)
         if not folders:
             raise UsageError(
-                f"SOURCE {self.source}: there is no scan in "
-                f"it{'' if self.all else '; --all takes the rejected ones, too'}"
+                f"SOURCE {self.source}: has no scan{'' if self.all else '; --all includes rejected scans'}"
             )
         from appliance.store import ScanList
 

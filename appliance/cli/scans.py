@@ -65,9 +65,9 @@ class ShowScan(OfScans):
     """Show the manifest of a scan, or one of its frames as a picture; only that frame is decoded."""
 
     scan: str = operand("SCAN", "its number or its folder")
-    side: str | None = operand("SIDE", "left or right: a frame instead", optional=True)
-    pattern: str | None = operand("PATTERN", "which, for example bright or sine-x-90", optional=True)
-    out: Path | None = path_option("--out", "of a frame: default SCAN-SIDE-PATTERN.png here")
+    side: str | None = operand("SIDE", "left or right: show a frame of this camera", optional=True)
+    pattern: str | None = operand("PATTERN", "pattern of the frame, for example bright or sine-x-90", optional=True)
+    out: Path | None = path_option("--out", "file of the frame (default: SCAN-SIDE-PATTERN.png here)")
 
     def run(self) -> Exit:
         """Print the manifest, or write the frame.
@@ -77,7 +77,7 @@ class ShowScan(OfScans):
         if self.side is not None:
             return self._frame(self.side)
         if self.out is not None:
-            raise UsageError(f"--out {self.out}: is for a frame; say which, for example left bright")
+            raise UsageError(f"--out {self.out}: is for a frame; give SIDE and PATTERN, for example left bright")
         entry = ScanEntry.of(self.folder_of(self.scan), checksums=False)
         codes = [] if entry.manifest is None else entry.manifest.record.held_against
         ashore = {code.value: ASHORE[code] for code in codes if code in ASHORE}
@@ -107,7 +107,7 @@ class ShowScan(OfScans):
         out = self.out or Path(f"{folder.name}-{side}-{self.pattern}.png")
         check_writable(out)
         if out.suffix.lower() != ".png":
-            raise UsageError(f"--out {out}: the picture is a PNG; give {out.with_suffix('.png')}")
+            raise UsageError(f"--out {out}: a frame is written as PNG; give {out.with_suffix('.png')}")
         frame = StoredScan.read_frame(folder, side, names.index(self.pattern))
         import cv2  # here, because other verbs need no pictures
 
@@ -125,7 +125,7 @@ class VerifyScans(OfScans):
     codes: ClassVar[Sequence[Exit]] = (Exit.DAMAGED,)
 
     scans: Sequence[str] = operands("SCAN", "numbers or folders (default: all)", at_least_one=False)
-    all: bool = switch("--all", "of every shelf: also those rejected, set aside or in the trash")
+    all: bool = switch("--all", "of all shelves: also rejected, set aside, and trash")
 
     def run(self) -> Exit:
         """Verify the scans. Raises UnknownScan, UsageError, MissingLibraryError."""
@@ -161,7 +161,7 @@ class LabelScan(OfScans):
     def run(self) -> Exit:
         """Write the label. Raises UsageError, UnknownScan, StorageError."""
         if self.name is None and self.note is None:
-            raise UsageError("what is written about it? Give --name TEXT or --note TEXT, or both")
+            raise UsageError("--name and --note are missing; give --name TEXT or --note TEXT, or both")
         root, library = self.existing_root(), Library(self.existing_root())
         name = _check_label("name", self.name)
         note = _check_label("note", self.note)

@@ -33,22 +33,22 @@ class SetupGuide(WithRig):
     A second call continues where the first stopped.
     """
 
-    out: Path | None = path_option("--out", "folder for state, page and pictures", metavar="FOLDER")
+    out: Path | None = path_option("--out", "folder for state, page and images", metavar="FOLDER")
     steps: Sequence[str] = operands(
         "STEP",
-        "these and no others, although they are good (default: on from the first that is not)",
+        "run these steps only, also good ones (default: from the first step that is not good)",
         at_least_one=False,
     )
     endurance_minutes: float = option(
         "--endurance-minutes",
-        "length of the step endurance (default: %(default)g)",
+        "duration of the step endurance (default: %(default)g)",
         default=10.0,
         parse=number(0.02, 1440.0),
         metavar="MIN",
     )
     plane_mm: float | None = option(
         "--plane-mm",
-        "distance at which the white plane stands (default: the rig file's working distance)",
+        "distance of the white plane (default: the rig file's working distance)",
         parse=number(50.0, 3000.0),
         metavar="MM",
     )
@@ -57,7 +57,7 @@ class SetupGuide(WithRig):
         if self.rig is None:
             raise UsageError("--rig: not given, and the packaged rig file is never changed; give the instrument's")
         if self.out is None:
-            raise UsageError("--out: not given; give a folder, in which state, page and pictures are kept")
+            raise UsageError("--out: not given; give a folder for state, page and images")
         check_new_folder(self.out)
         self.read_rig()
         from appliance.workshop import STEPS, GuideOptions, walk
@@ -89,15 +89,15 @@ class SetupMeasure(WithRig):
     """
 
     what: str = operand("WHAT", "projector or trigger", choices=("projector", "trigger"))
-    out: Path | None = path_option("--out", "of the projector: folder for the page and its pictures", metavar="FOLDER")
-    install: bool = switch("--install", "of the projector: write what follows into the rig file")
+    out: Path | None = path_option("--out", "with projector: folder for the page and its images", metavar="FOLDER")
+    install: bool = switch("--install", "with projector: write the measured values into the rig file")
 
     def run(self) -> Exit:
         rig = self.read_rig()
         if self.what == "projector":
             return self._projector(rig)
         if self.out is not None or self.install:
-            raise UsageError("--out and --install: are for the projector")
+            raise UsageError("--out and --install: are for projector; leave them out")
         from appliance.workshop import measure_trigger
 
         with ProgressLine() as progress:
@@ -182,9 +182,9 @@ class AtTheTerminal:
         self.tell(f"{what}; then press Enter")
         answer = _line(self._answers, ANSWERED_WITHIN_S)
         if answer is None:
-            raise GivenUp(f"nobody answered within {ANSWERED_WITHIN_S / 60.0:g} minutes; call again to go on here")
+            raise GivenUp(f"no answer within {ANSWERED_WITHIN_S / 60.0:g} minutes; call again to continue here")
         if not answer.endswith("\n"):
-            raise GivenUp("the input ended; call again to go on here")
+            raise GivenUp("the input ended; call again to continue here")
 
 
 def _line(stream: TextIO, timeout_s: float) -> str | None:
@@ -223,7 +223,7 @@ def _end(walked: GuideResult, folder: Path, count: int) -> str:
     good, page = sum(step.good for step in walked.steps.values()), folder / "bringup.html"
     if walked.good and good == count:
         return f"\nall {count} steps are good; the page is {page}; next: calibrate (docs/calibration.md)"
-    return f"\n{good} of {count} steps are good; the page to send to somebody who helps is {page}"
+    return f"\n{good} of {count} steps are good; to ask for help, send the page {page}"
 
 
 # ------------------------------------------------------------------------------------------ firmware
@@ -268,7 +268,7 @@ def _check(folder: Path, files: dict[str, bytes]) -> None:
     check_new_folder(folder)
     existing = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
     if strange := sorted(existing - files.keys()):
-        raise UsageError(f"--out {folder}: holds {strange[0]}, which is not of this firmware; give an empty folder")
+        raise UsageError(f"--out {folder}: has {strange[0]}, which is no file of this firmware; give an empty folder")
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:

@@ -82,9 +82,9 @@ class Sim(WithRoot):
         at_least_one=False,
         parse=_setting,
     )
-    script: Path | None = path_option("--script", "a diver's script; exit code 3 if it fails")
-    console: bool = switch("--console", "commands on standard input; as --window on a terminal has it")
-    window: bool = switch("--window", "show both screens in windows; the keyboard is the key pad")
+    script: Path | None = path_option("--script", "a scenario; exit code 3 if it fails")
+    console: bool = switch("--console", "read commands from standard input; --window on a terminal does so, too")
+    window: bool = switch("--window", "show both screens in windows; the keyboard is the keypad")
 
     def run(self) -> Exit:
         settings, faults = self._given()

@@ -67,7 +67,7 @@ def check_simulated_wires(rig: Rig) -> Rig:
     """Return ``rig``. Raises UsageError unless its wires lead to the simulator: no real device is started."""
     if rig.rig.wires.partition(".")[0] != SIMULATOR:
         raise UsageError(
-            f"--rig: wires of [rig] is {rig.rig.wires}, which is no simulated world; allowed: {SIMULATOR}.wires:open; "
+            f"--rig: wires of [rig] is {rig.rig.wires}, no simulated world; allowed: {SIMULATOR}.wires:open; "
             "use `kingfisher run` for an instrument"
         )
     return rig
@@ -90,7 +90,7 @@ def apply_options(rig: Rig, options: SimOptions) -> Rig:
     elif options.world is not None:
         wires["outside"] = {"seed": options.seed if options.seed is not None else wires.get("seed", DEFAULT_SEED)}
     if options.script is not None:
-        wires["script"] = str(_check_file("--script ", options.script, "the path of a diver's script"))
+        wires["script"] = str(_check_file("--script ", options.script, "the path of a scenario"))
     chosen: dict[str, Any] = {
         "object": options.object_name,
         "texture": options.texture,

@@ -49,7 +49,7 @@ def bring_calibration(rig: Rig) -> None:
         # truth.
         LocalFileSystem().make_folders(path.parent)
         LocalFileSystem().replace_file(path, encode_calibration(true_calibration(rig)))
-        log.info("calibration: that of the simulated instrument as drawn, in %s", path)
+        log.info("calibration: that of the nominal simulated instrument, in %s", path)
     elif not nominal and path.is_file():
         _refuse_nominal(rig)
 
@@ -89,7 +89,8 @@ def _refuse_nominal(rig: Rig) -> None:
         return  # the service says what is wrong with it
     if calibration.method == METHOD and any(source.endswith(f"rig: {KNOWN_SET}") for source in calibration.made_from):
         raise UsageError(
-            f"--root {rig.storage.root}: its calibration is that of truth={KNOWN_SET}, this start has another true rig "
+            f"--root {rig.storage.root}: its calibration is for truth={KNOWN_SET}; the simulated rig of this start "
+            "differs "
             f"and would measure wrong lengths; give another folder, truth={KNOWN_SET}, or remove {path}"
         )
 

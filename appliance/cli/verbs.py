@@ -43,30 +43,34 @@ VERBS: tuple[VerbEntry | Group, ...] = (
     VerbEntry("check", "open every device once and report", "instrument:Check"),
     Group(
         "scans",
-        "look at stored scans, label them, put them away",
+        "list and check stored scans, label them, put them aside",
         (
             VerbEntry("list", "all scans", "scans:ListScans"),
-            VerbEntry("show", "one scan's manifest, or one of its frames as a picture", "scans:ShowScan"),
+            VerbEntry("show", "the manifest of a scan, or one of its frames as an image", "scans:ShowScan"),
             VerbEntry("verify", "compare every byte with its checksum, packed or not", "scans:VerifyScans"),
-            VerbEntry("label", "call a scan something, write a note about it", "scans:LabelScan"),
-            VerbEntry("trash", "put scans away; nothing is deleted, and numbers stay taken", "scans:TrashScans"),
+            VerbEntry("label", "give a scan a name and a note", "scans:LabelScan"),
+            VerbEntry(
+                "trash", "put scans into the trash; nothing is deleted, numbers are not used again", "scans:TrashScans"
+            ),
             VerbEntry("restore", "take scans out of the trash", "scans:RestoreScans"),
         ),
     ),
     VerbEntry(
         "cloud", "points or a mesh of scans or an object, as files for this and other programs", "cloud:MakeCloud"
     ),
-    VerbEntry("import", "points of images that another rig took, by a description of them", "foreign:Import"),
+    VerbEntry("import", "points from the images of another rig, with a description of them", "foreign:Import"),
     Group(
         "object",
         "many scans as one object",
         (
-            VerbEntry("add", "begin an object, or add scans to one", "object:AddToObject"),
-            VerbEntry("solve", "find where its scans lie relative to each other", "object:SolveObject"),
-            VerbEntry("show", "where its scans lie, how certain that is, what was refused", "object:ShowObject"),
+            VerbEntry("add", "make an object, or add scans to it", "object:AddToObject"),
+            VerbEntry("solve", "find the scan poses of an object", "object:SolveObject"),
+            VerbEntry(
+                "show", "the scan poses of an object, their uncertainty, and rejected scan pairs", "object:ShowObject"
+            ),
         ),
     ),
-    VerbEntry("compare", "how far a scan or an object lies from a CAD model or another object", "compare:Compare"),
+    VerbEntry("compare", "deviations of a scan or an object from a CAD model or another object", "compare:Compare"),
     VerbEntry("report", "one page about a dive, a table of reprocessed scans or an object", "report:MakeReport"),
     VerbEntry("evaluate", "measure artefacts in stored scans, after VDI/VDE 2634", "evaluate:Evaluate"),
     Group(
@@ -74,26 +78,30 @@ VERBS: tuple[VerbEntry | Group, ...] = (
         "show, make, use and check calibrations, measure the instrument itself",
         (
             VerbEntry("show", "a calibration, and whether it still holds", "calibration:ShowCalibration"),
-            VerbEntry("air", "lenses and stereo pose, from pictures of a board in air", "calibrate_air:CalibrateAir"),
+            VerbEntry("air", "intrinsics and extrinsics, from images of a board in air", "calibrate_air:CalibrateAir"),
             VerbEntry(
                 "water", "calibrate from scans of ball bars and planes in water", "calibrate_water:CalibrateWater"
             ),
-            VerbEntry("use", "use a calibration of before, or that of a file", "calibration:UseCalibration"),
+            VerbEntry("use", "use an earlier calibration, or one from a file", "calibration:UseCalibration"),
             VerbEntry(
-                "measure", "the cameras' noise, the projector's response, its exposures", "measure:MeasureInstrument"
+                "measure",
+                "measure the cameras' noise, the projector's response or its exposures",
+                "measure:MeasureInstrument",
             ),
-            VerbEntry("accept", "take an alarm back after a length check", "calibration:AcceptHealth"),
+            VerbEntry("accept", "withdraw an alarm after a length check", "calibration:AcceptHealth"),
         ),
     ),
     Group(
         "archive",
-        "scans off an instrument, kept in a third of the space, reprocessed",
+        "copy scans off an instrument, pack them to a third of the size, reprocess them",
         (
-            VerbEntry("pull", "scans off an instrument: what is not here, compared, nothing deleted", "pull:Pull"),
+            VerbEntry("pull", "copy what is new on an instrument, and compare it; nothing is deleted", "pull:Pull"),
             VerbEntry(
-                "pack", "pack the scans of a storage root; none is removed that was not compared", "archive:PackArchive"
+                "pack",
+                "pack the scans of a storage root; a scan is removed only after a comparison",
+                "archive:PackArchive",
             ),
-            VerbEntry("unpack", "bring scans back, byte for byte", "archive:UnpackArchive"),
+            VerbEntry("unpack", "unpack scans, byte for byte", "archive:UnpackArchive"),
             VerbEntry(
                 "reprocess", "reprocess the scans of an archive, on this computer or on many", "reprocess:Reprocess"
             ),
@@ -104,8 +112,14 @@ VERBS: tuple[VerbEntry | Group, ...] = (
         "build a new instrument, install this program",
         (
             VerbEntry("guide", "from a box of parts to the first plane, in twelve steps", "setup:SetupGuide"),
-            VerbEntry("measure", "the projector by its own cameras, or the trigger lines", "setup:SetupMeasure"),
-            VerbEntry("firmware", "what goes onto trigger board or key pad", "setup:LayOutFirmware"),
+            VerbEntry(
+                "measure",
+                "measure the projector with the instrument's cameras, or the trigger lines",
+                "setup:SetupMeasure",
+            ),
+            VerbEntry(
+                "firmware", "write the firmware of trigger board or keypad into a folder", "setup:LayOutFirmware"
+            ),
             VerbEntry(
                 "compile", "compile the kernels for this processor (an installation does)", "kernels:CompileKernels"
             ),

@@ -38,7 +38,7 @@ def test_each_question_takes_one_line_of_what_was_typed_ahead() -> None:
     for _ in range(3):
         person.ask("put the caps on")
     assert lines.getvalue() == 3 * "DO: put the caps on; then press Enter\n"
-    with pytest.raises(GivenUp, match="call again to go on"):
+    with pytest.raises(GivenUp, match="call again to continue"):
         person.ask("put the caps on")
     close()
 

@@ -36,7 +36,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ("fly", "run", None), ("scans", "VERB is missing, give it: one of list, show,", None), ("scans list --al --root /nowhere", "--al", None),
         ("sim object=fish", "pipe", None), ("sim seed=-1", "seed=-1", None), ("sim seed=x --window pace=realtime", "0..999999999", None), ("cloud", "WHAT is missing, give it: scans, by", None),
-        ("archive pull pi", "--out is missing; give", None), ("cloud /none", "SCAN", None), ("cloud 1 --mesh 2", "2: one word too many; give it beside the others", None), ("cloud 1 --out", "--out FILE: the value is missing", None),
+        ("archive pull pi", "--out is missing; give", None), ("cloud /none", "SCAN", None), ("cloud 1 --mesh 2", "2: one word too many; give all operands", None), ("cloud 1 --out", "--out FILE: the value is missing", None),
         ("exprot", "VERB exprot: there is none; it is `kingfisher cloud`", None), ("clod", "VERB clod", "cloud"),
         ("scans merge", "it is `kingfisher cloud SCAN+SCAN`", None), ("calibrate air x", "VERB calibrate", "calibration"),
         ("sim --truth nominal", "--truth: is written truth=VALUE", None), ("sim --window truht=hard", "truht=hard: is no SETTING=VALUE", "truth"), ("scans lst", "VERB lst", "list"),

@@ -202,7 +202,7 @@ def test_where_there_is_no_root_it_is_said_where_was_looked(
     monkeypatch.delenv("KINGFISHER_ROOT", raising=False)
     said = shell(*verb)
     assert said.code == 2
-    for where in ("the folder you stand in", "KINGFISHER_ROOT is not set", str(DEFAULT_ROOT), "--root PATH"):
+    for where in ("the current folder", "KINGFISHER_ROOT is not set", str(DEFAULT_ROOT), "--root PATH"):
         assert where in said.error
     with pytest.raises(NotADirectoryError, match="KINGFISHER_ROOT"):
         open_dive()

@@ -70,6 +70,6 @@ def test_the_rigs_that_are_there_to_be_calibrated_get_none(tmp_path: Path) -> No
 
 def test_another_true_rig_is_not_measured_with_the_nominal_calibration(tmp_path: Path) -> None:
     bring_calibration(rig_of(tmp_path, "nominal"))
-    with pytest.raises(UsageError, match=r"has another true rig.*give another folder, truth=nominal, or remove"):
+    with pytest.raises(UsageError, match=r"this start differs.*give another folder, truth=nominal, or remove"):
         bring_calibration(rig_of(tmp_path, "realistic"))
     assert load_calibration(tmp_path / CALIBRATION_FILE).method == "truth"

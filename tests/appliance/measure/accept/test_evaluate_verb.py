@@ -101,7 +101,7 @@ def test_a_scan_listed_twice_and_a_page_over_the_list_are_refused(bench: Bench, 
     assert "is scan[0] ('./plane') once more" in said
     assert not (folder / "report.html").exists()
     assert evaluate(folder, "{}", "report.json") == 2
-    assert "is the list itself" in capsys.readouterr().err
+    assert "is the list of scans" in capsys.readouterr().err
     assert (folder / "report.json").read_text() == "{}"
 
 
