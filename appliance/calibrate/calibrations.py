@@ -135,7 +135,7 @@ class Calibrations:
         session = self.session()
         data = _bytes(self.solved)
         if session.solved is None or data is None:
-            raise SessionError("nothing is solved; solve first")
+            raise SessionError("no calibration is solved; solve first")
         if session.in_use:
             return session
         before = _bytes(self.current)
@@ -151,7 +151,7 @@ class Calibrations:
         """Put the kept file in use again, byte for byte. Raises SessionError, CalibrationError if it is damaged."""
         session = self.session()
         if session.kept is None:
-            raise SessionError("no calibration of before is kept; calibrate")
+            raise SessionError("no earlier calibration is kept; calibrate")
         path = self.folder / "kept" / session.kept
         load_calibration(path)
         data = _bytes(path)

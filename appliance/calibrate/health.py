@@ -224,7 +224,7 @@ def judge_health(
     ``third``: its third gaps, where the projector is fitted.
     """
     if len(gaps.patch) < FEWEST_PATCHES:
-        text = f"not judged: {len(gaps.patch)} of {PatchGaps.COUNT} patches seen, {FEWEST_PATCHES} are needed"
+        text = f"not judged: {len(gaps.patch)} of {PatchGaps.COUNT} patches have points, {FEWEST_PATCHES} are needed"
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not _are_numbers(gaps):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
@@ -309,7 +309,8 @@ def add_overlap_news(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
     alarm = trend.alarm
     if alarm is None and news.alarm:
         alarm = (
-            f"scans of object {news.object} overlap as if all were bent by {news.bend_um:.0f} ± {news.sigma_um:.0f} "
+            f"scans of object {news.object} overlap as with a common depth error of {news.bend_um:.0f} ± "
+            f"{news.sigma_um:.0f} "
             "µm: "
             f"{news.score:.1f} times what the calibration states"
         )
@@ -612,7 +613,7 @@ def _refuse_impossible(stored: _StoredHealth) -> None:
         ):
             raise ValueError(f"its reference has not {PatchGaps.COUNT} patches")
         if len(reference.doubts_um) != PatchGaps.COUNT * (PatchGaps.DOUBTS + 1):
-            raise ValueError(f"its reference has not {PatchGaps.DOUBTS + 1} doubts of {PatchGaps.COUNT} patches")
+            raise ValueError(f"its reference has not {PatchGaps.DOUBTS + 1} uncertainties of {PatchGaps.COUNT} patches")
 
 
 HEALTH = SealedFile(_StoredHealth, schema=1, max_bytes=1_000_000, indent=None, check=_refuse_impossible)
@@ -634,7 +635,7 @@ class MemoryFile(Generic[T]):
         try:
             state = self._form.load(self.path, self._of, name=str(self.path))
         except ContentError as error:
-            log.warning("%s; it begins anew", error)
+            log.warning("%s; the trend starts again", error)
             state = None
         return self._empty if state is None else state
 

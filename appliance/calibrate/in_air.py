@@ -57,9 +57,8 @@ log = logging.getLogger(__name__)
 FLAT_MM = 1e-6
 """Standard deviation of the shapes of a board that is stated to be flat."""
 EXCHANGED = (
-    "left and right are exchanged: the camera called right stands to the left of the other; name the pictures the "
-    "other way round "
-    "(--sides) before anything is measured with them"
+    "left and right are exchanged: the right camera stands to the left of the other; exchange the names of "
+    "the images, or the patterns of --sides"
 )
 CHECKED_AT = (8, 16, 32)
 """Numbers of views after which missing pictures are searched for, because finding all boards takes longest."""
@@ -107,7 +106,7 @@ def find_views(
     rejected: list[str] = []
     remarks, made_from = {}, {}
     for k, pair in enumerate(pairs):
-        progress(f"looking at {pair.name}", k / len(pairs))
+        progress(f"detecting the board in {pair.name}", k / len(pairs))
         images = read(pair)
         view, reasons = find_board(pair.name, images, design, strict)
         rejected += reasons
@@ -118,7 +117,7 @@ def find_views(
             side: spread_of(view.sighting(side)[1], images[side].shape) for side in SIDES if view.has(side).any()
         }
         remarks[pair.name] = tuple(
-            f"the board fills {100 * spread:.2g} % of the {side} picture"
+            f"the board fills {100 * spread:.2g} % of the {side} image"
             for side, spread in spreads.items()
             if spread < SMALL_SPREAD
         )
@@ -271,7 +270,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
     start = load_calibration(file)
     if start.method != IN_AIR or start.rig_serial != rig.rig.serial:
         raise CalibrationError(
-            f"{file} is of instrument {start.rig_serial}, method {start.method}; wanted is one in air of "
+            f"{file} is of instrument {start.rig_serial}, method {start.method}; allowed are air calibrations of "
             f"{rig.rig.serial}"
         )
     target = Instrument(rig).air_file
@@ -301,8 +300,7 @@ def _report(air: AirCalibration, search: BoardSearch, design: BoardDesign, cover
         warnings.append(
             f"the board is small in {len(small_views)} of {len(air.views)} views "
             f"({', '.join(small_views[:MOST_NAMED])}{', …' if len(small_views) > MOST_NAMED else ''}): "
-            f"below {100 * SMALL_SPREAD:g} % of the picture a view counts by the little that it tells; bring the board "
-            "nearer"
+            f"below {100 * SMALL_SPREAD:g} % of the image a view has a small weight; bring the board nearer"
         )
     return {
         "board": design.described(),

@@ -45,8 +45,8 @@ def check_list(listed: ScanList) -> None:
     for entry in listed.entries:
         if entry.artefact is Artefact.FRUSTUM:
             raise ListError(
-                f"scan {entry.scan} shows a frustum; ball bars and planes calibrate, a frustum only evaluates; "
-                f"take it out of the list"
+                f"scan {entry.scan} shows a frustum, which is for evaluation only; allowed are ball bars "
+                "and planes; remove it from the list"
             )
 
 

@@ -109,7 +109,7 @@ def _line(light: Array, noise: Array, darkest_dn: float) -> MeasuredNoise:
         # Robust: edges of the scene leave large differences, and they are few.
         sigma = MAD_TO_SIGMA * float(np.median(np.abs(inside)))
         if sigma == 0.0:
-            raise NoiseError("no noise at all, which no camera has; give a recorded scan")
+            raise NoiseError("the frames have no noise; give a recorded scan")
         centres.append(float(light[bins == k].mean()))
         variances.append(sigma**2 / (4.0 * float(DIFFERENCE @ DIFFERENCE)))
         weights.append(math.sqrt(len(inside)) / variances[-1])  # one over the variance's standard error
@@ -122,6 +122,9 @@ def _line(light: Array, noise: Array, darkest_dn: float) -> MeasuredNoise:
     # EMVA 1288: variance = offset + light · (grey values per electron). The offset is read noise and quantisation.
     slope, offset = np.polyfit(centres, variances, 1, w=weights)
     if not slope > 0.0:
-        raise NoiseError(f"noise that does not grow with light (by {slope:.4f} per grey value); scan with still hands")
+        raise NoiseError(
+            f"the noise does not grow with light ({slope:.4f} per grey value); hold the instrument still, and "
+            "scan again"
+        )
     middle = float(np.average(centres, weights=weights))
     return MeasuredNoise(float(slope), (middle, float(offset + slope * middle)), darkest_dn, int(light.size))

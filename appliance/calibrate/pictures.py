@@ -109,7 +109,7 @@ class ViewFolder:
         for file, image in ((LEFT, left), (RIGHT, right)):
             done, data = cv2.imencode(".png", image)
             if not done:
-                raise ValueError(f"a picture of {image.shape} could not be encoded as PNG")
+                raise ValueError(f"an image of shape {image.shape} cannot be encoded as PNG")
             self._fs.write_new(draft / file, [bytes(data)])
         self._fs.move_folder(draft, self.folder / name)
 
@@ -179,7 +179,7 @@ class PicturesError(Exception):
 def pairs_of(folder: Path) -> list[Pair]:
     """Return the pairs of a folder, by name. Raises PicturesError for an empty folder or an incomplete pair."""
     if not folder.is_dir():
-        raise PicturesError(f"FOLDER {folder}: no such folder; give the one that holds the pictures of the board")
+        raise PicturesError(f"FOLDER {folder}: no such folder; give the folder with the images of the board")
     sides: dict[str, dict[str, Path]] = {}
     pairs = []
     for path in sorted(folder.iterdir()):
@@ -192,21 +192,19 @@ def pairs_of(folder: Path) -> list[Pair]:
         elif path.suffix.lower() in KINDS and stem and side in SIDES and not path.name.startswith("."):
             # With left.png beside left.tif, it is not known which of them belongs to the right picture.
             if side in sides.setdefault(stem, {}):
-                raise PicturesError(f"FOLDER {folder}: {path.name} is there twice, with two endings; remove one")
+                raise PicturesError(f"FOLDER {folder}: {path.name} exists with two suffixes; remove one")
             sides[stem][side] = path
     for name, files in sides.items():
         if len(files) == 1:
             (present,) = files
             absent = "right" if present == "left" else "left"
             raise PicturesError(
-                f"FOLDER {folder}: {files[present].name} has no {name}_{absent}{files[present].suffix}; "
-                "add it, or remove the one"
+                f"FOLDER {folder}: {files[present].name} has no {name}_{absent}{files[present].suffix}; add "
+                "it, or remove the other one"
             )
         pairs.append(Pair(name, files["left"], files["right"]))
     if not pairs:
-        raise PicturesError(
-            f"FOLDER {folder}: no pairs of pictures in it; they are called NAME_left.png and NAME_right.png"
-        )
+        raise PicturesError(f"FOLDER {folder}: no stereo pairs in it; name the images NAME_left.png and NAME_right.png")
     return sorted(pairs, key=lambda pair: pair.name)
 
 
@@ -232,14 +230,14 @@ def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictu
     pair share. Raises PicturesError.
     """
     if not folder.is_dir():
-        raise PicturesError(f"FOLDER {folder}: no such folder; give the one that holds the pictures of the board")
+        raise PicturesError(f"FOLDER {folder}: no such folder; give the folder with the images of the board")
     with StorageError.naming("cannot read", folder):
         paths = sorted(
             p for p in (*folder.glob("*"), *folder.glob("*/*")) if p.suffix.lower() in ANY_KINDS and p.is_file()
         )
     names = {p.relative_to(folder).as_posix(): p for p in paths if not p.name.startswith(".")}
     if not names:
-        raise PicturesError(f"FOLDER {folder}: no pictures in it; read are {', '.join(ANY_KINDS)}")
+        raise PicturesError(f"FOLDER {folder}: no images in it; allowed are {', '.join(ANY_KINDS)}")
     if patterns is not None:
         sides = _by_patterns(names, patterns)
         naming = f"--sides {','.join(patterns)}"
@@ -250,16 +248,16 @@ def named_pictures(folder: Path, patterns: tuple[str, str] | None) -> NamedPictu
     if not _count_pairs(sides):
         listed = ", ".join(list(names)[:4])
         raise PicturesError(
-            f"FOLDER {folder}: no name of a picture ({listed}, …) tells a left picture from the right one of its pair; "
-            "say how with "
-            "--sides LEFT,RIGHT, for example --sides 'a/*.png,b/*.png'"
+            f"FOLDER {folder}: the names of the images ({listed}, …) do not show left and right; give "
+            "patterns with --sides LEFT,RIGHT, for example --sides 'a/*.png,b/*.png'"
         )
     pairs: dict[str, dict[str, Path]] = {}
     for name, (side, key) in sides.items():
         pair = pairs.setdefault(key, {})
         if side in pair:
             raise PicturesError(
-                f"FOLDER {folder}: {pair[side].name} and {names[name].name} are both the {side} picture of {key}"
+                f"FOLDER {folder}: {pair[side].name} and {names[name].name} are both the {side} image of "
+                f"{key}; remove one"
             )
         pair[side] = names[name]
     called = _short_names(pairs)
@@ -285,15 +283,15 @@ def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, s
         header = picture_head(data)
         stated = header and header[:2]
         if stated is None:
-            wrong[path] = f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy"
+            wrong[path] = f"{path}: is no image, or damaged (allowed: {KNOWN}); restore it from a copy"
         elif not (
             min(stated) >= LEAST_SIDE_PX and max(stated) <= MOST_SIDE_PX and stated[0] * stated[1] <= MOST_PIXELS
         ):
             wrong[path] = (
-                f"{path.name}: {stated[0]}x{stated[1]} px; {LEAST_SIDE_PX} to {MOST_SIDE_PX} px a side are read"
+                f"{path.name}: {stated[0]}x{stated[1]} px; {LEAST_SIDE_PX} to {MOST_SIDE_PX} px a side are allowed"
             )
         elif _decode(data) is None:
-            wrong[path] = f"{path}: is damaged and cannot be decoded; bring it back from a copy"
+            wrong[path] = f"{path}: is damaged and cannot be decoded; restore it from a copy"
         else:
             sizes[path] = stated
     if not sizes:
@@ -301,7 +299,7 @@ def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, s
     usual = Counter(sizes.values()).most_common(1)[0][0]
     for path, size in sizes.items():
         if size != usual:
-            wrong[path] = f"{path.name}: {size[0]}x{size[1]} px, the other pictures have {usual[0]}x{usual[1]} px"
+            wrong[path] = f"{path.name}: {size[0]}x{size[1]} px, the other images have {usual[0]}x{usual[1]} px"
     return usual, wrong
 
 
@@ -312,7 +310,7 @@ def read_grey(path: Path) -> Image:
     """
     image = _decode(_bytes(path))
     if image is None:
-        raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy")
+        raise PicturesError(f"{path}: is no image, or damaged; restore it from a copy")
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY)
     if image.dtype != np.uint8:
@@ -334,7 +332,7 @@ def _bytes(path: Path) -> bytes:
     try:
         return read_bounded(path, MOST_BYTES)
     except OSError as error:
-        raise PicturesError(f"{path}: {error.strerror or error}; give the pictures as recorded") from error
+        raise PicturesError(f"{path}: {error.strerror or error}; give the images as recorded") from error
 
 
 # ------------------------------------------------------------------------------------------ names
@@ -362,7 +360,8 @@ def _by_patterns(names: Iterable[str], patterns: tuple[str, str]) -> _Sides:
     for side, pattern in zip(SIDES, patterns, strict=True):
         if pattern.count("*") != 1:
             raise PicturesError(
-                f"--sides {','.join(patterns)}: each has one *, which stands for what both pictures of a pair share"
+                f"--sides {','.join(patterns)}: each needs one *, for the part of the name that both images "
+                "of a stereo pair share"
             )
         before, after = pattern.split("*")
         for name in names:
@@ -395,7 +394,7 @@ def _check_size(path: Path, size_px: tuple[int, int], rig_size_px: tuple[int, in
     if size_px != rig_size_px:
         raise PicturesError(
             f"{path}: {size_px[0]}x{size_px[1]} px; the rig file has {rig_size_px[0]}x{rig_size_px[1]} px; "
-            f"give the rig file of the instrument that took it (--rig)"
+            "give the rig file of the instrument that recorded it (--rig)"
         )
 
 
@@ -410,27 +409,26 @@ def _picture(path: Path, rig_size_px: tuple[int, int]) -> Image:
         data = read_bounded(path, max_bytes)
     except OSError as error:
         raise PicturesError(
-            f"{path}: {error.strerror or error}; pictures of {rig_size_px[0]}x{rig_size_px[1]} px are wanted; give "
-            "them as "
-            "recorded"
+            f"{path}: {error.strerror or error}; allowed are images of {rig_size_px[0]}x{rig_size_px[1]} "
+            "px; give them as recorded"
         ) from error
     header = picture_head(data)
     if header is None:
         raise PicturesError(
-            f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy, or remove the pair"
+            f"{path}: is no image, or damaged (allowed: {KNOWN}); restore it from a copy, or remove the pair"
         )
     _check_size(path, header[:2], rig_size_px)
     # Read unchanged, so that 16 bits or colours are rejected instead of converted to grey.
     with quiet_decoder():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy, or remove the pair")
+        raise PicturesError(f"{path}: is no image, or damaged; restore it from a copy, or remove the pair")
     if image.dtype != np.uint8:
         raise PicturesError(f"{path}: {image.dtype} pixels; allowed are 8 bits; save it with 8 bits")
     if image.ndim == 3:
         channels = list(_channels(image))
         if any(not np.array_equal(channels[0], channel) for channel in channels[1:3]):
-            raise PicturesError(f"{path}: is in colour; the cameras are grey; give the pictures as recorded")
+            raise PicturesError(f"{path}: is in colour; allowed are grey values; give the images as recorded")
         image = channels[0]
     return np.ascontiguousarray(image, np.uint8)
 

@@ -64,9 +64,9 @@ def measure_response(
     """
     if sequence.period_px < SHORTEST_PERIOD_PX:
         raise ResponseError(
-            f"the scan's fringe period is {sequence.period_px} px; allowed are {SHORTEST_PERIOD_PX} px and more, of "
-            "which "
-            "blur leaves the harmonics; set scan.period_px = 64 in the rig file and record again"
+            f"the scan's fringe period is {sequence.period_px} px; allowed are {SHORTEST_PERIOD_PX} px and "
+            "more, since blur removes the harmonics of shorter ones; set scan.period_px = 64 in the rig "
+            "file and record again"
         )
     codes = _Sums(ORDER)
     phases = _Sums(ORDER)
@@ -96,9 +96,8 @@ def measure_response(
     harmonics, residual = codes.solve()
     if residual > MOST_RESIDUAL:
         raise ResponseError(
-            f"what was seen differs from any response by {residual:.3f} of the bright light; allowed is "
-            f"{MOST_RESIDUAL}; "
-            "record a still plane without glare"
+            f"no response fits the frames: the residual is {residual:.3f} of the bright light; allowed is "
+            f"{MOST_RESIDUAL}; record a still plane without glare"
         )
     try:
         response = Response(_normalise(harmonics))
@@ -176,9 +175,8 @@ class _Sums:
             b = solve_symmetric(self._matrix, self._vector, names)
         except UndeterminedError as error:
             raise ResponseError(
-                f"the scan does not show enough codes of its fringes to tell {', '.join(error.names)}; fill the image "
-                "with a plane "
-                "that many fringes fall on"
+                f"the scan has too few codes to determine {', '.join(error.names)}; fill the image with a "
+                "plane, so that many fringes fall on it"
             ) from error
         # Σ(light − basis b)² = Σ light² − bᵀv at the minimum, without a second pass over the pixels.
         unexplained = self._squares - float(np.dot(b, self._vector))

@@ -77,11 +77,13 @@ class Recording:
         n = len(self.left_px)
         if self.left_px.shape != (n, 2) or self.right_px.shape != (n, 2) or self.sphere.shape != (n,):
             raise RecordingError(
-                f"recording {self.name}: shapes {self.left_px.shape}, {self.right_px.shape}, {self.sphere.shape}; "
-                f"wanted (n, 2), (n, 2), (n,); extract the correspondences again"
+                f"recording {self.name}: shapes {self.left_px.shape}, {self.right_px.shape}, "
+                f"{self.sphere.shape}; allowed are (n, 2), (n, 2), (n,); extract the correspondences again"
             )
         if not (np.isfinite(self.left_px).all() and np.isfinite(self.right_px).all()):
-            raise RecordingError(f"recording {self.name}: a pixel is not finite; leave out points without a match")
+            raise RecordingError(
+                f"recording {self.name}: a pixel is not finite; leave out points without a correspondence"
+            )
         if self.kind is ArtefactKind.PLANE:
             fewest = n
         else:

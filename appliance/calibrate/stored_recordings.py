@@ -24,16 +24,15 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
         current = _cameras(folder)
         if serials is not None and earlier is not None and (conflict := exchanged(serials, current)) is not None:
             raise CamerasDiffer(
-                f"scans {earlier.name} and {folder.name} are of different cameras ({conflict.reason}); calibrate "
-                "with scans of "
-                "the same"
+                f"scans {earlier.name} and {folder.name} are of different cameras ({conflict.reason}); "
+                "calibrate with scans of one stereo pair of cameras"
             )
         serials, earlier = current, folder
     # Checked last, so that scans that disagree with each other are named first: that is the more likely cause.
     mismatch = exchanged(start.camera_serials, serials)
     if mismatch is not None:
         raise CamerasDiffer(
-            f"the scans are of other cameras than what they start from ({mismatch.reason}); calibrate in air again"
+            f"the scans are of other cameras than the start ({mismatch.reason}); calibrate in air again"
         )
     return serials
 
@@ -62,6 +61,6 @@ def recording_of_scan(
     reprocessed = reprocess_scan(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
     if reprocessed.unfit is not None:
         return NotFound(f"{reprocessed.unfit.code.value}: {reprocessed.unfit.detail}; record it again")
-    progress("looking for the artefact")
+    progress("detecting the artefact")
     left, right = reprocessed.pipeline.decoded("left"), reprocessed.pipeline.decoded("right")
     return extract(scan.manifest.scan_id, certificate, reprocessed.cloud, left, right, start, reprocessed.water)

@@ -171,9 +171,7 @@ def judge_plane(step: Step, plane: MeasuredPlane, rig: StereoRig) -> RecordingCh
     distance_mm = float(((plane.centre_mm - origin) @ axes)[2])
     normal = plane.normal @ axes
     tilt_deg = _degrees(float(np.hypot(normal[0], normal[1])), normal[2])
-    detail = (
-        f"plane {distance_mm:.0f} mm away, tilted by {tilt_deg:.1f}°, over {plane.fill_percent:.0f} % of the picture"
-    )
+    detail = f"plane {distance_mm:.0f} mm away, tilted by {tilt_deg:.1f}°, over {plane.fill_percent:.0f} % of the image"
 
     def check(refusal: Refusal | None, number: float | None) -> RecordingCheck:
         return RecordingCheck(step, refusal, number, plane.points, detail)
@@ -214,7 +212,7 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
     else:
         start, problem = Instrument(rig).calibration()[0], None
     if problem is not None:
-        raise CalibrationError(f"{path or in_air}: {problem}; calibrate in air, or take another file")
+        raise CalibrationError(f"{path or in_air}: {problem}; calibrate in air, or give another file")
     check_start(start)
     return start
 
@@ -223,9 +221,9 @@ def reject_nominal_start(rig: Rig, path: Path | None) -> None:
     """Raise CalibrationError where an adjustment would start from the nominal rig without an explicit request."""
     if path is None and not (Instrument(rig).air_file).exists() and not (Instrument(rig).calibration_file).exists():
         raise CalibrationError(
-            f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibration air`), or give with "
-            "--calibration FILE "
-            "what to begin with, be it the drawing (`kingfisher calibration show nominal --out FILE`)"
+            f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibration air`), or give "
+            "a start with --calibration FILE, for example the nominal one (`kingfisher calibration show "
+            "nominal --out FILE`)"
         )
 
 
@@ -371,7 +369,7 @@ def solve_calibration(rig: Rig, date: str, report: Progress) -> Solution:
     calibration = replace(result.calibration, made_at=date, camera_serials=serials)
     result = replace(result, calibration=calibration)
     if calibration.residual_px is None:
-        raise NotConverged(f"{method.value} says nothing about what is left; use another method")
+        raise NotConverged(f"{method.value} has no residuals; use another method")
     solved = AdjustmentSummary(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
     verified = None
     if Step.VERIFY in folders:

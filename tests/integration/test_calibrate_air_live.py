@@ -58,11 +58,11 @@ def test_views_are_recorded_kept_and_gone_on_with(tmp_path: Path, caplog: pytest
     common = ["calibration", "air", str(folder), "--live", "6", "--exposure-ms", "6.5"]
     assert main([*common, "--rig", str(first), "--timeout-s", "15"]) == 1, "the fourth never came"
     said = [record.getMessage() for record in caplog.records]
-    assert said[0] == "the left image is dark; more light, or a longer exposure", "too far for the projector"
+    assert said[0] == "the left image is dark; use more light, or a longer exposure time", "too far for the projector"
     views = [line for line in said if line.startswith("view ")]
     assert [line[:7] for line in views] == [f"view {k:02}" for k in range(1, BEFORE + 1)]
     assert "no corners yet" in views[0]
-    assert any("the board is where it was in view 03" in line for line in said)
+    assert any("the board has the pose of view 03" in line for line in said)
     assert sorted(p.name for p in folder.iterdir()) == [*(f"{k:02}" for k in range(1, BEFORE + 1)), "board.json"]
     assert not (folder / "air.json").exists()
 
@@ -75,7 +75,7 @@ def test_views_are_recorded_kept_and_gone_on_with(tmp_path: Path, caplog: pytest
     then = rig_file(tmp_path, "then", "\n".join(lines), poses[0])
     assert main([*common, "--rig", str(then), "--install"]) == 0
     said = [record.getMessage() for record in caplog.records]
-    assert said[0] == "3 views are there already"
+    assert said[0] == "3 views exist already"
     assert any(line.startswith("view 06") for line in said)
     assert not (folder / ".04").exists()
 

@@ -88,7 +88,7 @@ def search_board(
         for k, (name, image) in enumerate(chosen):
             shown = mirror(image) if mirrored else image
             for family in FAMILIES:
-                progress(f"looking for {family} in {name}", k / len(chosen))
+                progress(f"searching {family} in {name}", k / len(chosen))
                 first = find_markers(shown, family, SEARCHED)
                 if not mirrored:
                     most_markers[family] = max(most_markers.get(family, 0), len(first.ids))
@@ -96,21 +96,21 @@ def search_board(
                     continue
                 if mirrored:
                     raise BoardNotFoundError(
-                        f"{name}: the picture is mirrored: turned over left to right, it shows a board; give the "
-                        "pictures as the "
-                        f"cameras saw them"
+                        f"{name}: the image is mirrored: only left to right does it show a board; give the "
+                        "images as the cameras recorded them"
                     )
                 markers = [first, *(find_markers(other_image, family) for n, other_image in chosen if n != name)]
                 return _design_of(markers, family, description)
     counts = ", ".join(f"{count} of {family}" for family, count in most_markers.items() if count) or "no marker of any"
     where = f"{len(chosen)} pictures"
     if len(chosen) < len(pictures):
-        where = f"the {len(chosen)} of {len(pictures)} pictures that were looked at ({', '.join(name for name, _ in chosen)})"
+        where = (
+            f"the {len(chosen)} of {len(pictures)} images that were searched ({', '.join(name for name, _ in chosen)})"
+        )
     raise BoardNotFoundError(
-        f"no ChArUco board in {where}; tried were the dictionaries {', '.join(FAMILIES)}, each in the layout "
-        f"of before and since OpenCV 4.6, and {SQUARES[0]} to {SQUARES[1]} squares across; seen were {counts}; give "
-        "sharp, "
-        f"evenly lit pictures of a ChArUco board whose markers count from 0 (chessboards without markers are not read)"
+        f"no ChArUco board in {where}; tried were the dictionaries {', '.join(FAMILIES)}, in the layouts "
+        f"before and since OpenCV 4.6, with {SQUARES[0]} to {SQUARES[1]} squares across; found: {counts}; "
+        "give sharp, evenly lit images of a ChArUco board whose markers count from 0 (not of a plain chessboard)"
     )
 
 
@@ -139,13 +139,12 @@ def _design_of(markers: Sequence[Markers], family: str, description: BoardDescri
     if best is None:
         count = max(len(m.ids) for m in markers)
         raise BoardNotFoundError(
-            f"{count} markers of {family} in one picture, but no ChArUco board of {SQUARES[0]} to {SQUARES[1]} squares "
-            "across "
-            f"has them on one plane in that order; its markers must count from 0, row by row"
+            f"{count} markers of {family} in one image, but no ChArUco board of {SQUARES[0]} to "
+            f"{SQUARES[1]} squares across has them in this order; give a board whose markers count from 0, row by row"
         )
     if stated and best.across not in stated:
         raise BoardNotFoundError(
-            f"--board {description.across}x{description.down}: the markers seen ({family}) lie as on a board of "
+            f"--board {description.across}x{description.down}: the markers ({family}) are those of a board of "
             f"{best.across} "
             "squares "
             f"across and {best.rows} or more down; give that, or leave --board out"
@@ -158,7 +157,7 @@ def _design_of(markers: Sequence[Markers], family: str, description: BoardDescri
         stated_down = description.down if best.across == description.across else description.across
         if stated_down < best.rows or (best.white_first and stated_down % 2):
             raise BoardNotFoundError(
-                f"--board {description.across}x{description.down}: the markers seen ({family}) lie as on a board of "
+                f"--board {description.across}x{description.down}: the markers ({family}) are those of a board of "
                 f"{best.across} squares "
                 f"across and {down} or more down; give that, or leave --board out"
             )
@@ -166,11 +165,11 @@ def _design_of(markers: Sequence[Markers], family: str, description: BoardDescri
     size = best.marker if description.marker_mm is None else description.marker_mm / description.square_mm
     if abs(size - best.marker) > SIZE_OFF:
         raise BoardNotFoundError(
-            f"--board: markers of {description.marker_mm:g} mm: in the pictures a marker's side is {best.marker:.3f} "
+            f"--board: markers of {description.marker_mm:g} mm: in the images a marker's side is {best.marker:.3f} "
             "of a "
             "square's, which are "
-            f"{best.marker * description.square_mm:.3g} mm of {description.square_mm:g} mm; measure the board, or "
-            "leave it out"
+            f"{best.marker * description.square_mm:.3g} mm of {description.square_mm:g} mm; measure the "
+            "board, or leave out the markers' size"
         )
     plain = BoardDesign(best.across, max(down, SQUARES[0]), description.square_mm, size * description.square_mm)
     return replace(plain, dictionary=dictionary_number(dictionary_name(family, plain)), legacy=best.white_first)

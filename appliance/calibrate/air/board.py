@@ -88,7 +88,7 @@ class BoardDesign:
             "give ACROSSxDOWNxSQUARExMARKER, squares 3..60, sizes 1..200 mm, markers smaller; for example 15x12x18x13.5"
         )
         if match is None:
-            raise BoardError(f"board {text}: not understood; {remedy}")
+            raise BoardError(f"board {text}: no board; {remedy}")
         across, down, square_mm, marker_mm = int(match[1]), int(match[2]), float(match[3]), float(match[4])
         (fewest_squares, most_squares), (least_mm, largest_mm) = SIZES["squares"], SIZES["millimetres"]
         if not (
@@ -206,18 +206,17 @@ def find_corners(image: Image, design: BoardDesign, strict: bool) -> dict[int, A
     camera's name.
     """
     if strict and float(np.mean(image >= FULL_DN)) > MAX_SATURATED_SHARE:
-        return NoBoard("the {side} image is overexposed; less light, or turn the board out of the glare")
+        return NoBoard("the {side} image is saturated; use less light, or turn the board out of the glare")
     markers = find_markers(image, design.family, design.markers)
     corners_px, numbers = _corners_between(image, design, markers)
     if len(numbers) < MIN_CORNERS:
         if len(find_markers(mirror(image), design.family, design.markers).ids) >= max(LEAST_MARKERS, len(markers.ids)):
-            return NoBoard("the {side} image is mirrored; give it as the camera saw it")
+            return NoBoard("the {side} image is mirrored; give it as the camera recorded it")
         if float(np.percentile(image, BRIGHT_PERCENTILE)) < DARK_DN:
-            return NoBoard("the {side} image is dark; more light, or a longer exposure")
+            return NoBoard("the {side} image is dark; use more light, or a longer exposure time")
         return NoBoard(
-            f"{len(numbers)} corners in the {{side}} image, {MIN_CORNERS} are needed; {len(markers.ids)} markers were "
-            "seen; "
-            f"bring the whole board into view, sharp and evenly lit"
+            f"{len(numbers)} corners in the {{side}} image, {MIN_CORNERS} are needed; {len(markers.ids)} "
+            "markers are found; bring the whole board into view, sharp and evenly lit"
         )
     if (spread := spread_of(corners_px, image.shape)) < (MIN_SPREAD if strict else LEAST_SPREAD):
         return NoBoard(f"the board is small in the {{side}} image, {100 * spread:.2g} % of it; bring it nearer")

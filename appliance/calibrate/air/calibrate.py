@@ -96,7 +96,7 @@ def pair_up(
     ]
     as_named = np.array([pair.left == pair.right for pair in pairs], np.bool_)
     if not as_named.any():
-        raise ValueError("no view has both places")
+        raise ValueError("no view has the board in both images")
     corners = np.stack([pair.corners_mm for pair in pairs])
     right_px = _pinhole(np.stack([pair.right_mm for pair in pairs]), f_px)
     # Error of each pair, (n, n), with the extrinsics by each other pair.
@@ -235,7 +235,7 @@ def require_observable(views: Sequence[BoardView], width_px: int, height_px: int
         ) from error
     except cv2.error as error:
         raise AirCalibrationError(
-            f"OpenCV finds no lens that fits the views ({' '.join(str(error).split())[:120]}): {tilts}"
+            f"OpenCV finds no intrinsics that fit the views ({' '.join(str(error).split())[:120]}): {tilts}"
         ) from error
 
 
@@ -333,7 +333,7 @@ def calibrate_air(
         if len(determined_view.corners_mm):
             usable.append(determined_view)
         else:
-            left_out.append(f"{view.name}: few corners of the board, or a single row of them; show more of it")
+            left_out.append(f"{view.name}: few corners of the board, or a single row; bring more of it into view")
     with require_observable(usable, width_px, height_px):
         return _calibrate(usable, left_out, (width_px, height_px), tolerance or BoardTolerance(), with_field)
 
@@ -374,10 +374,10 @@ def _calibrate(
             has_moved = _rms_alone(adjusted, worst, usable) < MOVED * rms_px[worst]
             # A blurred or far view is only less accurate and gets a smaller weight; a board that moved is an error.
             if has_moved or rms_px[worst] > WORST_VIEW**2 * usual_px:
-                cause = "the board moved between the cameras' exposures" if has_moved else "corners were mistaken"
+                cause = "the board moved between the cameras' exposures" if has_moved else "corners are misdetected"
                 left_out.append(
-                    f"{usable[worst].name}: residual {rms_px[worst]:.2f} px, the usual view has {usual_px:.2f} px; "
-                    f"{cause}"
+                    f"{usable[worst].name}: residual {rms_px[worst]:.2f} px, the median view has "
+                    f"{usual_px:.2f} px; {cause}"
                 )
                 del usable[worst]
                 continue
@@ -395,7 +395,7 @@ def _calibrate(
 
 def _single_camera(view: BoardView) -> tuple[str, ...]:
     sides = [side for side in SIDES if view.has(side).any()]
-    return () if len(sides) == 2 else (f"only the {sides[0]} camera has it",)
+    return () if len(sides) == 2 else (f"only the {sides[0]} camera has this view",)
 
 
 def _half_hidden(view: BoardView, fullest: int) -> tuple[str, ...]:
@@ -403,7 +403,7 @@ def _half_hidden(view: BoardView, fullest: int) -> tuple[str, ...]:
     counts = [count for side in SIDES if (count := int(np.count_nonzero(view.has(side))))]
     if min(counts) >= HALF_HIDDEN * fullest:
         return ()
-    return (f"a camera sees {min(counts)} corners, other views have up to {fullest}: the board is half hidden",)
+    return (f"a camera sees {min(counts)} corners, other views up to {fullest}: the board is partly hidden",)
 
 
 def _check_enough(views: Sequence[BoardView], left_out: Sequence[str]) -> None:
@@ -412,9 +412,8 @@ def _check_enough(views: Sequence[BoardView], left_out: Sequence[str]) -> None:
     if min(counts.values()) >= MIN_VIEWS and pairs >= MIN_PAIRS:
         return
     raise AirCalibrationError(
-        f"the left camera has {counts['left']} usable views of the board, the right one {counts['right']}, and "
-        f"{pairs} are "
-        "of both; "
+        f"the left camera has {counts['left']} usable views of the board, the right one {counts['right']}, "
+        f"both together {pairs}; "
         f"{MIN_VIEWS} of each camera and {MIN_PAIRS} of both are needed; give more"
         + (f" ({'; '.join(left_out)})" if left_out else "")
     )
@@ -449,30 +448,28 @@ def _wrong_pairs(pairing: Pairing) -> dict[str, str]:
 
     Raises AirCalibrationError where a picture is missing, or hardly any pairs agree.
     """
-    symptom = "the left and the right picture show the board at different places"
+    symptom = "the left and the right image show the board in different poses"
     disagreeing = pairing.disagreeing_px
     if disagreeing and (pairing.picture_offset or pairing.agreeing < MIN_PAIRS):
         name, far_px = next(iter(disagreeing.items()))
         later, side = ("later", "left") if pairing.picture_offset > 0 else ("earlier", "right")
         cause = (
-            f"from there on left pictures belong to right ones {abs(pairing.picture_offset)} {later}, so a {side} "
-            "picture "
-            "is missing there or before; "
-            "add it, or remove the other one of its pair, and number the pictures after it anew"
+            f"from there on, left images belong to right ones {abs(pairing.picture_offset)} {later}, so a {side} "
+            "image is missing there or before; add it, or remove the other one of its stereo pair, and "
+            "renumber the images after it"
             if pairing.picture_offset
-            else f"only {pairing.agreeing} agree on how the cameras stand to each other, {MIN_PAIRS} must; give pictures that were taken at "
-            "the same moment"
+            else f"only {pairing.agreeing} stereo pairs agree on the extrinsics, {MIN_PAIRS} must; give images "
+            "taken at the same moment"
         )
         raise AirCalibrationError(
-            f"pair {name}: {symptom}, {far_px:.0f} px apart, and so do {len(disagreeing) - 1} other pairs: {cause}"
+            f"pair {name}: {symptom}, {far_px:.0f} px apart; so do {len(disagreeing) - 1} other stereo pairs: {cause}"
         )
     return {
         **{
-            name: f"{name}: its left and right pictures are exchanged; name them the other way round"
-            for name in pairing.exchanged
+            name: f"{name}: its left and right images are exchanged; exchange their names" for name in pairing.exchanged
         },
         **{
-            name: f"{name}: {symptom}, {far_px:.0f} px apart; they were not taken at the same moment"
+            name: f"{name}: {symptom}, {far_px:.0f} px apart; give images taken at the same moment"
             for name, far_px in disagreeing.items()
         },
     }

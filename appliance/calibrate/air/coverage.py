@@ -106,13 +106,13 @@ def check_tilts(views: Sequence[BoardView], width_px: int, height_px: int) -> tu
                 tilts.append(slope)
         leans_deg = np.degrees(np.arctan(np.linalg.norm(np.array([*slopes, *([] if slopes else tilts)]), axis=1)))
         sentences.append(
-            f"before the {side} camera the board leans in {len(tilts) - 1} different ways by {LEAST_TILT_DEG:g}° or more "
+            f"before the {side} camera the board leans in {len(tilts) - 1} directions by {LEAST_TILT_DEG:g}° or more "
             f"({leans_deg.min():.1f}° to {leans_deg.max():.1f}° in {len(slopes)} views)"
         )
         is_enough &= len(tilts) > LEAST_TILTS
     sentence = (
-        f"{', '.join(sentences)}; {LEAST_TILTS} ways are needed and more are better: lean the board by 20° to 35° to "
-        "each side"
+        f"{', '.join(sentences)}; {LEAST_TILTS} directions are needed, and more are better: lean the board "
+        "by 20° to 35° to each side"
     )
     return sentence, is_enough
 

@@ -58,7 +58,7 @@ def residual_picture(views: Sequence[FittedView], width_px: int, height_px: int)
             for begin, end in zip(corners_px * scale, corners_px * scale + residuals_px * px_per_px, strict=True):
                 points = [(round(float(p[0])), round(float(p[1]))) for p in (begin, end)]
                 cv2.line(panel, points[0], points[1], _colour(k, len(views)), 1, cv2.LINE_AA)
-        panels.append(_titled(panel, f"{side}: {rms_px:.3f} px rms is drawn {USUAL_ARROW_PX:.0f} px long"))
+        panels.append(_titled(panel, f"{side}: {rms_px:.3f} px RMS; an arrow of {USUAL_ARROW_PX:.0f} px is that long"))
     return _png(np.concatenate([panels[0], np.full((panels[0].shape[0], GAP_PX, 3), 255, np.uint8), panels[1]], 1))
 
 
@@ -90,5 +90,5 @@ def _colour(k: int, count: int) -> tuple[int, int, int]:
 def _png(bgr: Picture) -> bytes:
     done, data = cv2.imencode(".png", bgr)
     if not done:
-        raise ValueError(f"a picture of {bgr.shape} could not be encoded as PNG")
+        raise ValueError(f"an image of shape {bgr.shape} cannot be encoded as PNG")
     return bytes(data)

@@ -32,25 +32,21 @@ def view_of(
         return NoBoard(reasons[0])
     if (common := np.count_nonzero(view.has("left") & view.has("right"))) < MIN_CORNERS:
         return NoBoard(
-            f"{name}: only {common} corners are seen by both cameras, {MIN_CORNERS} are needed; "
-            f"hold the board in the middle between them, with nothing before it"
+            f"{name}: both cameras see only {common} common corners, {MIN_CORNERS} are needed; hold the "
+            "board in the middle between them, unobstructed"
         )
     for side, pictures in (("left", left), ("right", right)):
         first, last = (find_corners(pictures[k], design, strict=True) for k in (0, -1))
         if isinstance(first, NoBoard) or isinstance(last, NoBoard):
-            return NoBoard(f"{name}: the board went out of the {side} image while it was recorded; let it rest")
+            return NoBoard(f"{name}: the board left the {side} image during recording; hold it still")
         moved_px = _moved_px(first, last)
         if moved_px is None or moved_px > REST_PX:
             distance = "far" if moved_px is None else f"{moved_px:.2f} px"
-            return NoBoard(
-                f"{name}: the board moved by {distance} in the {side} image while it was recorded; let it rest"
-            )
+            return NoBoard(f"{name}: the board moved by {distance} in the {side} image during recording; hold it still")
     for view_before in earlier_views:
         apart = _apart_px(view, view_before)
         if apart is not None and apart < NEW_PLACE * left.shape[2]:
-            return NoBoard(
-                f"{name}: the board is where it was in view {view_before.name}; hold it elsewhere, or lean it"
-            )
+            return NoBoard(f"{name}: the board has the pose of view {view_before.name}; move it, or lean it")
     return view
 
 

@@ -217,14 +217,16 @@ def first_pose(recording: Recording, rig: StereoRig) -> tuple[ArtefactPose, Reco
         across /= np.linalg.norm(across)
         return PlanePose(normal, np.stack([across, np.cross(normal, across)]), offset), recording
     if recording.radius_mm is None or recording.length_mm is None:
-        raise RecordingError(f"recording {recording.name}: a ball bar without length or radius; give the certificate's")
+        raise RecordingError(
+            f"recording {recording.name}: the ball bar has no length or no radius; give those of its certificate"
+        )
     centres = np.stack([fit_sphere(points[recording.sphere == k], recording.radius_mm)[0] for k in (0, 1)])
     length = float(np.linalg.norm(centres[1] - centres[0]))
     # With nominal ports the length is wrong by a few per cent at most; with ten, these are not the bar's balls.
     if abs(length / recording.length_mm - 1.0) > 0.1:
         raise RecordingError(
-            f"recording {recording.name}: the spheres seem {length:.1f} mm apart, the certificate says "
-            f"{recording.length_mm:g} mm; check the certificate's length and which points belong to which sphere"
+            f"recording {recording.name}: the balls are {length:.1f} mm apart, the certificate says "
+            f"{recording.length_mm:g} mm; check the certified length, and which points belong to which ball"
         )
     outward = points - centres[recording.sphere]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)

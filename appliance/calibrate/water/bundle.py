@@ -161,11 +161,11 @@ def adjust(
     for a start without the covariance from air that SPLINE needs.
     """
     if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
-        raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
+        raise RecordingError("no recording of a ball bar; planes alone do not determine lengths; record a ball bar")
     if start.air_covariance is None and method is not Method.PORTS:
         raise RecordingError(
-            f"the start ({start.method}) has no covariance from air, which {method.value} needs; start from the "
-            f"calibration in air, or use {Method.PORTS.value}"
+            f"the start ({start.method}) has no covariance from air, which {method.value} needs; start from "
+            f"the air calibration, or use {Method.PORTS.value}"
         )
     return solve_problem(Problem(recordings, start, method, settings or BundleSettings()))
 
@@ -179,9 +179,8 @@ def solve_problem(problem: Problem) -> WaterResult:
         return _solve(problem)
     except UndeterminedError as error:
         raise RecordingError(
-            f"the recordings do not determine {', '.join(error.names)}; record planes that fill the image and bars "
-            "whose balls are seen "
-            "from many sides"
+            f"the recordings do not determine {', '.join(error.names)}; record planes that fill the image, "
+            "and ball bars in many directions"
         ) from error
 
 
@@ -217,8 +216,8 @@ def _solve(problem: Problem) -> WaterResult:
             break
     else:
         raise NotConverged(
-            f"the adjustment did not converge in {chosen.steps_at_most} steps; check the certificates, the water and "
-            f"which points belong to which sphere"
+            f"the adjustment did not converge in {chosen.steps_at_most} steps; check the certificates, the "
+            "water, and which points belong to which ball"
         )
     covariance = solve_symmetric(hessian, np.eye(problem.size), problem.names)
     rig = problem.rig(x)
@@ -281,8 +280,8 @@ def _solve(problem: Problem) -> WaterResult:
     planes = len(recordings) - bars
     if bars < 2 or planes < 1:
         warning = (
-            f"{bars} bars and {planes} planes: a scale from one bar in one direction, or tilts without a plane, are "
-            f"weakly held; record two bars, turned and leaning, and two planes, near and far"
+            f"{bars} bars and {planes} planes: scale needs bars in two directions, tilts need planes; "
+            "record two bars, turned and leaning, and two planes, near and far"
         )
         warnings += (warning,)
     return WaterResult(

@@ -34,7 +34,7 @@ def calibrate(
     is_published = method is Method.PAPER
     result = calibrate_as_published(recordings, start) if is_published else adjust(recordings, start, method)
     # The same residuals for every method, also for PAPER, which minimises another sum: only so they can be compared.
-    progress("looking at what is left")
+    progress("computing the residuals")
     calibration, residuals = _measured(result.calibration, recordings)
     left_px, residual_px = (
         np.concatenate(parts) for parts in zip(*((r.left_px, r.residual_px) for r in residuals), strict=True)

@@ -161,12 +161,11 @@ def warnings_about_expected(
     if expected.length_percent <= limit and expected.flat_percent <= FLAT_PERCENT:
         return ()
     if not fields_known:
-        remedy = "calibrate in air again: this start does not know what its lenses do beyond their coefficients"
+        remedy = "calibrate in air again: this start has no image correction of its lenses"
     elif has_many or rest_px > MUCH_REST_PX:
         remedy = (
-            f"{rest_px:.3f} px are left that the model does not explain; calibrate in air again, with boards to the "
-            "edges of "
-            f"both images, then record the bars and planes again at rest"
+            f"{rest_px:.3f} px of the residual are not explained by the model; calibrate in air again, with "
+            "boards to the edges of both images, then record bars and planes again, at rest"
         )
     else:
         remedy = f"record {MANY_BARS} bars in different directions and {MANY_PLANES} planes, near and far"

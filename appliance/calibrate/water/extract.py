@@ -225,8 +225,8 @@ def extract(
             return plane
         if plane.used.rms_mm > LARGEST_BOW_MM:
             return NotFound(
-                f"{name}: the points lie {plane.used.rms_mm:.1f} mm (RMS) about the nearest plane; only a flat face "
-                f"calibrates; see whether the list names the right artefact"
+                f"{name}: the points lie {plane.used.rms_mm:.1f} mm (RMS) about the nearest plane; a "
+                "calibration needs a flat face; check the artefact in the list"
             )
         surfaces = {"plane": np.sort(plane.used.indices)}
     else:
@@ -261,9 +261,9 @@ def extract(
         count = int(np.count_nonzero(is_good & (sphere == label)))
         if count < MIN_POINTS:
             return NotFound(
-                f"{name}: of {len(on_surface)} points on the {surface} only {count} are fit to calibrate with, "
-                f"{MIN_POINTS} "
-                f"are needed; clean the artefact, avoid glare, and bring it whole into the picture of both cameras"
+                f"{name}: of {len(on_surface)} points on the {surface} only {count} are good enough, "
+                f"{MIN_POINTS} are needed; clean the artefact, avoid glare, and bring it fully into view of "
+                "both cameras"
             )
     correspondences = left_px[is_good].astype(np.float64), right_px[is_good]
     if certificate is None or bar is None:

@@ -102,7 +102,7 @@ def warnings_about(
         if abs(e.change) > FAR_FROM_PRIOR * e.prior_sd and not e.name.endswith(_COUPLED)
     ]
     warnings += [
-        f"recording {name}: the length is {off:+.1f} standard deviations off its certificate"
+        f"recording {name}: the length is {off:+.1f} standard deviations from its certificate; check the certificate"
         for name, off in lengths
         if abs(off) > FAR_FROM_PRIOR
     ]

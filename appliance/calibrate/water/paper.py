@@ -156,7 +156,7 @@ def with_operator(recordings: Sequence[Recording], calibration: Calibration) -> 
     """Return the rig with the operator of both cameras. Raises RecordingError for fewer than two planes."""
     planes = [r for r in recordings if r.kind is ArtefactKind.PLANE]
     if len(planes) < 2:
-        raise RecordingError(f"{len(planes)} recordings of a plane; the operator needs two, near and far; record them")
+        raise RecordingError(f"{len(planes)} recordings of a plane; the method needs two, near and far; record them")
     rig = calibration.rig
     differences: dict[str, list[tuple[Array, Array]]] = {"left": [], "right": []}
     for plane in planes:
@@ -182,7 +182,8 @@ def _operator(camera: HousedCamera, differences: Sequence[tuple[Array, Array]]) 
     uv, missing = uv[is_finite], missing[is_finite]
     if len(uv) < LEAST_POINTS:
         raise RecordingError(
-            f"{len(uv)} points of the planes lie in the water before a camera; {LEAST_POINTS} are needed; check the "
+            f"{len(uv)} points of the planes lie in the water in front of a camera; {LEAST_POINTS} are "
+            "needed; check the "
             "start, and record again"
         )
     coefficients = np.linalg.lstsq(cubic(_unit(camera, uv)), missing, rcond=None)[0]

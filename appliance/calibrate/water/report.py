@@ -25,10 +25,9 @@ SCHEMA = 1
 TITLE = "Calibration in water"
 WHAT_IS_LEFT = ("residual_px", "systematic_px", "expected_length_percent", "expected_flat_percent")
 EXPLAINED = (
-    "The ray of a left pixel meets the artefact, and the point is seen by the right camera: by so much beside the "
-    "matched "
-    "pixel. Arrows are means over cells of the left image; random ones are noise, ordered ones are what the model "
-    "cannot say."
+    "Reprojection errors in the right image: the left pixel's ray meets the artefact, and that point is "
+    "projected into the right camera. Arrows are means over cells of the left image; random arrows are "
+    "noise, ordered ones are errors of the model."
 )
 
 
@@ -86,7 +85,7 @@ def as_html(result: WaterResult, start: Calibration, facts: Mapping[str, Any], l
         page.problem(f"Scan {name} not used: {reason}.")
     page.heading("Ports")
     page.facts(content["ports"])
-    page.heading("What is left of the recordings")
+    page.heading("Residuals of the recordings")
     page.facts({key: content[key] for key in WHAT_IS_LEFT})
     page.note(EXPLAINED)
     if content["recordings"]:
@@ -94,9 +93,9 @@ def as_html(result: WaterResult, start: Calibration, facts: Mapping[str, Any], l
     size = result.calibration.rig.left.width_px, result.calibration.rig.left.height_px
     for residuals in result.residuals:
         svg, unit_px = residual_svg(residuals, size)
-        page.figure(f"{residuals.name}: an arrow as long as a cell is {unit_px:.3f} px", svg)
+        page.figure(f"{residuals.name}: an arrow of one cell is {unit_px:.3f} px", svg)
     if result.before:
-        page.heading("The published models before the operator")
+        page.heading("The published models before the correction")
         page.facts(content["before"])
     if result.costs:
         page.heading("Convergence")
@@ -106,10 +105,12 @@ def as_html(result: WaterResult, start: Calibration, facts: Mapping[str, Any], l
             draw_curves({"cost": falling}, "step", "cost, power of ten"),
         )
     if result.estimates:
-        page.heading("What the recordings could see")
+        page.heading("Observability of the parameters")
         gains = {item.name: float(np.clip(1.0 - item.sd / item.prior_sd, 0.0, 1.0)) for item in result.estimates}
         at_prior = {item.name for item in result.estimates if item.at_prior}
-        page.figure("uncertainty taken from the prior; red: stayed at its prior", bars(gains, at_prior))
+        page.figure(
+            "standard deviation over that of the prior; red: determined by the prior alone", bars(gains, at_prior)
+        )
         page.rows(content["estimates"])
     return page.as_html()
 

@@ -37,6 +37,6 @@ def check_start(start: Calibration) -> None:
     for side, camera in (("left", start.rig.left), ("right", start.rig.right)):
         if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
             raise RecordingError(
-                f"the {side} camera of {start.method} is no plain lens behind a port, as a start must have; put the "
-                f"one in air at calibration/air.json, or name it"
+                f"the {side} camera of {start.method} has an image correction, which a start must not have; "
+                "give the air calibration, or copy it to calibration/air.json"
             )

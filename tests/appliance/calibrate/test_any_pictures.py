@@ -84,7 +84,7 @@ def test_a_picture_of_another_size_and_a_damaged_one_are_named(tmp_path: Path) -
     cut.write_bytes((folder / "1_left.png").read_bytes()[:-30])
     size, wrong = common_size(sorted(folder.iterdir()))
     assert (size, set(wrong)) == ((100, 80), {other, damaged, cut})
-    for path, said in ((other, "90x80 px"), (damaged, "is no picture"), (cut, "cannot be decoded")):
+    for path, said in ((other, "90x80 px"), (damaged, "is no image"), (cut, "cannot be decoded")):
         assert said in wrong[path]
-    with pytest.raises(PicturesError, match="is no picture"):
+    with pytest.raises(PicturesError, match="is no image"):
         common_size([damaged])

@@ -140,7 +140,7 @@ def test_what_cannot_be_done_is_said_and_replaces_nothing(bench: Bench, capsys: 
     )
     for out, name, start, code, words in (
         ("taken", "list", "air", 2, "exists already"),
-        ("none", "frustum", "air", 2, "take it out of the list"),
+        ("none", "frustum", "air", 2, "remove it from the list"),
         ("none", "planes", "air", 1, "record a ball bar"),
         ("none", "list", "other", 1, "is of instrument KF-0002; this one is KF-0001"),
     ):

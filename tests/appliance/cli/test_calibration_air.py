@@ -97,7 +97,7 @@ def test_a_folder_becomes_a_start_for_water_and_the_one_before_is_kept(
     used, (condition,) = Instrument(parse_rig(rig.read_text(encoding="utf-8"))).calibration()
     assert (used.method, "in air" in condition.detail) == ("design", True)
     said = shell("cloud", "1", "--rig", rig, "--calibration", kept / "current.json")
-    assert (said.code, "in air" in said.error) == (2, True)
+    assert (said.code, "air calibration" in said.error) == (2, True)
 
 
 RED = np.zeros((*SIZE[::-1], 3), np.uint8)
@@ -179,8 +179,8 @@ def test_a_folder_of_others_becomes_a_calibration(mine: CalibratedPair) -> None:
     assert report["board"].startswith("11x8 squares of 15 mm, markers of 11")
     assert report["board"].endswith("DICT_5X5_50, layout before OpenCV 4.6")
     assert report["residual_px"] < 0.08
-    assert report["views"][-1]["remarks"] == ["only the left camera has it"]
-    small = re.fullmatch(r"the board fills ([\d.]+) % of the left picture", report["views"][PAIRS - 1]["remarks"][0])
+    assert report["views"][-1]["remarks"] == ["only the left camera has this view"]
+    small = re.fullmatch(r"the board fills ([\d.]+) % of the left image", report["views"][PAIRS - 1]["remarks"][0])
     assert small is not None
     assert float(small[1]) == pytest.approx(12.5, abs=1.2)
     assert f"the board is small in 1 of {PAIRS + 1} views (v{PAIRS - 1}): " in mine.told
@@ -255,9 +255,9 @@ def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
     # A picture that cannot be decoded costs itself alone, and is told with its place before anything else is looked at.
     assert f"not used: {cut}: is damaged and cannot be decoded" in said.err.splitlines()[0]
     assert report["left_out"] == [
-        f"{cut}: is damaged and cannot be decoded; bring it back from a copy",
-        "v0_left.png: 400x300 px, the other pictures have 720x540 px",
-        "1: the right image is mirrored; give it as the camera saw it",
+        f"{cut}: is damaged and cannot be decoded; restore it from a copy",
+        "v0_left.png: 400x300 px, the other images have 720x540 px",
+        "1: the right image is mirrored; give it as the camera recorded it",
     ]
     assert report["pairs"] == ["2", "3", "4", "5", "6"]
 
@@ -266,7 +266,7 @@ def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
     ("words", "message", "code"),
     [
         ("--board 12x8x15", "11 squares across", 1), ("--board 15 --sides v*_left.png", "a comma between them", 2), ("--board 15x16", "markers smaller", 2),
-        ("--board 15 --sides v0*_left.png,v*_right.png", "left picture from the right", 2), ("", "how large a board is", 2), ("--board 2x8x15", "2x8", 2),
+        ("--board 15 --sides v0*_left.png,v*_right.png", "do not show left and right", 2), ("", "size of a square", 2), ("--board 2x8x15", "2x8", 2),
         ("--board 15 --install", "not the instrument's", 2),
     ],
 )  # fmt: skip
@@ -285,4 +285,4 @@ def test_pictures_without_a_board_are_counted_as_they_were_looked_at(
     for name in (f"v{k}_{side}.png" for k in range(8) for side in ("left", "right")):
         cv2.imwrite(str(tmp_path / name), np.full((64, 96), 128, np.uint8))
     said = Shell(capsys)("calibration", "air", tmp_path, "--pair", "theirs", "--board", "15")
-    assert (said.code, "4 of 16 pictures that were looked at (v0_left.png, v2_left.png," in said.err) == (1, True)
+    assert (said.code, "4 of 16 images that were searched (v0_left.png, v2_left.png," in said.err) == (1, True)

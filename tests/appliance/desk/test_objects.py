@@ -250,7 +250,7 @@ def test_what_overlaps_tell_of_the_calibration_goes_into_its_health(
     assert shown["overlaps"][0]["score"] == pytest.approx(score)
     assert (shown["alarm"] is not None) is alarms
     if alarms:
-        assert f"scans of object {name} overlap as if all were bent" in shown["alarm"]
+        assert f"scans of object {name} overlap as with a common depth error" in shown["alarm"]
 
 
 @pytest.mark.dive

@@ -92,7 +92,7 @@ def test_a_solution_whose_file_is_another_one_is_none_and_is_not_put_in_use(stor
     store.solved.write_bytes(encode_calibration(OLD))
     session = store.session()
     assert (session.solved, session.verified, session.trials) == (None, None, TRIALS)
-    with pytest.raises(SessionError, match="nothing is solved"):
+    with pytest.raises(SessionError, match="no calibration is solved"):
         store.use_solved(DAY)
     assert store.in_use == OLD.hash
 

@@ -80,7 +80,7 @@ def test_what_was_told_and_is_not_so_is_named_with_what_was_seen() -> None:
     for wanted, words in (
         (BoardDescription(15.0, 10, 8), "11 squares across and 8"),
         (BoardDescription(15.0, 11, 9), "--board 11x9"),
-        (BoardDescription(15.0, 11, 8, 14.0), "--board: markers of 14 mm: in the pictures a marker's side is 0.7"),
+        (BoardDescription(15.0, 11, 8, 14.0), "--board: markers of 14 mm: in the images a marker's side is 0.7"),
     ):
         with pytest.raises(BoardNotFoundError, match=words):
             searched(image, wanted=wanted)
@@ -104,7 +104,7 @@ def test_of_a_board_that_is_seen_in_parts_the_squares_are_still_counted() -> Non
 def test_mirrored_pictures_and_ones_without_a_board_are_named() -> None:
     image = picture(Printed(), TILTED, "left", 1)
     mirrored = np.ascontiguousarray(image[:, ::-1])
-    with pytest.raises(BoardNotFoundError, match="picture 0: the picture is mirrored"):
+    with pytest.raises(BoardNotFoundError, match="picture 0: the image is mirrored"):
         searched(mirrored)
     found = find_corners(mirrored, searched(image), strict=False)
     assert isinstance(found, NoBoard)

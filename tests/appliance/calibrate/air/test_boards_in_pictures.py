@@ -119,8 +119,8 @@ def hidden_beyond(image: Image, column: int) -> Image:
 def test_light_distance_and_an_arm_before_the_board_are_named(shots: list[Pictures], views: list[BoardView]) -> None:
     near, far = shots[0], shots[-1]
     for left, right, words in (
-        (lit(near.left, 5.0), lit(near.right, 5.0), "pair 1: the left image is overexposed; less light"),
-        (lit(near.left, 0.07), lit(near.right, 0.07), "is dark; more"),
+        (lit(near.left, 5.0), lit(near.right, 5.0), "pair 1: the left image is saturated; use less light"),
+        (lit(near.left, 0.07), lit(near.right, 0.07), "is dark; use more"),
         (far.left, far.right, "pair 1: the board is small in the left image, "),
         (near.left, hidden_beyond(near.right, 132), "corners in the right image"),
     ):
@@ -131,7 +131,7 @@ def test_light_distance_and_an_arm_before_the_board_are_named(shots: list[Pictur
     )
     assert not reasons
     (remark,) = calibrate_air([*views, half], *SIZE_PX, with_field=False).views[-1].remarks
-    assert "the board is half hidden" in remark
+    assert "the board is partly hidden" in remark
 
 
 def test_a_view_counts_when_the_board_rested_and_is_not_where_it_was_before(shots: list[Pictures]) -> None:
@@ -142,13 +142,13 @@ def test_a_view_counts_when_the_board_rested_and_is_not_where_it_was_before(shot
     found = view_of("02", left[1:], right[1:], [], BOARD)  # 6 mm/s in 50 ms
     assert isinstance(found, NoBoard)
     assert found.reason.startswith("02: the board moved by 0.")
-    assert found.reason.endswith("let it rest")
+    assert found.reason.endswith("hold it still")
     assert (REST_PX, NEW_PLACE * SIZE_PX[0]) == (0.1, 16.0)
     for off_px, new in ((15.5, False), (16.5, True)):
         known = replace(view, name="01", left_px=np.add(view.left_px, [off_px, 0.0]))
         again = view_of("02", left[:3], right[:3], [known], BOARD)
         assert isinstance(again, BoardView) == new
-        assert new or (isinstance(again, NoBoard) and "is where it was in view 01" in again.reason)
+        assert new or (isinstance(again, NoBoard) and "has the pose of view 01" in again.reason)
 
 
 def test_what_is_missing_is_said_until_it_was_seen() -> None:

@@ -70,7 +70,7 @@ def test_a_board_of_three_rows_of_corners_calibrates() -> None:
 def test_boards_that_do_not_lean_are_told_tilts_seen_and_wanted(
     turns_deg: list[tuple[float, float]], ways: int
 ) -> None:
-    with pytest.raises(AirCalibrationError, match=f"^tilt missing.*leans in {ways} different ways"):
+    with pytest.raises(AirCalibrationError, match=f"^tilt missing.*leans in {ways} directions"):
         calibrate_air(views(leant(*turns_deg), board(11, 8)), WIDTH_PX, HEIGHT_PX)
 
 
@@ -85,13 +85,13 @@ def test_what_stays_open_is_named_with_its_size() -> None:
 def test_the_first_pair_after_a_missing_picture_is_named(first: int) -> None:
     where = poses(10, 5)
     shifted = views(where, board(11, 8), missing_right=first)
-    with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a right picture is missing"):
+    with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a right image is missing"):
         calibrate_air(shifted, WIDTH_PX, HEIGHT_PX, with_field=False)
     exchanged = [replace(view, left_px=view.right_px, right_px=view.left_px) for view in shifted]
-    with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a left picture is missing"):
+    with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a left image is missing"):
         calibrate_air(exchanged, WIDTH_PX, HEIGHT_PX, with_field=False)
     if first == 0:
-        with pytest.raises(AirCalibrationError, match=r"^pair v0: .*a right picture is missing"):
+        with pytest.raises(AirCalibrationError, match=r"^pair v0: .*a right image is missing"):
             check_pairs(shifted[:8], WIDTH_PX, HEIGHT_PX)  # told before all are looked at
     for silent in (views(where, board(11, 8)), views(where, board(11, 8), missing_right=7)[:8], []):
         check_pairs(silent, WIDTH_PX, HEIGHT_PX)
@@ -103,7 +103,7 @@ def test_one_pair_of_two_moments_costs_itself_alone() -> None:
     mixed = replace(good[4], right_px=views(where[::-1], board(11, 8))[4].right_px)
     found = calibrate_air([*good[:4], mixed, *good[5:]], WIDTH_PX, HEIGHT_PX, with_field=False)
     (said,) = found.left_out
-    assert said.startswith("v4: the left and the right picture show the board at different places, ")
+    assert said.startswith("v4: the left and the right image show the board in different poses, ")
     assert found.pairs == tuple(f"v{k}" for k in range(10) if k != 4)
     k = RIG_PARAMETERS.names[RIG_PARAMETERS.air].index("left principal distance (px)")
     assert abs(found.rig.left.lens.f_px[0] - F_PX) < 5.0 * np.sqrt(found.covariance[k, k])
@@ -113,7 +113,9 @@ def test_pairs_of_which_no_three_agree_are_no_calibration() -> None:
     where = poses(12, 5)
     left, right = views(where[:6], board(11, 8)), views(where[6:], board(11, 8))
     mixed = [replace(view, right_px=other.right_px) for view, other in zip(left, right, strict=True)]
-    with pytest.raises(AirCalibrationError, match=r"pair v\d: .* and so do [34] other pairs: only [12] agree"):
+    with pytest.raises(
+        AirCalibrationError, match=r"pair v\d: .*; so do [34] other stereo pairs: only [12] stereo pairs agree"
+    ):
         calibrate_air(mixed, WIDTH_PX, HEIGHT_PX, with_field=False)
 
 
@@ -124,7 +126,7 @@ def test_a_single_row_of_corners_tells_no_place() -> None:
     assert len(BoardView.of("row", wide, row, row).corners_mm) == 0
     one = BoardView("row", wide[list(row)], np.stack(list(row.values())), np.stack(list(row.values())))
     found = calibrate_air([*good, one], WIDTH_PX, HEIGHT_PX, with_field=False)
-    assert found.left_out == ("row: few corners of the board, or a single row of them; show more of it",)
+    assert found.left_out == ("row: few corners of the board, or a single row; bring more of it into view",)
 
 
 UNITS = ("length (mm)", "turn (rad)", "shift (mm)")

@@ -110,10 +110,10 @@ def test_a_board_known_to_be_flat_keeps_flat(views: list[BoardView], clean: AirC
 
 def test_too_few_views_are_counted_by_camera(views: list[BoardView]) -> None:
     few = [*views[:4], *(only(view, "left") for view in views[4:8])]
-    with pytest.raises(AirCalibrationError, match="8 usable views of the board, the right one 4, and 4 are"):
+    with pytest.raises(AirCalibrationError, match="8 usable views of the board, the right one 4, both together 4;"):
         calibrated(few)
     pairless = [only(view, side) for view in views[:8] for side in ("left", "right")]
-    with pytest.raises(AirCalibrationError, match="the right one 9, and 1 are of both"):
+    with pytest.raises(AirCalibrationError, match="the right one 9, both together 1;"):
         calibrated([*pairless, views[9]])
 
 

@@ -84,7 +84,7 @@ def test_recordings_that_calibrate_nothing_are_refused(case: Case) -> None:
             adjust(recordings, case.start, Method.PORTS)
     with pytest.raises(RecordingError, match="no recording of a ball bar"):
         search_distances(case.recordings[2:], case.start)
-    with pytest.raises(RecordingError, match="operator needs two"):
+    with pytest.raises(RecordingError, match="method needs two"):
         with_operator(case.recordings[:3], case.start)
     with pytest.raises(RecordingError, match="30"):
         calibrating.record_plane(case.truth, calibrating.CALIBRATION_BARS[0], "scrap", 20, 0.0, 1)

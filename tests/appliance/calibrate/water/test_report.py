@@ -107,15 +107,15 @@ def test_the_page_has_every_drawing_and_escapes_names() -> None:
     assert page.endswith("</html>\n")
     for words in (
         "Ada &amp; Co", "the water &amp; the bar do not go together", "Scan &lt;7&gt; not used: too dark.",
-        "bar &lt;1&gt;: an arrow as long as a cell is 0.471 px",
-        "Convergence", "What the recordings could see",
+        "bar &lt;1&gt;: an arrow of one cell is 0.471 px",
+        "Convergence", "Observability of the parameters",
     ):  # fmt: skip
         assert words in page, words
     assert (page.count("<svg"), page.count("data:image/png")) == (2, 1)
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is loaded from elsewhere"
     assert "<td>bar &lt;1&gt;</td><td>4</td><td>0.3</td>" in page
     bare = as_html(solved(residuals=(), estimates=(), costs=(), warnings=()), START, {}, {})
-    for words in ("<svg", "published", "Convergence", "could see", 'class="no"'):
+    for words in ("<svg", "published", "Convergence", "Observability", 'class="no"'):
         assert words not in bare, words
 
 
