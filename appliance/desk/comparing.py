@@ -169,7 +169,7 @@ def compare_stored(
         errors, stored = errors_of(subject), subject
     else:
         surface, metadata = _surface_of_scan(subject, options, progress, spacing_mm)
-    progress(f"laying it onto {reference.name}")
+    progress(f"registering with {reference.name}")
     begin = None if start is None else Rigid(rotation_matrix(np.radians(start[3:])), np.array(start[:3]))
     return StoredComparison(compare(surface, reference, limit_mm, begin, errors), metadata, stored)
 
@@ -243,9 +243,7 @@ def _beside(deviation: Deviation) -> tuple[str, ...]:
     """Return a warning where points lie beside an open border."""
     if not deviation.summary.beside:
         return ()
-    return (
-        f"{deviation.summary.beside} points lie beside an open border of the CAD model: it has nothing there to compare them with",
-    )
+    return (f"{deviation.summary.beside} points lie beside an open border of the CAD model: they are not compared",)
 
 
 def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
@@ -262,8 +260,9 @@ def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
         return ()
     max_bend_mm = SURE * float(bending[has_deviation].max())
     warning = (
-        f"{share:.0f} % of the deviations are within what may bend the object (± {max_bend_mm:.3f} mm at most, two standard deviations, once it "
-        "is laid on): they do not tell the thing from the calibration's own error"
+        f"{share:.0f} % of the deviations are within the object's depth error (± {max_bend_mm:.3f} mm at most, two "
+        "standard deviations, "
+        "after registration): they may be errors of the calibration"
     )
     return (warning,)
 
@@ -273,7 +272,8 @@ def _warnings(laid: SurfaceRegistration) -> tuple[str, ...]:
     if laid.elsewhere:
         poses = "; ".join(_pose_words(pose, laid.pose) for pose in laid.elsewhere[:_MOST_SHOWN])
         warnings.append(
-            f"it fits as well in {len(laid.elsewhere)} or more other places: the thing is symmetric, or its repeated parts are. To choose one: {poses}"
+            f"it fits equally well in {len(laid.elsewhere)} or more other poses: object or parts of it are "
+            f"symmetric. To choose a pose: {poses}"
         )
     return tuple(warnings)
 
@@ -292,9 +292,10 @@ def _free_words(laid: SurfaceRegistration, direction: FreeDirection) -> str:
     rms = [laid.rms_mm, *list(direction.rms_mm)[::sense]]
     beyond_percent = [100.0 * (1.0 - share) for share in [laid.fitting, *list(direction.fitting)[::sense]]]
     return (
-        f"{motion}: its shape does not hold it between {ends[0]:+.3g} and {ends[1]:+.3g}{unit} from here. Tried there: RMS "
+        f"{motion}: its shape does not determine its pose between {ends[0]:+.3g} and {ends[1]:+.3g}{unit} from "
+        "here. RMS there: "
         f"{rms[0]:.3f} mm here, {rms[1]:.3f} and {rms[2]:.3f} mm at the ends; {beyond_percent[0]:.1f} %, {beyond_percent[1]:.1f} % and {beyond_percent[2]:.1f} % of the points lie beyond "
-        f"{FITS_MM:g} mm. Say where it belongs with --start; here is {_start_words(laid.pose)}"
+        f"{FITS_MM:g} mm. Give its pose with --start; here is {_start_words(laid.pose)}"
     )
 
 
@@ -353,7 +354,7 @@ def _report(
         about={
             **report.about,
             "Compared with": comparison.nominal,
-            "Laid onto it": f"within {1000.0 * comparison.laid.scatter_mm:.0f} µm scatter",
+            "Registration": f"standard deviation {1000.0 * comparison.laid.scatter_mm:.0f} µm",
         },
         surface=comparison.surface,
         nominal=nominal,

@@ -131,7 +131,7 @@ def _warnings(entries: Sequence[ScanEntry], scans: Sequence[ReportScan]) -> list
     warnings = []
     without = [scan.name for scan in scans if scan.verdict is ReportVerdict.REFUSED and scan.grade is None]
     for names, fault_text in (
-        (without, "without points that can be used"),
+        (without, "without usable points"),
         ([scan.name for scan in scans if scan.grade is Grade.BAD], "are bad"),
         ([scan.name for scan in scans if scan.grade is Grade.USABLE], "are usable, not good"),
     ):
@@ -140,5 +140,5 @@ def _warnings(entries: Sequence[ScanEntry], scans: Sequence[ReportScan]) -> list
     # Scans without points have no calibration; None does not count as a second one.
     used = {entry.manifest.record.calibration_hash for entry in entries if entry.manifest is not None} - {None}
     if len(used) > 1:
-        warnings.append(f"{len(used)} calibrations: points of different ones do not lie on each other")
+        warnings.append(f"{len(used)} calibrations: points of scans with different calibrations do not coincide")
     return warnings

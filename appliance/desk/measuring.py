@@ -99,7 +99,7 @@ def check_exposure(source: SourceScan) -> ExposureCheck:
     bend = measure_bend(decoders, sequence.period_px)
     if not bend.noise_px > 0.0:
         raise ScanError(
-            f"{scan.folder}: too few points to tell how straight its fringes are; scan a surface that fills the image"
+            f"{scan.folder}: too few points to judge the shape of its fringes; scan a surface that fills the image"
         )
     return ExposureCheck(
         scan.manifest.scan_id,
@@ -143,9 +143,8 @@ def noise_to_store(rig: Rig, folder: Path, noise_by_side: dict[str, tuple[Measur
             value = getattr(camera_figures, name)
             if not limits.takes(value):
                 raise NoiseError(
-                    f"{name} of the {side} camera would be {value:.4g}; allowed are {limits.allowed}; scan something "
-                    "light and "
-                    "dark with still hands, in the dark"
+                    f"{name} of the {side} camera would be {value:.4g}; allowed are {limits.allowed}; scan an "
+                    "object with light and dark parts, at rest and in the dark"
                 )
         figures.append(camera_figures)
     return StoredNoise(rig.rig.serial, (manifest.scan_id,), BothFigures(*figures))
@@ -158,8 +157,7 @@ def _response_of_patterns(rig: Rig, scan_id: str, response_hash: str | None) -> 
     response = Instrument(rig).response()
     if response is None or response.hash != response_hash:
         raise ResponseError(
-            f"scan {scan_id} was drawn for another response than that in {Instrument(rig).response_file}; bring that "
-            "file "
-            "back, or record a scan without one"
+            f"scan {scan_id} has patterns for another response than that in {Instrument(rig).response_file}; "
+            "restore that file, or record a scan without one"
         )
     return response

@@ -67,9 +67,8 @@ def refuse_same_scan(first: StoredScan, second: StoredScan) -> None:
     sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
     if sums[0] & sums[1]:
         raise ScanError(
-            f"{first.folder} and {second.folder} are the same scan: they have the same frames, which must not count "
-            "twice; "
-            "merge two scans of different exposures"
+            f"{first.folder} and {second.folder} are the same scan, with the same frames; merge two scans with "
+            "different exposures"
         )
 
 
@@ -87,7 +86,7 @@ def merge_clouds(
     first, second = scans
     for scan in scans:
         if scan.second is not None:
-            raise ScanError(f"{scan.folder}: is of two exposures already; merge scans of one")
+            raise ScanError(f"{scan.folder}: has two exposures already; merge scans with one exposure")
     # Coordinates are compared pixel by pixel: those of other patterns mean other places.
     if first.manifest.record.sequence != second.manifest.record.sequence:
         raise ScanError("the scans were recorded with different patterns; merge two of the same fringe period")

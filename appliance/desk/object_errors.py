@@ -40,7 +40,7 @@ def errors_of(stored_object: StoredObject) -> JointErrors:
     stored = places.joint
     if stored.scans != tuple(places.places):
         raise ObjectError(
-            f"object '{stored_object.name}': its errors are of other scans than its places; solve it again"
+            f"object '{stored_object.name}': its errors and its scan poses are of different scans; solve it again"
         )
     # Only the working distance scales the shapes; the ends of the range follow in proportion.
     scale = stored.working_mm / STANDARD.working_mm

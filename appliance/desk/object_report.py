@@ -18,7 +18,7 @@ from appliance.measure import rotation_vector
 from appliance.store import ScanOptions
 
 SHOWN_DIGITS = 12
-_UNCHECKED = "in no loop: nothing checks it; one more scan across both would"
+_UNCHECKED = "not checked: in no loop of scan pairs; add a scan that overlaps both"
 
 
 def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
@@ -28,7 +28,7 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
     """
     places = stored_object.places
     if places is None:
-        raise ValueError(f"object '{stored_object.name}' is not solved; solve it before its report is made")
+        raise ValueError(f"object '{stored_object.name}' is not solved; solve it first")
     return Report(
         title=stored_object.name,
         subtitle=f"{len(places.places)} of {len(stored_object.scans)} scans placed",
@@ -112,14 +112,14 @@ def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
     length = length_between(stored_object, names[0], first.middle_mm, name, farthest.middle_mm)
     terms = (
         ReportTerm(
-            "places of the scans", length.places_mm, "pairs along the graph: residuals of the overlaps, robust by tiles"
+            "scan poses", length.places_mm, "scan pairs along the graph: robust residuals of the overlaps, by cells"
         ),
         ReportTerm(
-            "depth error that all scans share",
+            "shared depth error of all scans",
             length.bending_mm,
-            "what the overlaps' estimate leaves of it"
+            "its uncertainty after the estimate from the overlaps"
             if places.shared_error_removed
-            else "what the calibration states",
+            else "its uncertainty from the calibration",
         ),
     )
     return ReportBudget(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # a list of objects needs no NumPy
 FOLDER = OBJECTS
 FILE = "object.json"
 CLOUDS = "clouds"
-ADDED_SINCE = "added after the others were placed: kingfisher object solve"
+ADDED_SINCE = "added after the object was solved: kingfisher object solve"
 """Reason of a scan that was added after the object was solved."""
 _LOCK_S = 30.0
 """Longest wait for another process, which needs a second or so to write a file."""
@@ -222,7 +222,7 @@ OBJECT = SealedFile(
     schema=1,
     max_bytes=50_000_000,
     check=_refuse_names,
-    remedy="the scans are untouched: move the folder away and make the object again",
+    remedy="the scans are unchanged; move the folder away, and make the object again",
 )
 
 
@@ -312,12 +312,14 @@ def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObj
     for scan in added:
         if scan.frames_sha256 in name_by_frames:
             raise ObjectError(
-                f"object '{stored.name}': scan {scan.name} is in it already, as {name_by_frames[scan.frames_sha256]}; leave it "
+                f"object '{stored.name}': scan {scan.name} is already in it as "
+                f"{name_by_frames[scan.frames_sha256]}; leave it "
                 "out"
             )
         if scan.name in names:
             raise ObjectError(
-                f"object '{stored.name}': has another scan called {scan.name}; name its folder otherwise, then add it"
+                f"object '{stored.name}': has another scan called {scan.name}; rename the folder of the new one, "
+                "then add it"
             )
         name_by_frames[scan.frames_sha256] = scan.name
         names.add(scan.name)
@@ -332,13 +334,13 @@ def merge_places(now: StoredObject | None, solved: StoredObject) -> StoredObject
     """
     if now is None or not set(solved.scans) <= set(now.scans):
         raise ObjectError(
-            f"object '{solved.name}': was made again while it was solved; its places are not kept: solve it once more"
+            f"object '{solved.name}': was made again during solving; these scan poses are not kept; solve it again"
         )
     further = sorted(_scans_with_result(now.places) - _scans_with_result(solved.places))
     if further:
         raise ObjectError(
-            f"object '{solved.name}': was solved with {', '.join(further)}, too, meanwhile; those places are kept, and "
-            "these are not"
+            f"object '{solved.name}': was meanwhile solved with {', '.join(further)}, too; these scan poses are not "
+            "kept; use the kept ones"
         )
     return _with_places(now, solved.places)
 

@@ -102,9 +102,7 @@ def _cloud_of(root: Path, name: str, member: MemberScan, options: ScanOptions) -
     folder = root / member.folder
     now = member_of(root, folder)
     if now.frames_sha256 != member.frames_sha256:
-        raise ScanError(
-            f"{folder}: holds other frames than when it was added to object '{name}'; make the object again"
-        )
+        raise ScanError(f"{folder}: has other frames than when it was added to object '{name}'; make the object again")
     source = SourceScan.open(folder, options)
     chosen = source.calibration_for(options)
     calibration = chosen.calibration
@@ -269,7 +267,7 @@ def _pair(result: ComparedPair, placed: ScanPoses, names: Sequence[str]) -> Comp
         second=names[result.second],
         accepted=result.pair.accepted,
         used=among(placed.used),
-        text="contradicts the loops it is in: taken out" if wrong else result.pair.text,
+        text="contradicts its loops; excluded" if wrong else result.pair.text,
         overlap_percent=None if fit is None else 100.0 * fit.overlap,
         sigma_mm=None if fit is None else fit.sigma_mm,
         # The poses follow a pair that is in no loop: agreement with it is no check.
@@ -285,16 +283,16 @@ def _warnings(
     warnings = []
     if len(calibrations) > 1:
         warnings.append(
-            f"{len(calibrations)} calibrations: what they differ by is in no budget; choose one for all with "
-            "--calibration FILE"
+            f"{len(calibrations)} calibrations: their differences are in no uncertainty; choose one for all scans "
+            "with --calibration FILE"
         )
     if solved.placed.unchecked:
         pairs = ", ".join(f"{clouds[edge.first][0]}-{clouds[edge.second][0]}" for edge in solved.placed.unchecked)
         warnings.append(f"in no loop, so that nothing checks them: {pairs}; a scan across them would")
     if solved.placed.variance_factor > CLEAR_FACTOR:
         warnings.append(
-            f"the pairs contradict each other by {np.sqrt(solved.placed.variance_factor):.1f} times what they state: "
-            "check the calibration"
+            f"the scan pairs contradict each other by {np.sqrt(solved.placed.variance_factor):.1f} times their "
+            "stated uncertainties: check the calibration"
         )
     warnings += [f"scan {name}: {verdict}" for name, _, _, verdicts in clouds for verdict in verdicts]
     return tuple(warnings)
@@ -399,7 +397,7 @@ def metadata_of_object(stored_object: StoredObject) -> Metadata:
     if widest is not None:
         notes.append(
             f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), {widest.bending_mm:.3f} "
-            "mm of that by bending"
+            "mm of that from the shared depth error"
         )
     notes += [f"without {name}: {reason}" for name, reason in places.left_out.items()]
     return Metadata(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))

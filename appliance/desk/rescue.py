@@ -47,7 +47,7 @@ def rescue_recording(
     except ValueError as error:
         raise ScanError(f"{scan.folder}: {error}") from error
     if cloud.summary.points < FEWEST_POINTS:
-        raise ScanError(f"{scan.folder}: {cloud.summary.points} points; nothing can be rescued of it")
+        raise ScanError(f"{scan.folder}: {cloud.summary.points} points; it has no usable cloud")
     progress("writing")
     # The word itself begins the header's line.
     note = f"{UNCHECKED.removeprefix('unchecked: ')}; {scan.manifest.reason}"

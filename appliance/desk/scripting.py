@@ -141,7 +141,7 @@ class ScanOfDive:
             options = replace(options, calibration=Path(calibration), current=False)
         source = SourceScan.open(self.folder, options, whole=True)
         if isinstance(calibration, Calibration):
-            chosen = ChosenCalibration(calibration, "the one that was handed in")
+            chosen = ChosenCalibration(calibration, "the given one")
             source.refuse_misfit(calibration, chosen.whose, foreign=options.foreign)
         else:
             chosen = source.calibration_for(options)
@@ -245,7 +245,7 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     """
     target = Path(path)
     if target.exists():
-        raise CalibrationError(f"{target}: is there already, and a calibration is never replaced; give a new name")
+        raise CalibrationError(f"{target}: exists already, and a calibration is never replaced; give a new name")
     LocalFileSystem().replace_file(target, encode_calibration(calibration))
 
 

@@ -185,9 +185,7 @@ def _read(path: Path) -> Row:
     try:
         row: Row = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        raise StorageError(
-            "cannot read", path, str(error), "let it be seen under the same path, or move it away"
-        ) from error
+        raise StorageError("cannot read", path, str(error), "mount it under the same path, or move it away") from error
     return row
 
 

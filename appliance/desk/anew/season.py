@@ -45,13 +45,13 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
     page = Page("Season at a glance", f"{len(rows)} scans", facts)
     page.tiles(_tiles(rows))
     charts: tuple[tuple[str, str, Sequence[Cells], str, str, Callable[[Cells], str]], ...] = (
-        ("Lengths over time", "Measured, less what the certificate says. A step is a knock or a new calibration, a slope a housing that moves.",
+        ("Lengths over time", "Measured minus calibrated length. A step: a knock or a new calibration. A slope: the housing moves.",
          rows, "length_error_mm", "length error, µm", lambda row: row["artefact"]),
-        ("Health of the calibration", "Median distance at which the two rays of a point miss each other. It rises when a camera moved or the water is another.",
+        ("Health of the calibration", "Median ray gap of the points. It rises when a camera moves or the water differs.",
          measured, "gap_mm", "ray gap, µm", lambda row: row["calibration"][:_SHOWN_DIGITS]),
-        ("Noise", "Median expected standard deviation of a point.",
+        ("Noise", "Median standard deviation of a point.",
          rows, "noise_mm", "noise, µm", lambda row: "spoilt" if row["spoilt"] == "True" else row["grade"] or "not graded"),
-        ("Water", "Temperature that the scans were worked through with.",
+        ("Water", "Water temperature with which the scans are reprocessed.",
          rows, "temperature_c", "water, °C", lambda row: f"{row['salinity_psu'].removesuffix('.0')} psu" if row["salinity_psu"] else ""),
     )  # fmt: skip
     for heading, text, drawn, column, quantity, group in charts:
@@ -61,8 +61,8 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
         if chart:
             page.add(chart)
         else:
-            page.note("Nothing in the table.")
-    page.heading("Refused scans, and why")
+            page.note("No values in the table.")
+    page.heading("Rejected scans, with reasons")
     _add_refusals(page, [row for row in rows if _is_refused(row)])
     return page.as_html()
 
@@ -77,7 +77,7 @@ def _tiles(rows: Sequence[Cells]) -> list[tuple[str, str, str]]:
     grades = Counter(row["grade"] for row in used)
     counts = [f"{grades[grade.value]} {grade.value}" for grade in Grade if grades[grade.value]]
     counts += [f"{len(done) - len(used)} spoilt", f"{len(rows) - len(done)} without points"]
-    of_lists = f"{len(errors)} scans of artefacts" if errors else "no scan is in a list"
+    of_lists = f"{len(errors)} scans of artefacts" if errors else "no scan of an artefact"
     return [
         ("Scans with points", f"{len(used)} of {len(rows)}", ", ".join(counts)),
         ("Points", f"{sum(points) / 1e6:.1f} million", f"{median(points):,.0f} a scan (median)" if points else ""),
@@ -141,7 +141,8 @@ def _chart(rows: Sequence[Cells], column: str, quantity: str, group: Callable[[C
     names = [f'<span style="color:{colour[name]}">●</span> {html.escape(name) or "not known"}' for name in groups]
     return (
         f'<figure><svg viewBox="0 0 {_WIDE} {_HIGH}" style="width:100%;height:auto" font-size="12" fill="#5b6b7b" role="img" '
-        f'aria-label="{quantity}">{"".join(drawn)}</svg><figcaption>{quantity}; scans in the order they were taken, red marks are refused ones. '
+        f'aria-label="{quantity}">{"".join(drawn)}</svg><figcaption>{quantity}; scans in the order of capture; '
+        "rejected scans are marked red. "
         f"{_shorten_list(names, len(_COLOURS), ' ')}</figcaption></figure>"
     )
 
@@ -159,10 +160,10 @@ def _add_refusals(page: Page, refused: Sequence[Cells]) -> None:
         page.note("None.")
         return
     page.rows([{"reason": kind, "scans": count} for kind, count in Counter(map(_kind, refused)).most_common()])
-    page.heading("Each of them")
+    page.heading("All scans")
     page.rows(
         [
-            {"scan": row["scan"], "recorded": _recorded(row) or "–", "what was found": _reason_text(row)}
+            {"scan": row["scan"], "recorded": _recorded(row) or "–", "faults and verdicts": _reason_text(row)}
             for row in refused
         ]
     )

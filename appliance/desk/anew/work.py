@@ -97,7 +97,7 @@ def attempt(job: Job) -> Row:
         return results.publish(name, {**row, "state": DONE, **figures, **times}, cloud)
     # A disk that was removed meanwhile looks like a damaged scan: a failure counts only if the scan is unchanged.
     if name_of(folder) != name:
-        raise RetryError(f"{folder} changed while it was worked through: {failure['reason']}")
+        raise RetryError(f"{folder} changed during reprocessing: {failure['reason']}")
     return results.publish_failure(name, {**row, "state": FAILED, **failure})
 
 
@@ -108,12 +108,14 @@ def _refuse_unfit(job: Job, settings: Mapping[str, Any]) -> None:
     """
     if settings["program"] != program_digits():
         # Results of two programs must not share one key.
-        raise RetryError(f"has {program_digits()}, not {settings['program']}; install the same version everywhere")
+        raise RetryError(
+            f"has {program_digits()}, not {settings['program']}; install the same version on all computers"
+        )
     if not Path(job.folder).is_dir():
-        raise RetryError(f"does not see {job.folder}; mount SOURCE there under the same path")
+        raise RetryError(f"has no {job.folder}; mount SOURCE there under the same path")
     # The key is from the caller's file: results with a file that was replaced since would get a wrong key.
     if job.calibration is not None and load_calibration(Path(job.calibration)).hash != settings["calibration"]:
-        raise RetryError(f"sees another calibration in {job.calibration}; let it see the same file, and call again")
+        raise RetryError(f"has another calibration in {job.calibration}; make the file the same there, and call again")
 
 
 def _reprocess(job: Job, settings: Mapping[str, Any], options: ScanOptions) -> tuple[Row, Any]:
@@ -350,7 +352,7 @@ def _find_kernels() -> None:
 
     # Else each worker would compile all of them at the same time, for longer than a scan's limit.
     if kernels.origin is not KernelOrigin.GIVEN and missing_kernels(kernels.path, PIECES):
-        raise RetryError("its kernels are not compiled; call `kingfisher setup compile` there, once")
+        raise RetryError("its kernels are not compiled; call `kingfisher setup compile` there once")
 
 
 def _client(dask: Any, scheduler: str | None, processes: int | None) -> Any:

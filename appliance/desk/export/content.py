@@ -79,7 +79,7 @@ class ExportedPoints:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.points_mm).all() and np.isfinite(self.origin_mm).all()):
-            raise ExportError("a point has a coordinate that is no number; nothing is written")
+            raise ExportError("a point has a coordinate that is not finite; nothing is written")
 
 
 def points_of_scan(cloud: OrganisedCloud, unit: str = "mm") -> ExportedPoints:

@@ -54,7 +54,7 @@ def encode_las(points: ExportedPoints, metadata: Metadata) -> bytes:
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_LOCAL.format(title=title, frame=frame, unit=unit)))
     header.global_encoding.wkt = True
     text = "\n".join(metadata.lines("m")).encode("ascii")[:_MAX_TEXT_BYTES] + b"\0"
-    header.vlrs.append(laspy.vlrs.VLR(*_TEXT_AREA, "what is said of all points", text))
+    header.vlrs.append(laspy.vlrs.VLR(*_TEXT_AREA, "remarks on all points", text))
     normals = finite(points.normals)
     extra = {
         f"sigma_{metadata.unit or 'm'}": (points.sigma_mm.astype(np.float64) / MM_PER_M, f"standard deviation, {unit}"),

@@ -117,7 +117,10 @@ def examine_axis(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAs
     if measured.turns and all(assumption.outcome is not Outcome.WRONG for assumption in code):
         code += _check_phase_against_code(measured, bits, usable, both_usable, axis)
     if count := sum(measured.bits.left_out):
-        text = f"{count} of {axis.bits} images of the code have stripes that the camera cannot tell apart, and are left out: stripes of"
+        text = (
+            f"{count} of {axis.bits} images of the code have stripes that the camera does not resolve, and are "
+            "left out: stripes of"
+        )
         results.append(
             fits_or_unchecked(f"{axis.name}.stripe_px", False, f"{text} {axis.stripe_px * 2**count:g} px are used")
         )
@@ -132,7 +135,9 @@ def examine_references(camera: DecodedCamera) -> list[ExaminedAssumption]:
     light = float(bright.mean()) - float(dark.mean())
     if light < 0.0:
         return [
-            contradiction("images.order: bright dark", "they are exchanged: write dark bright where it has bright dark")
+            contradiction(
+                "images.order: bright dark", "bright and dark are exchanged; write dark bright in place of bright dark"
+            )
         ]
     return [fits_or_unchecked("images.order: bright dark", True, f"the first is brighter by {light:.0f} grey values")]
 
@@ -175,7 +180,7 @@ def _check_code(
         changes = int(np.count_nonzero(step))
         shares[flags] = float(np.count_nonzero(step == 1) / max(1, changes))
     if changes < LEAST_CHANGES or axis.bits < LEAST_BITS:
-        text = f"{changes} borders of stripes are seen; {LEAST_CHANGES} of {LEAST_BITS} images are needed"
+        text = f"{changes} borders of stripes are found; {LEAST_CHANGES} of {LEAST_BITS} images are needed"
         return [fits_or_unchecked(subject, False, text) for subject in names]
     share = shares[described]
     share_text = f"{100 * share:.0f} % of {changes} borders are between neighbouring stripes"
@@ -225,7 +230,7 @@ def _check_phase_against_code(
     good = full & (np.abs(middle - mean) < np.float32(0.75 * stripe))
     if changes < LEAST_CHANGES or np.count_nonzero(good) < 10 * LEAST_CHANGES:
         return [
-            fits_or_unchecked(word, False, f"{changes} borders of stripes are seen, which is too few") for word in keys
+            fits_or_unchecked(word, False, f"{changes} borders of stripes are found, which is too few") for word in keys
         ]
     turns = _lines_along(measured.turns[axis.numbered], axis)[good].astype(np.float64)
     coordinate = mean[good].astype(np.float64)
@@ -240,7 +245,10 @@ def _check_phase_against_code(
         text = f"R of phase and code is {fit:.2f}, and {fits[best]:.2f} with"
         return [correction(axis, text, sign=best[0] * axis.sign, stripe_px=best[1] * axis.stripe_px)]
     if fit < POOR_FIT:
-        text = f"phase and code do not belong together (R = {fit:.2f}; other signs and stripes of half and double width fit no better)"
+        text = (
+            f"phase and code do not correlate (R = {fit:.2f}; other signs and stripes of half and double width "
+            "fit no better)"
+        )
         return [
             contradiction(
                 f"{axis.name}.period_px", f"{text}: check it, the order of the steps, and which images are gray"
@@ -297,7 +305,10 @@ def _check_steps(measured: AxisMeasurement, axis: AxisConvention) -> list[Examin
     share = measured.misfit_share or 0.0
     if max(share, 4.0 * np.pi * measured.bend_turns) > BENT:
         sines = f", sines leave {100 * share:.0f} %" if share else ""
-        text = f"it is bent: phases are {360 * measured.bend_turns:.1f}° off{sines}, which the error of each point includes"
+        text = (
+            f"it is not sinusoidal: phases are {360 * measured.bend_turns:.1f}° off{sines}, which the error of "
+            "each point includes"
+        )
         results.append(fits_or_unchecked(f"response of {axis.name}", False, text))
     return results
 
@@ -342,12 +353,10 @@ def _check_periods(measured: AxisMeasurement, axis: AxisConvention, coordinate_p
     places = _sample_places(measured.usable)
     if len(axis.periods_px) == 1 or not places.size:
         return [
-            fits_or_unchecked(
-                subject, False, "one fringe covers the pattern, or no pixel is bright: nothing contradicts it"
-            )
+            fits_or_unchecked(subject, False, "nothing to check: one fringe covers the pattern, or no pixel is bright")
         ]
     continuous = _continuous_share(coordinate_px, axis)
-    leaps = f"the coordinate goes on at {100 * continuous:.0f} % of the borders of fringes"
+    leaps = f"the coordinate is continuous at {100 * continuous:.0f} % of the fringe borders"
     if axis.micro:
         return [fits_or_unchecked(subject, continuous >= GOES_ON, leaps)]
 
@@ -412,8 +421,10 @@ def check_extent(axis: AxisConvention, coordinate_px: Floats) -> list[ExaminedAs
         return []
     size_px = axis.covered_px[1] if axis.bits else float(np.quantile(finite_px, 0.999)) + 0.5
     stretched = f"{axis.name}.{'period_px' if axis.periods_px else 'stripe_px'}"
-    extent_text = f"{'the code covers' if axis.bits else 'they go on to'} {size_px:.0f} px, or {stretched} is too long"
-    text = f"{100 * share:.0f} % of the coordinates lie beyond it: {extent_text}"
+    extent_text = (
+        f"{'the code covers' if axis.bits else 'the fringes reach'} {size_px:.0f} px, or {stretched} is too long"
+    )
+    text = f"{100 * share:.0f} % of the coordinates lie beyond the pattern: {extent_text}"
     return [contradiction(f"projector.{'width' if axis.name == 'x' else 'height'}_px", text)]
 
 

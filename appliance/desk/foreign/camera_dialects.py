@@ -165,8 +165,9 @@ def refuse_other_lenses(source: str, content: Mapping[str, Any]) -> None:
         allowed = LENSES.get(name.rpartition(".")[2].lower())
         if allowed and isinstance(word, str) and word and word.lower() not in allowed:
             raise ForeignError(
-                f"{source}: {name} is {word!r:.40}; allowed: {', '.join(allowed)}; fisheye and other lenses are not read: calibrate with "
-                "OpenCV's model, or undistort the images and give the matrices of these"
+                f"{source}: {name} is {word!r:.40}; allowed: {', '.join(allowed)}; fisheye and other lens models "
+                "are not "
+                "supported; calibrate with OpenCV's model, or undistort the images and give their matrices"
             )
 
 
@@ -234,8 +235,9 @@ def interpret_numbers(files: Mapping[str, NumbersOf], names: Table, of_projector
         ]
     elif projector and "right" not in cameras and ("right", "matrix") not in fixed:
         raise ForeignError(
-            f"cameras.files: {projector.where} is a projector's, and the images are of two cameras; give the file of both "
-            "cameras, or leave images.right out"
+            f"cameras.files: {projector.where} is that of a projector, but the images are of two cameras; give the "
+            "file of both "
+            "cameras, or leave out images.right"
         )
     for fact in unnamed:
         if (fact.side, fact.kind) not in fixed:
@@ -254,7 +256,8 @@ def interpret_numbers(files: Mapping[str, NumbersOf], names: Table, of_projector
             for file, values in files.items()
         )
         raise ForeignError(
-            f"cameras have no {', '.join(missing)} under a name that is known ({names_text}); say which is which under [cameras.names], "
+            f"cameras have no {', '.join(missing)} under a known name ({names_text}); give their names under "
+            "[cameras.names], "
             f'for example {missing[0]} = "NAME" or "FILE:NAME"'
         )
     sizes = {side: fact for (side, kind), fact in facts.items() if kind == "size"}
@@ -408,8 +411,9 @@ def _add_fact(facts: Facts, fact: Fact) -> None:
         atol=MAX_RELATIVE_DIFFERENCE * np.abs(earlier_numbers).max(),
     ):
         raise ForeignError(
-            f"{earlier.where} and {fact.where} say the {fact.kind} of {fact.side} differently "
-            f"({earlier.numbers.round(4).tolist()!r:.60} and {fact.numbers.round(4).tolist()!r:.60}); leave one out, or say which holds under [cameras.names]"
+            f"{earlier.where} and {fact.where} have different values of {fact.kind} of {fact.side} "
+            f"({earlier.numbers.round(4).tolist()!r:.60} and {fact.numbers.round(4).tolist()!r:.60}); leave one "
+            "out, or choose one under [cameras.names]"
         )
 
 
@@ -444,7 +448,8 @@ def _pose(facts: Facts, notes: list[str]) -> dict[str, Array]:
     if not poses and "own" in first:
         poses.append(first["own"])
         notes.append(
-            f"cameras: rotation and translation: {first['own'][0]} stands in the left camera's file alone; taken as from left to right"
+            f"cameras: rotation and translation: {first['own'][0]} is in the left camera's file alone; it is taken "
+            "as from left to right"
         )
     for where, rival_rotation, rival_translation in poses[1:]:
         first_where, rotation, translation = poses[0]
@@ -455,8 +460,9 @@ def _pose(facts: Facts, notes: list[str]) -> dict[str, Array]:
             MAX_ANGLE_DEG
         ) * np.linalg.norm(translation):
             raise ForeignError(
-                f"{first_where} and {where} say differently how the two stand to each other: turned by {apart_deg:.2g}°, translations "
-                f"{translation.round(3).tolist()} and {rival_translation.round(3).tolist()}; leave one out, or say which holds under [cameras.names]"
+                f"{first_where} and {where} have different relative poses: {apart_deg:.2g}° apart, translations "
+                f"{translation.round(3).tolist()} and {rival_translation.round(3).tolist()}; leave one out, or "
+                "choose one under [cameras.names]"
             )
     return {"rotation": poses[0][1], "translation": poses[0][2]} if poses else {}
 

@@ -58,10 +58,10 @@ def matlab_tables(raw: bytes) -> dict[str, Any]:
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        raise ValueError(f"reading takes longer than {MOST_S} s") from error
+        raise ValueError(f"reading it takes longer than {MOST_S} s") from error
     if done.returncode:
         last = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
-        raise ValueError(last[-200:] or f"it ends its reader by signal {-done.returncode}")
+        raise ValueError(last[-200:] or f"its reader ended by signal {-done.returncode}")
     tables: dict[str, Any] = json.loads(done.stdout)
     return tables
 
@@ -92,12 +92,12 @@ def _main() -> None:
     tables = _to_json(content)
     if not any(tables.values()) and any(isinstance(value, MatlabOpaque) for value in content.values()):
         sys.exit(
-            "it holds an object, which only MATLAB reads: save it as a structure, s = toStruct(stereoParams); "
+            "it holds an object, which only MATLAB can read: save it as a structure, s = toStruct(stereoParams); "
             "save('stereo.mat', 's', '-v7')"
         )
     text = json.dumps(tables)
     if len(text) > MOST_TEXT_BYTES:
-        sys.exit("it holds more numbers than cameras have")
+        sys.exit("it holds more numbers than a calibration has")
     sys.stdout.write(text)
 
 
@@ -170,7 +170,7 @@ def numbers_in(path: Path) -> dict[str, Array]:
     try:
         raw = read_bounded(path, MAX_BYTES)
     except OSError as error:
-        raise ForeignError(f"{path}: {error.strerror or error}; give the file of the cameras' numbers") from error
+        raise ForeignError(f"{path}: {error.strerror or error}; give the calibration file of the cameras") from error
     format, read = FORMATS[path.suffix.lower()]
     try:
         content = dict(flatten_names(read(path, raw)))
@@ -237,7 +237,7 @@ def _lines(path: Path, raw: bytes) -> dict[str, Any]:
             if numbers := [float(word) for word in fields]:
                 numbers_by_name.setdefault(name, []).extend(numbers)
     if not numbers_by_name:
-        raise ValueError("no line is NAME = NUMBERS, and it is no matrix")
+        raise ValueError("it has neither lines NAME = NUMBERS nor a matrix")
     return numbers_by_name
 
 
@@ -247,7 +247,7 @@ def _tree(path: Path, raw: bytes) -> Any:
     text = raw.decode("utf-8-sig", "replace").replace("\0", " ").expandtabs(4)
     if text.lstrip().startswith("<"):
         if "<!DOCTYPE" in text:
-            raise ValueError("it defines what it consists of")
+            raise ValueError("it has a document type definition")
         return _element(ElementTree.fromstring(text), 0)
     if path.suffix.lower() == ".json":
         content = json.loads(text, object_pairs_hook=_table)
@@ -284,7 +284,7 @@ def _table(pairs: Iterable[tuple[Any, Any]]) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for name, value in pairs:
         if str(name) in table and table[str(name)] != value:
-            raise ValueError(f"{name} stands there twice, and differs")
+            raise ValueError(f"{name} has two different values")
         table[str(name)] = value
     return table
 

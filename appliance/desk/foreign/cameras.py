@@ -90,7 +90,7 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
             )
     R, T = rotation_of(numbers.numbers["rotation"]), numbers.numbers["translation"]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
-        raise ForeignError(f"cameras: rotation {R.round(4).tolist()} is no rotation; name the right matrix")
+        raise ForeignError(f"cameras: rotation {R.round(4).tolist()} is no rotation; give the right matrix")
     u, _, vt = np.linalg.svd(R)
     R = u @ vt  # Written with few digits, it is not quite a rotation.
     length = float(np.linalg.norm(T))
@@ -102,7 +102,8 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
         notes.append(
             f"cameras.unit: the translation is 1 {unit} long, as calibrations without scale have it"
             if scale_known
-            else "cameras.unit: the translation has length 1: a calibration without scale; lengths are in distances of the two"
+            else "cameras.unit: the translation has length 1: a calibration without scale; the unit of length is "
+            "the baseline"
         )
     cameras = []
     for side, rotation, translation_mm in (("left", np.eye(3), np.zeros(3)), ("right", R.T, -R.T @ T)):
@@ -111,8 +112,8 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
             numbers.numbers[f"{side}_matrix"].reshape(3, 3), numbers.numbers[f"{side}_distortion"], size_px, side
         )
         notes += [
-            f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {extent}: a shifted lens, "
-            "or the calibration of other images"
+            f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {extent}: the lens is "
+            "shifted, or the calibration is for other images"
             for c, size, extent in zip(lens.c_px, size_px, ("width", "height"), strict=True)
             if abs(c / size - 0.5) > NOTABLE_OFFSET
         ]
@@ -164,13 +165,13 @@ def _check_size(where: str, side: str, stated: tuple[int, int], actual: tuple[in
 
 def _check_baseline(length: float, unit: str) -> None:
     if length * UNITS_MM[unit] < 1e-6:
-        raise ForeignError("cameras: translation is zero; name the vector between both cameras")
+        raise ForeignError("cameras: translation is zero; give the vector between both cameras")
     if not LEAST_BASELINE_MM <= length * UNITS_MM[unit] <= MOST_BASELINE_MM:
         fits = [f'"{name}"' for name, mm in UNITS_MM.items() if USUAL_MM[0] < length * mm < USUAL_MM[1]]
         raise ForeignError(
-            f"cameras: the two are {length:.3g} {unit} apart; allowed: {LEAST_BASELINE_MM:g} mm to "
-            f"{MOST_BASELINE_MM / 1000:g} m; say in which "
-            f"unit the translation is: cameras.unit = {' or '.join(fits) or 'mm, cm, m or inch'}"
+            f"cameras: the baseline is {length:.3g} {unit}; allowed: {LEAST_BASELINE_MM:g} mm to "
+            f"{MOST_BASELINE_MM / 1000:g} m; give "
+            f"the unit of the translation: cameras.unit = {' or '.join(fits) or 'mm, cm, m or inch'}"
         )
 
 
@@ -182,14 +183,14 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
     f_px, c_px = (float(matrix[0, 0]), float(matrix[1, 1])), (float(matrix[0, 2]), float(matrix[1, 2]))
     if abs(matrix[0, 1]) > 1e-3 * f_px[0] or min(f_px) <= 1.0:
         raise ForeignError(
-            f"cameras: {side} matrix {matrix.round(3).tolist()} has no two focal lengths, or a skew; name another one"
+            f"cameras: {side} matrix {matrix.round(3).tolist()} has no two focal lengths, or a skew; give another one"
         )
     width_px, height_px = size_px
     if not all(-MAX_OFFSET * size < c < (1.0 + MAX_OFFSET) * size for c, size in zip(c_px, size_px, strict=True)):
         raise ForeignError(
-            f"cameras: the {side} principal point {c_px[0]:.0f}, {c_px[1]:.0f} lies far outside of images of "
+            f"cameras: the {side} principal point {c_px[0]:.0f}, {c_px[1]:.0f} lies far outside images of "
             f"{width_px} x {height_px} px; "
-            "the calibration is of other images, or left and right are exchanged"
+            "give the calibration of these images, and check that left and right are not exchanged"
         )
     if distortion.size not in (0, 4, 5, 8, 12, 14) or np.any(distortion[12:] != 0.0):
         raise ForeignError(
@@ -236,7 +237,7 @@ def _own_calibration(description: Description, sizes_px: Mapping[str, tuple[int,
         # A file of `calibration air --pair` knows neither ports nor water, like OpenCV's files.
         return replace(_behind_ports(description, ours.rig), stated_px=stated_px)
     if description.ports is not None:
-        raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")
+        raise ForeignError(f"[ports] is given, but {path.name} has its own ports; leave out [ports]")
     # Our files know their water, unless the description states another one.
     index = ours.water.index if description.water is None else description.index
     return ForeignRig(ours.rig, index, ours, stated_px)

@@ -133,7 +133,7 @@ class _Evidence:
     def __str__(self) -> str:
         parts = [f"{100 * self.share:.0f} % have a point{self.remark}"]
         if self.same_side < SAME_SIDE:
-            parts.append(f"{100 - 100 * self.same_side:.0f} % of the surface would be seen from behind")
+            parts.append(f"{100 - 100 * self.same_side:.0f} % of the surface would face away from the camera")
         return ", ".join([*parts, str(self.offset)] if self.offset.searched else parts)
 
 
@@ -168,7 +168,7 @@ def examine_rays(
     """Return ``tested``, the tests of each camera alone, with the tests by rays added."""
     if any(assumption.outcome is Outcome.WRONG for assumption in tested):
         # Wrong coordinates tell nothing about the cameras.
-        tested.append(ExaminedAssumption("cameras", Outcome.UNCHECKED, "what the images show is described wrongly"))
+        tested.append(ExaminedAssumption("cameras", Outcome.UNCHECKED, "the order of the images is wrong"))
     elif rig is not None:
         tested += examine_cameras(description, rig, cameras)
     open_ = {assumption.subject.split(": ")[-1] for assumption in tested if assumption.outcome is not Outcome.FITS}
@@ -233,7 +233,7 @@ def _compare(described: _Evidence, tested: list[tuple[_Hypothesis, _Evidence]]) 
         offset = described.offset
         sure = offset.spread_px <= offset.allowed_px or offset.matched > FOUND_SHARE * offset.searched
         contradicted = described.share <= NONE or described.same_side < SAME_SIDE or (described.share >= POOR and sure)
-        text = f"{described}, and no better if cameras, R or T are exchanged: {REMEDIES}"
+        text = f"{described}, and exchanging cameras, R or T is no better: {REMEDIES}"
         return [contradiction(POSE, text) if contradicted else fits_or_unchecked(POSE, False, text)]
     results = []
     for subject in dict.fromkeys(hypothesis.subject for hypothesis, _ in tested):
@@ -248,7 +248,7 @@ def _compare(described: _Evidence, tested: list[tuple[_Hypothesis, _Evidence]]) 
         if as_good:
             text += f", {evidence.depth_mm:.0f} mm away in place of {described.depth_mm:.0f} mm"
         elif subject == POSE:
-            text = f"{described}, and {text}" + ("" if described.offset.tells else ", but nothing checks their values")
+            text = f"{described}, and {text}" + ("" if described.offset.tells else ", but their values are not checked")
         # Where no test checks the values of the pose, a turn is not tested apart from it.
         if subject != TURN or described.offset.tells:
             results.append(
@@ -308,7 +308,9 @@ def _pattern_hypotheses(geometry: _Geometry, description: Description, left: Dec
     for axis in description.axes:
         size_px = axis.size_px
         start, period = "code_offset_px" if axis.bits else "start_deg", "period_px" if axis.periods_px else "stripe_px"
-        sign, backwards = ("code", "it runs the other way") if axis.bits else ("sign", f'it is "{"+-"[axis.sign > 0]}"')
+        sign, backwards = (
+            ("code", "its sign is the other one") if axis.bits else ("sign", f'it is "{"+-"[axis.sign > 0]}"')
+        )
         for word, text, scale, shift_px in (
             (sign, backwards, -1.0, size_px),
             *((period, f"it is {scale:g} times as much", scale, 0.0) for scale in SCALES),
@@ -328,7 +330,7 @@ def _pattern_hypotheses(geometry: _Geometry, description: Description, left: Dec
         # A projector that is mounted upside down.
         corrections = {f"{axis.name}.sign": -axis.sign for axis in description.axes}
         rotated = {axis.name: np.float32(axis.size_px - 1) - geometry.left_px[axis.name] for axis in description.axes}
-        hypotheses.append(_Hypothesis("x.sign", "both signs are the other way", {"left_px": rotated}, corrections))
+        hypotheses.append(_Hypothesis("x.sign", "both signs are the other ones", {"left_px": rotated}, corrections))
     for axes in list(product(*choices))[1:]:
         corrections = {f"{convention.name}.code_offset_px": convention.code_offset_px for convention in axes}
         changed = [
@@ -362,7 +364,7 @@ def _check_projector_size(
         "xy", ("width", "height"), description.projector_px, rig.rig.right.lens.c_px, strict=True
     ):
         checked = stated or bool(fitting & {f"{axis_name}.period_px", f"{axis_name}.stripe_px"})
-        text = f"the projector's axis leaves at {100 * centre_px / size_px:.0f} % of {size_px} px"
+        text = f"the projector's principal point is at {100 * centre_px / size_px:.0f} % of {size_px} px"
         results.append(fits_or_unchecked(f"projector.{word}_px", checked, text))
     return results
 
@@ -387,7 +389,9 @@ def _check_image_size(rig: StereoRig, of_projector: bool) -> ExaminedAssumption:
                 subject,
                 f"{text}: the calibration is of images of {factor} the size, multiply the matrices by {scale:g}",
             )
-    return fits_or_unchecked(subject, False, f"{text}: parts of a sensor, or a calibration of other images")
+    return fits_or_unchecked(
+        subject, False, f"{text}: the images are parts of a sensor, or the calibration is for other images"
+    )
 
 
 # ----------------------------------------------------------------------------------------------------- points

@@ -65,9 +65,7 @@ be seen."""
 GAP_PIXELS, SIGMA_PIXELS = 2.5, 5.0
 """Largest ray gap and expected error of a point, over the size of a pixel on the object there."""
 _GAP = f"rays pass each other by more than {GAP_PIXELS:g} pixels; check the cameras' numbers, [water] and [ports]"
-_SIGMA = (
-    f"the expected error is larger than {SIGMA_PIXELS:g} pixels on the object; range.max_sigma_mm sets another limit"
-)
+_SIGMA = f"the standard deviation exceeds {SIGMA_PIXELS:g} pixels on the object; range.max_sigma_mm sets another limit"
 
 
 class Reason(IntEnum):
@@ -85,16 +83,16 @@ class Reason(IntEnum):
         return reason
 
     FOUND = 0, "a point", 128, 128, 128
-    SATURATED = 1, "white in some image", 255, 255, 0
+    SATURATED = 1, "saturated in some image", 255, 255, 0
     WEAK = 2, "too little light or contrast", 16, 16, 72
     CONTRADICTION = 3, "the parts of the code contradict each other", 214, 39, 40
-    OUTSIDE = 4, "beyond the pattern; its size, [x] and [y] say how far it goes", 148, 103, 189
-    NO_RAY = 5, "the lens model folds over there", 140, 86, 75
+    OUTSIDE = 4, "beyond the pattern, whose size is in [projector], [x] and [y]", 148, 103, 189
+    NO_RAY = 5, "the lens model is not invertible there", 140, 86, 75
     NO_MATCH = 6, "nothing on the other side has that coordinate where the pixel looks", 31, 119, 180
     GAP = 7, _GAP, 255, 127, 14
     SIGMA = 8, _SIGMA, 44, 160, 44
-    DEPTH = 9, "nearer or farther than range.near_mm and range.far_mm", 23, 190, 207
-    NEIGHBOURS = 10, "an edge, or alone", 227, 119, 194
+    DEPTH = 9, "outside range.near_mm to range.far_mm", 23, 190, 207
+    NEIGHBOURS = 10, "a depth discontinuity, or without neighbours", 227, 119, 194
 
     @property
     def word(self) -> str:

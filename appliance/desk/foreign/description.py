@@ -224,7 +224,7 @@ def load_description(path: Path) -> Description:
     try:
         text = read_text(path, MAX_BYTES)
     except OSError as error:
-        raise ForeignError(f"{path}: {error.strerror or error}; give the description of the images (TOML)") from error
+        raise ForeignError(f"{path}: {error.strerror or error}; give the image set description (TOML)") from error
     except UnicodeDecodeError as error:
         raise ForeignError(f"{path}: byte {error.start} is not UTF-8; save it as UTF-8 text") from error
     return parse_description(text, path.parent, path.stem, str(path))
@@ -259,11 +259,9 @@ def _parse_top(top: Table, folder: Path, name: str) -> Description:
         own_images = [image for image in shown if image.axis == axis_name]
         table = top.table(axis_name, *_FRINGES, *_CODE, *_OTHERS)
         if own_images and table is None:
-            raise ForeignError(
-                f"[{axis_name}] is missing: {own_images[0].word} is among the images; say how it is to be read"
-            )
+            raise ForeignError(f"[{axis_name}] is missing, but the images include {own_images[0].word}; add it")
         if table is not None and not own_images:
-            raise ForeignError(f"[{axis_name}] is there, and no image of {axis_name}; name its images or take it out")
+            raise ForeignError(f"[{axis_name}] is given, but no image of {axis_name}; name its images, or leave it out")
         if table is not None:
             axes.append(_axis(table, axis_name, float(length), own_images))
     if not axes:
@@ -285,7 +283,7 @@ def _names(table: Table, key: str) -> tuple[str, ...]:
     value = table.content.get(key)
     items = [value] if isinstance(value, str) else value
     if not isinstance(items, list) or not items or not all(isinstance(item, str) and item for item in items):
-        raise table.wrong(key, 'a name, with wildcards if you like ("left/*.png"), or a list of names', "correct it")
+        raise table.wrong(key, 'a name, also with wildcards ("left/*.png"), or a list of names', "correct it")
     return tuple(items)
 
 
@@ -320,7 +318,7 @@ def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[ShownImage, ...
     kinds = {frozenset(side_files.kinds) for side_files in files.values()}
     if len(kinds) > 1:
         raise ForeignError(
-            "images.left and images.right name other kinds of images, or one of them in order; name both alike"
+            "images.left and images.right name different kinds of images, or only one is in order; name both alike"
         )
     if kinds == {frozenset()}:
         return parse_order(images.text("order"), "images.order")
@@ -341,7 +339,7 @@ def _axis(table: Table, name: str, size_px: float, own_images: list[ShownImage])
     for is_given, keys, role in ((fringed, _FRINGES, f"sine-{name}"), (has_code, _CODE, f"gray-{name}")):
         if not is_given and (unused := [key for key in keys if key in table.content]):
             raise ForeignError(
-                f"{name}.{unused[0]} is there, and no {role} is among the images; name them or take it out"
+                f"{name}.{unused[0]} is given, but no image is a {role}; name such images, or leave it out"
             )
     periods_px = _periods(table, size_px) if fringed else ()
     micro = Shows.MICRO in fringed.values()
@@ -352,9 +350,8 @@ def _axis(table: Table, name: str, size_px: float, own_images: list[ShownImage])
         )
     if len(periods_px) == 1 and not has_code and periods_px[0] < size_px:
         raise ForeignError(
-            f"{name} has one period of {periods_px[0]:g} px on {size_px:g} px and no gray-{name}: nothing tells one "
-            "fringe from the "
-            "next; name the images of a code, or of further periods"
+            f"{name} has one period of {periods_px[0]:g} px on {size_px:g} px and no gray-{name}: the fringe "
+            "order is unknown; name the images of a code, or of further periods"
         )
     starts_deg = table.numbers("start_deg", -360.0, 360.0, default=0.0)
     if len(starts_deg) not in (1, len(periods_px)):
@@ -368,7 +365,9 @@ def _axis(table: Table, name: str, size_px: float, own_images: list[ShownImage])
         stripe_px = table.number("stripe_px", 0.5, MOST_PX, width * min(periods_px) if fringed else None)
         if fringed and stripe_px > 1.01 * max(periods_px):
             raise table.wrong(
-                "stripe_px", f"up to the coarsest period, {max(periods_px):g} px", "wider stripes do not number fringes"
+                "stripe_px",
+                f"up to the coarsest period, {max(periods_px):g} px",
+                "wider stripes do not give the fringe order",
             )
     chosen: dict[str, Any] = {}
     for field, (word, written) in WORDS.items():
@@ -412,7 +411,7 @@ def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], 
     With micro phase shifting it is that of the first period, and the others have one step.
     """
     if "steps" in table.content and "steps_deg" in table.content:
-        raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both there; give one of them")
+        raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both given; leave one out")
     written = table.content.get("steps_deg")
     if written is None:
         steps_deg = [equal_steps(count) for count in table.wholes("steps", LEAST_STEPS, MOST_STEPS)]
@@ -440,7 +439,7 @@ def _water(top: Table) -> Water | float | None:
         return None
     index, temperature_c = water.optional("index", 1.0, 1.6), water.optional("temperature_c", -2.0, 40.0)
     if (index is None) == (temperature_c is None):
-        raise ForeignError("water.index or water.temperature_c: give one of them; for air take [water] out")
+        raise ForeignError("water.index or water.temperature_c: give one of them; for air leave out [water]")
     salinity_and_wavelength = (
         water.number("salinity_psu", 0.0, 45.0, 0.0),
         water.number("wavelength_nm", 380.0, 750.0, 530.0),

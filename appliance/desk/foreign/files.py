@@ -32,24 +32,22 @@ def camera_files(folder: Path) -> dict[str, ImageFiles]:
     Raises ForeignError.
     """
     if not folder.is_dir():
-        raise ForeignError(f"{folder}: is no folder; give the one with the images")
+        raise ForeignError(f"{folder}: is no folder; give the folder of the images")
     stacks = _stacks(folder)
     if stacks is not None:
         return stacks
     paths = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
     if not LEAST_IMAGES <= len(paths) <= MOST_FILES:
         raise ForeignError(
-            f"{folder}: {len(paths)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of "
-            "one set"
+            f"{folder}: {len(paths)} images; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of one set"
         )
     names = [str(path.relative_to(folder)) for path in paths]
     # Ignore files beside a sequence; if all files are called so, they are the sequence.
     best = _best([name for name in names if not _ASIDE.search(name)]) or _best(names)
     if best is None:
         raise ForeignError(
-            f"{folder}: which of its {len(names)} images are of which camera cannot be told by their names; put those "
-            "of each camera into "
-            "a folder of its own, left and right"
+            f"{folder}: the names of its {len(names)} images do not show the camera; put the images of each camera "
+            "into a folder, left and right"
         )
     frames = {
         pattern: tuple(Frame(folder / name) for name in sorted(names, key=natural_key))

@@ -44,12 +44,12 @@ def check_import(path: Path, out: Path) -> None:
         longest_px = max(longest_px, *description.projector_px)
     if longest_px > MOST_PX and not description.one_direction:
         raise ForeignError(
-            f"{path}: an image or the projector has {longest_px} px along a side; allowed for two directions are "
-            f"{MOST_PX} px; cut it, or describe one direction only"
+            f"{path}: an image or the projector has a side of {longest_px} px; allowed for two directions are up to "
+            f"{MOST_PX} px; crop it, or describe one direction only"
         )
     if not out.suffix:
         if out.exists():
-            raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")
+            raise ForeignError(f"--out {out}: exists already; give the name of a new folder")
         if not out.absolute().parent.is_dir():
             raise ForeignError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
         from appliance.desk.foreign.own_form import require_sequence
@@ -84,7 +84,7 @@ def check_images(
 
     description = with_counts(described, sets["left"].shown)
     if "right" in sets and set(sets["right"].shown) != set(sets["left"].shown):
-        raise ForeignError(f"{path}: left and right have other images; name the same for both")
+        raise ForeignError(f"{path}: left and right have different kinds of images; name the same kinds for both")
     sizes_px = {side: (image_set.shape[1], image_set.shape[0]) for side, image_set in sets.items()}
     sizes_px.setdefault("right", description.projector_px)
     return description, sets, read_rig(description, sizes_px)

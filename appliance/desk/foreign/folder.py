@@ -51,9 +51,8 @@ def import_folder(folder: Path, out: Path, progress: Progress, reasons: Path | N
     _write(best, described)
     if not best.description.cameras.content:
         raise ForeignError(
-            f"{folder}: its images are {join_words(best.words)} ({best.program}), and no file says anything of the "
-            "cameras: put their calibration "
-            f"into the folder, or say it under [cameras] in {described.name}, which is written"
+            f"{folder}: its images are {join_words(best.words)} ({best.program}), and no file has the calibration; "
+            f"put it into the folder, or write it under [cameras] of {described.name}"
         )
     report = import_described(described, out, progress, reasons=reasons, picture=picture)
     return {
@@ -90,7 +89,10 @@ def _question(folder: Path, out: Path, candidates: Sequence[TriedSequence]) -> s
         if differing
         else ""
     )
-    return f"{folder}: two readings of the images are as good: {readings[0]}, or {readings[1]}; {question}import the description that is right"
+    return (
+        f"{folder}: two interpretations of the images fit equally well: {readings[0]}, or {readings[1]}; "
+        f"{question}import the right description"
+    )
 
 
 # ------------------------------------------------------------ description
@@ -110,7 +112,7 @@ def describe_guess(candidate: TriedSequence, beside: Path) -> str:
         return toml_value([str(path.relative_to(folder) if path.is_relative_to(folder) else path) for path in paths])
 
     is_stereo, left = "right" in description.files, description.files["left"]
-    lines = ["# Guessed from the images. Behind each line stands what checked it; docs/foreign.md explains every word."]
+    lines = ["# Estimated from the images. Each line ends with its check; docs/foreign.md explains every word."]
     lines += [*(f"# {note}" for note in (explained, *candidate.notes)), "", "[images]"]
     if left.sides:
         lines += [f"both = {names(left.patterns)}", f"sides = {toml_value(left.sides)}"]
@@ -131,7 +133,7 @@ def describe_guess(candidate: TriedSequence, beside: Path) -> str:
     lines += ["", "[cameras]"]
     table = description.cameras.content
     if not table:
-        lines += ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; nothing was found here', 'unit = "mm"']
+        lines += ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; none was found', 'unit = "mm"']
     for key, value in table.items():
         if not isinstance(value, Mapping):
             lines.append(f"{key} = {names(value) if key in ('files', 'calibration') else toml_value(value)}")

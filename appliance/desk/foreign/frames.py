@@ -68,7 +68,7 @@ def load_array(path: Path, name: str, max_bytes: int) -> NDArray[Any]:
         if size_bytes > max_bytes:
             raise ValueError(
                 f"array {name} unpacks to {size_bytes / 1e9:.3g} GB; allowed are {max_bytes / 1e9:.3g} GB; save it as "
-                ".npy, of which only what is needed is read"
+                ".npy, which is read in parts"
             )
     with _as_value_error(path):
         if path.suffix.lower() != ZIPPED:
@@ -160,7 +160,7 @@ def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
         head = _stack(path, array, head=True)
         count = len(head) if head.ndim > 2 else None
     if count is not None and count > MOST_PAGES:
-        raise ForeignError(f"{path}: {count} images; allowed are up to {MOST_PAGES}; give one sequence a file")
+        raise ForeignError(f"{path}: {count} images; allowed are up to {MOST_PAGES}; write one file a sequence")
     return (Frame(path, None, array),) if not count else tuple(Frame(path, k, array) for k in range(count))
 
 
@@ -215,7 +215,7 @@ def _read(frame: Frame) -> NDArray[Any]:
             # A decoder allocates as many pixels as the header states.
             if stated is not None and stated[0] * stated[1] > MOST_PIXELS:
                 raise ForeignError(
-                    f"{frame.path}: {stated[0]} x {stated[1]} px; allowed are up to {MOST_PIXELS} pixels; cut it"
+                    f"{frame.path}: {stated[0]} x {stated[1]} px; allowed are up to {MOST_PIXELS} pixels; crop it"
                 )
             image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_UNCHANGED) if raw else None
         else:
@@ -227,7 +227,7 @@ def _read(frame: Frame) -> NDArray[Any]:
         image = None
     if image is None:
         raise ForeignError(
-            f"{frame.path.parent / frame.name}: no image that can be read; allowed: "
+            f"{frame.path.parent / frame.name}: no readable image; allowed: "
             f"{', '.join((*SUFFIXES[:9], *STACKS))}; convert it"
         )
     return np.asarray(image)

@@ -202,7 +202,7 @@ def _ratio(slow: NDArray[Any], fast: NDArray[Any], strong: NDArray[np.bool_], na
 
 MOST_PIXELS = 400_000
 """Pixels of an image on which hypotheses are tried; larger ones are reduced."""
-BY_LOOKS = "what each image looks like"
+BY_LOOKS = "classifying the images"
 MOST_TRIED = 10
 SURE, NEARLY = 0.9, 0.3
 """Explained share above which hypotheses are skipped whose appearance agrees less than the best one's by the second
@@ -321,15 +321,15 @@ def guess_sequence(folder: Path, progress: Progress) -> tuple[TriedSequence, ...
             else ""
         )
         raise rejection or ForeignError(
-            f"{folder}: its images are no sequence that is known{nearest}; name what each shows in a description "
-            "(docs/foreign.md)"
+            f"{folder}: its images are no known sequence{nearest}; write an image set description with the image "
+            "role of each (docs/foreign.md)"
         )
     unexplained = max(1.0 - candidates[0].rank, LEAST_LEFT)
     # Several readings may explain equal shares: a sine of few steps and a code of fine stripes look alike.
     rivals = [candidate for candidate in candidates if 1.0 - candidate.rank < APART * unexplained][:MOST_RIVALS]
     # Only rays tell which camera is left, and in which direction the fringes run.
     if table:
-        progress("trying the cameras")
+        progress("testing the cameras")
         rivals = [_on_rig(candidate, table, pictures) for candidate in rivals]
     # Of equal shares take the one that more tests could have contradicted.
     best = max(candidate.standing for candidate in rivals)
@@ -478,7 +478,7 @@ def _steps(images: NDArray[Any]) -> tuple[float, ...]:
     """
     steps = equal_steps(len(images))
     if len(steps) < LEAST_STEPS:
-        raise ForeignError(f"{len(images)} images tell no phase")
+        raise ForeignError(f"{len(images)} images give no phase")
     if len(steps) == LEAST_STEPS:
         return steps  # Three steps fit any images.
     stack = images[:, ::EVERY, ::EVERY].reshape(len(images), -1).astype(np.float64)

@@ -76,8 +76,8 @@ class Pictures:
             raise ForeignError(
                 f"{frame.path.parent / frame.name}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and "
                 f"{self.frames[0].name} has "
-                f"{self.shape[2]} x {self.shape[1]} px {self.dtype}; images of one camera must be alike: name others "
-                "with -"
+                f"{self.shape[2]} x {self.shape[1]} px {self.dtype}; the images of one camera must have one size "
+                "and type; name others -"
             )
 
 
@@ -140,7 +140,7 @@ def first_of_side(description: Description, side: str) -> ImageSet:
         if role.shows is not Shows.OTHER
     ]
     if not used:
-        raise ForeignError("all images are named -; name what they show")
+        raise ForeignError("all images are named -; name the image role of each")
     files, shown = zip(*used, strict=True)
     return ImageSet(shown, files, Pictures.of(files, description.channel), description.white or FULL_SCALES[0])
 
@@ -195,8 +195,7 @@ def files_of_side(description: Description, side: str) -> tuple[list[Frame], tup
     if len(frames) != len(description.order):
         raise ForeignError(
             f"{key}: {len(frames)} images ({frames[0].name} to {frames[-1].name}), and images.order names "
-            f"{len(description.order)} images; "
-            "name as many, with - for what shows something else"
+            f"{len(description.order)} images; name as many, with - for other images"
         )
     return frames, description.order
 
@@ -217,9 +216,8 @@ def of_side(frames: Sequence[Frame], sides: str, side: str) -> list[Frame]:
     order_of_sides = words_in(sides, "images.sides") or [side]
     if len(frames) % len(order_of_sides):
         raise ForeignError(
-            f"images.both: {len(frames)} images, which are no whole number of turns of {len(order_of_sides)}; correct "
-            "images.sides, or name the images "
-            "that belong to it"
+            f"images.both: {len(frames)} images, no multiple of {len(order_of_sides)}; correct images.sides, or "
+            "name only images of the set"
         )
     return [frame for k, frame in enumerate(frames) if order_of_sides[k % len(order_of_sides)] == side]
 
@@ -237,7 +235,7 @@ def matching_frames(folder: Path, name: str, key: str) -> list[Frame]:
         else:
             paths = list(folder.glob(pattern))
     except (ValueError, NotImplementedError, OSError) as error:
-        raise ForeignError(f"{key}: {pattern!r:.80} is no name of files ({error}); correct it") from error
+        raise ForeignError(f"{key}: {pattern!r:.80} is no file name pattern ({error}); correct it") from error
     files = sorted((path for path in paths if path.is_file()), key=lambda path: natural_key(str(path)))
     if not files:
         raise ForeignError(f"{key}: no file is called {pattern!r:.80} in {folder.absolute()}; correct the name")

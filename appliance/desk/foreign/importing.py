@@ -66,7 +66,7 @@ def import_described(
     if scan.wrong and not as_described:
         contradictions = "; ".join(map(str, scan.wrong))
         raise ForeignError(
-            f"{path}: the images contradict it: {contradictions}; correct it, or import it all the same with --as-described"
+            f"{path}: the images contradict it: {contradictions}; correct it, or import it with --as-described"
         )
     sequence = None if suffix else require_folder_sequence(path, out, scan)
     cloud = _find_enough_points(path, scan, progress, reasons)
@@ -120,7 +120,7 @@ def _find_enough_points(path: Path, scan: ForeignScan, progress: Progress, reaso
     if cloud.points == 0 or cloud.points < LEAST_SHARE * cloud.decoded_pixels:
         causes = [cloud.failure] if cloud.failure else cloud.largest_reasons(of_decoded=cloud.decoded_pixels > 0)
         raise ForeignError(
-            f"{path}: {cloud.points} points are left of {cloud.decoded_pixels} left pixels with coordinates, between "
+            f"{path}: {cloud.points} points from {cloud.decoded_pixels} left pixels with coordinates, between "
             f"{cloud.depths_mm[0]:.4g} and "
             f"{cloud.depths_mm[1]:.4g} {_unit(scan) or 'mm'}: {'; '.join(causes)}"
         )

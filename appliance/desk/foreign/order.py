@@ -27,9 +27,9 @@ _REPEATED = re.compile(
     r"(?:\((?P<group>[^()*]*)\)|(?P<word>[^\s()*]+))(?:\s*\*\s*(?P<count>\d{1,9})(?!\s*[\d*])|(?<=\))(?!\s*\*))"
 )
 _LEFT_OVER = {
-    "*": "* stands between something and how often it is there, as in gray-x*6",
-    "(": "a bracket is opened that is not closed",
-    ")": "a bracket is closed that was not opened",
+    "*": "* needs a word before it and a count after it, as in gray-x*6",
+    "(": "an opening bracket has no closing one",
+    ")": "a closing bracket has no opening one",
 }
 _WORD = re.compile(r"(bright|dark|-)|(~?gray|micro)-([xy])|(sine|modulated)-([xy])(\d{0,2})")
 WORDS = (
@@ -94,14 +94,14 @@ def words_in(text: str, key: str, max_words: int = MOST_IMAGES) -> list[str]:
         words, count = (match["group"] or match["word"] or "").split(), int(match["count"] or 1)
         if match["count"] and not 1 <= count * len(words) <= max_words:
             raise ForeignError(
-                f"{key}: *{count} repeats {count} times; allowed are 1 and more, {max_words} images in all"
+                f"{key}: *{count} repeats {count} times; allowed are 1 and more, at most {max_words} images in all"
             )
         return f" {' '.join(words * count)} "
 
     spelt, previous = text, ""
     while spelt != previous:
         if len(spelt) > MOST_LETTERS:
-            raise ForeignError(f"{key} names more than {max_words} images, or too much else; shorten it")
+            raise ForeignError(f"{key} names more than {max_words} images, or too many words; shorten it")
         # The innermost brackets, and words beside them.
         previous, spelt = spelt, _REPEATED.sub(spelt_out, spelt)
     for sign, wrong in _LEFT_OVER.items():
@@ -149,7 +149,7 @@ def number_images(words: list[str], key: str) -> tuple[ShownImage, ...]:
             raise ForeignError(f"{key}: {word!r} names period 0; the first one is sine-x or sine-x1")
         count = counts.get((shows, axis, period), 0)
         if shows in (Shows.BRIGHT, Shows.DARK) and count:
-            raise ForeignError(f"{key} names {word} twice; there is one at most; write - for the other")
+            raise ForeignError(f"{key} names {word} twice; allowed is one; write - for the other")
         counts[shows, axis, period] = count + 1
         images.append(ShownImage(shows, axis, count, period))
     return tuple(images)

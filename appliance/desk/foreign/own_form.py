@@ -43,7 +43,7 @@ LEAST_WITHIN = 0.5
 def own_sequence(description: Description, images: ImageSet) -> PatternSequence | str:
     """Return the sequence of a set that has our form, else the reason why it has not, in words."""
     if "right" not in description.files:
-        return "there is no second camera"
+        return "it has no second camera"
     if description.one_direction:
         return f"it has fringes of one direction only, {description.axes[0].name}"
     if images.images.dtype != np.uint8:
@@ -108,7 +108,7 @@ def _reason_against(axis: AxisConvention) -> str | None:
     if axis.plain_binary or axis.inverted:
         return "its code is plain binary, or inverted"
     if axis.stripe_px != 0.5 * axis.period_px or axis.code_offset_px != 0.0:
-        return "its code does not number half periods from the edge of the pattern"
+        return "its code does not count half periods from the edge of the pattern"
     return None
 
 
@@ -128,7 +128,7 @@ def require_folder_sequence(path: Path, out: Path, scan: ForeignScan) -> Pattern
             f"{path}: no scan folder can be made: the calibration has no scale; give the translation's length in mm"
         )
     if scan.wrong:
-        raise ForeignError(f"{path}: no scan folder can be made of images that are described wrongly; correct it")
+        raise ForeignError(f"{path}: the images contradict it, and no scan folder can be made; correct it")
     return sequence
 
 
@@ -141,7 +141,7 @@ def write_own(
     within = float(np.mean((depth_mm > limits.min_depth_mm) & (depth_mm < limits.max_depth_mm)))
     if within < LEAST_WITHIN:
         raise ForeignError(
-            f"{path}: no scan folder can be made: {100 * within:.0f} % of the points lie in the instrument's depths of "
+            f"{path}: no scan folder can be made: {100 * within:.0f} % of the points lie within the working volume of "
             f"{limits.min_depth_mm:g} to {limits.max_depth_mm:g} mm; write a cloud with --out {out.name}.ply"
         )
     calibration = calibration_of(scan)

@@ -73,7 +73,7 @@ def step_weights(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
     if len(steps_deg) < 3 or singular[-1] * WORST_CONDITION < singular[0]:
         steps_text = ", ".join(f"{step:g}" for step in steps_deg)
         raise ForeignError(
-            f"steps_deg {steps_text} lie too near to each other to tell a phase; correct them, three must differ by far"
+            f"steps_deg {steps_text} lie too close together for a phase; correct them, so that three differ clearly"
         )
     return np.asarray(np.linalg.pinv(columns))
 

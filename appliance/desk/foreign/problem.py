@@ -32,7 +32,7 @@ class Table:
         for key in self.content:
             if key not in allowed:
                 near = difflib.get_close_matches(key, allowed, 1)
-                hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(allowed)}"
+                hint = f"did you mean {near[0]}?" if near else f"known are: {', '.join(allowed)}"
                 raise ForeignError(f"{self.name}{key:.60}: unknown key; {hint}")
 
     def table(self, key: str, *allowed: str) -> Table | None:

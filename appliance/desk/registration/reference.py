@@ -163,7 +163,9 @@ def register_to_reference(
     SurfaceMatchError if most of the surface fits no place of the reference.
     """
     if len(measured.points_mm) < FEWEST:
-        raise SurfaceMatchError(f"it has {len(measured.points_mm)} points; at least {FEWEST} must lie on the reference")
+        raise SurfaceMatchError(
+            f"it has {len(measured.points_mm)} points; at least {FEWEST} are needed on the reference"
+        )
     final_points, points, few_points, slid_points = (
         _thin_out(measured, max_count) for max_count in (MAX_POINTS, MAX_POINTS // 4, MAX_POINTS // 8, _MAX_SLID_POINTS)
     )
@@ -625,7 +627,7 @@ def _size_text(points: OrientedPoints) -> str:
 def _metres_hint(measured: OrientedPoints, reference: OrientedPoints) -> str:
     """Return the question whether the reference is in metres, if its size suggests so."""
     ratio = _extent_mm(measured) / max(_extent_mm(reference), 1e-12)
-    return "; is the CAD model in metres? Then make it 1000 times as large" if 50.0 < ratio < 5000.0 else ""
+    return "; if the CAD model is in metres, scale it by 1000" if 50.0 < ratio < 5000.0 else ""
 
 
 def _same_pose(first: Rigid, second: Rigid, points: OrientedPoints, share: float = 0.005) -> bool:

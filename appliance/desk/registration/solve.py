@@ -225,9 +225,9 @@ def _omissions(count: int, placed: ScanPoses, compared: Sequence[ComparedPair]) 
         refused = [result for result in own_results if result.pair.refusal not in (None, PairRefusal.NOTHING_IN_COMMON)]
         contradicting = [result for result in own_results if (result.first, result.second) in wrong]
         if contradicting:
-            reasons[scan] = Omission("its pairs contradict the loops of the others")
+            reasons[scan] = Omission("its scan pairs contradict the loops of the others")
         elif any(result.pair.accepted for result in own_results):
-            reasons[scan] = Omission("it fits others that have no place either")
+            reasons[scan] = Omission("it overlaps only scans without a pose")
         elif refused:
             # The overlap is unknown: scans taken one after the other were meant to overlap.
             best = min(refused, key=lambda result: result.second - result.first)

@@ -251,7 +251,8 @@ def _view(full: DrawnSurface, up: Vector) -> tuple[str, str]:
     content_text = "triangles between" if full.faces is not None else "surface of"
     return (
         f'<section class="view"><h2>Surface</h2>{element}<figure class="paper">{picture}</figure>{bars}'
-        f'<p class="note screen">Drag to turn, wheel to go nearer. Drawn: {content_text} {count_text} points.</p></section>'
+        f'<p class="note screen">Drag to rotate, turn the wheel to zoom. Drawn: {content_text} {count_text} '
+        "points.</p></section>"
     ), scripts
 
 
@@ -269,7 +270,7 @@ def _nominal(nominal: ReportNominal, full: DrawnSurface) -> str:
             "–" if summary.within_2_sigma_percent is None else f"{summary.within_2_sigma_percent:.1f} %",
         ),
         (
-            f"Farther than {summary.limit_mm:g} mm, not counted above",
+            f"Beyond {summary.limit_mm:g} mm, not included above",
             f"{_count(summary.beyond)} ({share:.2f} %)",
         ),
     ]
@@ -301,7 +302,8 @@ def _budget(budget: ReportBudget) -> str:
         f"mm</h2>{statement}<table><thead><tr><th>Contribution</th><th>Standard "
         f"uncertainty</th><th>Source</th></tr></thead><tbody>{rows}</tbody><tfoot><tr><th>All "
         f"together</th><th>{_mm(budget.combined_mm)}"
-        f"</th><th>twice that, ± {_mm(2 * budget.combined_mm)}, covers some 95 %</th></tr></tfoot></table></section>"
+        f"</th><th>expanded (k = 2), ± {_mm(2 * budget.combined_mm)}, covers some 95 "
+        "%</th></tr></tfoot></table></section>"
     )
 
 
@@ -330,7 +332,7 @@ def _add_scans(html_page: Page, scans: Sequence[ReportScan]) -> None:
         "Distance",
         "Sigma",
         "Ray gap",
-        "Place in mm",
+        "Position in mm",
         "Rotation in °",
         "Pose",
         "Remarks",
@@ -341,7 +343,7 @@ def _add_scans(html_page: Page, scans: Sequence[ReportScan]) -> None:
     if not pictures:
         return
     html_page.heading("Pictures")
-    html_page.note("As the left camera sees them; yellow is near, dark is far, within each picture.")
+    html_page.note("Depth maps of the left camera; in each, yellow is near and dark is far.")
     html_page.add('<div class="pictures">')
     for scan, png in pictures:
         html_page.figure(f"scan {scan.name}: {_or_dash(scan.points, _count)} points", png)
@@ -364,12 +366,12 @@ def _add_pairs(html_page: Page, scans: Sequence[ReportScan], pairs: Sequence[Rep
         )
         for pair in pairs
     )
-    html_page.heading("Pairs of scans")
+    html_page.heading("Scan pairs")
     drawn = net(scans, pairs)
     if drawn:
         html_page.add(
-            f"<figure>{drawn}<figcaption>Places of the scans; the thicker a line, the larger the overlap. Dashed: "
-            "refused, overlap unknown.</figcaption></figure>"
+            f"<figure>{drawn}<figcaption>Scan poses; a thicker line means a larger overlap. Dashed: rejected, "
+            "overlap unknown.</figcaption></figure>"
         )
     columns = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Displacement", "Rotation", "Remarks")
     html_page.table(columns, rows, "pairs")

@@ -85,7 +85,7 @@ def _binary_stl(data: bytes) -> tuple[NDArray[np.float64] | None, bool]:
     if stated > present:
         raise ValueError(f"is cut off: {present:,} of {stated:,} triangles are there")
     if stated == 0:
-        raise ValueError("holds no triangles: its head says 0")
+        raise ValueError("holds no triangles: its header says 0")
     facets = np.frombuffer(data, _FACET, stated, _STL_HEAD)
     remaining_bytes = len(data) - _STL_HEAD - stated * _FACET.itemsize
     # One triangle more means a wrong count; other bytes behind the last are an addition of another program.
@@ -94,7 +94,7 @@ def _binary_stl(data: bytes) -> tuple[NDArray[np.float64] | None, bool]:
         and remaining_bytes % _FACET.itemsize == 0
         and np.any(np.frombuffer(data, np.uint8)[-remaining_bytes:])
     ):
-        raise ValueError(f"states {stated:,} triangles, and {present:,} are there: one of the two is wrong")
+        raise ValueError(f"states {stated:,} triangles, and {present:,} are there: correct the file")
     return facets["corners"].astype(np.float64), True
 
 
@@ -103,13 +103,13 @@ def _ascii_stl(data: bytes) -> NDArray[np.float64]:
     try:
         numbers = np.array([corner.split() for corner in _WORDS.findall(data)], dtype="S40").astype(np.float64)
     except ValueError as error:
-        raise ValueError(f"a corner is no three numbers ({error})") from error
+        raise ValueError(f"a vertex is not three numbers ({error})") from error
     stated = len(re.findall(rb"(?i)\bendfacet\b|\bend[ \t]+facet\b", data))
     if not len(numbers):
-        raise ValueError("holds no triangles: it has no corners")
+        raise ValueError("holds no triangles: it has no vertices")
     if len(numbers) % 3 or stated != len(numbers) // 3 or not re.search(rb"(?i)\bend[ \t]*solid\b", data[-4096:]):
         raise ValueError(
-            f"is cut off: {len(numbers)} corners, {stated} whole triangles, and no end of the solid or another count"
+            f"is cut off: {len(numbers)} vertices, {stated} whole triangles, and no matching end of the solid"
         )
     return numbers.reshape(-1, 3, 3)
 
@@ -147,12 +147,12 @@ def _check_ply(data: bytes) -> bool:
             case ["element", name, count] if count.isascii() and count.isdigit():
                 element, number = name, int(count)
             case ["element", *_]:
-                raise ValueError(f"its head says {line.decode('ascii', 'replace')!r}, which is no count")
+                raise ValueError(f"its header says {line.decode('ascii', 'replace')!r}, which is no count")
             case ["property", "list", count_type, _, name]:
                 if element == "vertex":
                     raise ValueError(
-                        f"its vertices have a list ({name}), which may be longer for one than for another and is not "
-                        "read: write it without"
+                        f"its vertices have a list ({name}), which may vary in length and is not supported: write "
+                        "the file without it"
                     )
                 min_bytes += number * (2 if text else _PLY_BYTES.get(count_type, 1))
             case ["property", kind, name]:
@@ -179,7 +179,7 @@ def _check_obj(data: bytes) -> bool:
                 or (index[:1] == b"-" and index[1:].isdigit() and int(index[1:13]) > corners)
             ):
                 raise ValueError(
-                    f"a face names corner {index.decode('ascii', 'replace')[:20]} of {corners}: OBJ counts from 1; was "
+                    f"a face names vertex {index.decode('ascii', 'replace')[:20]} of {corners}: OBJ counts from 1; was "
                     "it written from 0?"
                 )
     return False
@@ -202,20 +202,20 @@ def _check_triangles(
     if not len(triangles):
         raise ValueError("holds no triangles")
     if triangles.min() < 0 or triangles.max() >= len(corners):
-        raise ValueError(f"a triangle names a corner that is not among its {len(corners):,}")
+        raise ValueError(f"a triangle names a vertex beyond its {len(corners):,}")
     used = corners[triangles]
     wrong = ~(np.isfinite(used) & (np.abs(used) <= FARTHEST_MM)).all(axis=(1, 2))
     if wrong.any():
         first = int(np.flatnonzero(wrong)[0])
         raise ValueError(
-            f"{int(wrong.sum()):,} of {len(triangles):,} triangles have a corner that is no number or beyond "
+            f"{int(wrong.sum()):,} of {len(triangles):,} triangles have a vertex that is not finite or beyond "
             f"{FARTHEST_MM:g} mm (the first: "
             f"triangle {first + 1}, {used[first].tolist()})"
         )
     step_mm = float(np.spacing(np.float32(np.abs(used).max()))) if single else 0.0
     if step_mm > COARSEST_MM:
         raise ValueError(
-            f"its corners lie up to {np.abs(used).max() / 1000.0:,.0f} m from the origin, where single precision has "
+            f"its vertices lie up to {np.abs(used).max() / 1000.0:,.0f} m from the origin, where single precision has "
             f"steps of {step_mm:g} mm: "
             "move it to the origin in the CAD program, or write a PLY with double"
         )

@@ -37,7 +37,7 @@ def test_the_file_lies_where_the_instrument_looks_and_is_never_replaced(
 ) -> None:
     words, of_gone = ("--rig", RIG, "--root", tmp_path), store(plane, tmp_path / "gone", response_hash="cd" * 32)
     said = shell("calibration", "measure", "response", of_gone, *words, "--install")
-    assert (said.code, "drawn for another response" in said.err) == (1, True)
+    assert (said.code, "patterns for another response" in said.err) == (1, True)
     assert not (tmp_path / "calibration").exists()
     scan = store(plane, tmp_path / "plane")
     report = shell("calibration", "measure", "response", scan, *words, "--install", "--json").document

@@ -96,7 +96,7 @@ def test_a_bent_object_is_within_its_sigma_and_that_is_said(plate: Nominal, erro
     assert told.deviation.summary.within_2_sigma_percent is not None
     assert told.deviation.summary.within_2_sigma_percent > 93.0
     (warning,) = told.warnings
-    assert "within what may bend the object" in warning
+    assert "within the object's depth error" in warning
     # What bends a row most is its middle against its ends; where those cross, nothing moves.
     bending = told.surface.shares
     assert bending is not None

@@ -40,7 +40,7 @@ def test_the_page_shows_every_scan_with_verdict_figures_and_picture(
     assert main(["report", "--root", str(root), "--out", str(out), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert [one["verdict"] for one in said["scans"]] == ["good", "refused"]
-    assert "1 of 2 scans without points that can be used: 000002" in said["warnings"]
+    assert "1 of 2 scans without usable points: 000002" in said["warnings"]
     text = out.read_text()
     assert "default-src 'none'" in text, "it asks for nothing from outside"
     assert not re.search(r"(src|href)=.https?:", text)

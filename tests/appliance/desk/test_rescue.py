@@ -64,7 +64,7 @@ def test_the_points_are_those_of_the_whole_scan_and_say_that_nothing_checked_the
     out = tmp_path / "rescued.ply"
     with pytest.raises(ScanError, match="12 frames"):
         rescued(broken(rig, whole, OF_X - 1), out)
-    with pytest.raises(ScanError, match="nothing can be rescued"):
+    with pytest.raises(ScanError, match="has no usable cloud"):
         rescued(broken(rig, whole, OF_X, slice(40, 42)), out)
     assert not out.exists()
     report = rescued(broken(rig, whole, OF_X), out)

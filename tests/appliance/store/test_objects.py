@@ -107,11 +107,11 @@ def test_scans_that_are_added_at_once_are_all_in_the_object(tmp_path: Path) -> N
 
 def test_places_do_not_replace_those_of_more_scans_or_of_an_object_that_was_made_again(tmp_path: Path) -> None:
     objects.write(tmp_path, solved(1, 2, 3))
-    with pytest.raises(ObjectError, match="was solved with 000003, too, meanwhile"):
+    with pytest.raises(ObjectError, match="was meanwhile solved with 000003, too"):
         objects.update_object(tmp_path, "hull 3", lambda now: objects.merge_places(now, solved(1, 2)))
     assert objects.read_object(tmp_path, "hull 3") == solved(1, 2, 3)
     for now in (None, solved(1, 3)):
-        with pytest.raises(ObjectError, match="was made again while it was solved"):
+        with pytest.raises(ObjectError, match="was made again during solving"):
             objects.merge_places(now, solved(1, 2))
     again = replace(solved(1, 2), scans=(scan(1), replace(scan(2), frames_sha256=("other frames",))))
     with pytest.raises(ObjectError, match="was made again"):
@@ -119,7 +119,7 @@ def test_places_do_not_replace_those_of_more_scans_or_of_an_object_that_was_made
 
 
 def test_a_scan_is_not_taken_twice_under_whatever_name() -> None:
-    with pytest.raises(ObjectError, match="000009 is in it already, as 000001"):
+    with pytest.raises(ObjectError, match="000009 is already in it as 000001"):
         objects.with_scans(OBJECT, (MemberScan("000009", "copy/000009", ("aa", "bb")),))
     with pytest.raises(ObjectError, match="another scan called 000001"):
         objects.with_scans(OBJECT, (MemberScan("000001", "elsewhere/000001", ("dd",)),))

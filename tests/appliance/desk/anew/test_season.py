@@ -119,9 +119,9 @@ def test_what_is_not_known_is_left_out_and_not_drawn_as_nothing() -> None:
     ]
     page = page_of(*unknown, cells(3, verdicts="compensation=no"), cells(4, gap_mm=0.007))
     assert [words[:6] for *_, words in dots(chart(page, "ray gap, µm"))] == ["000003", "000004"]
-    assert season_page([], "t.csv").count("Nothing in the table.") == 4
+    assert season_page([], "t.csv").count("No values in the table.") == 4
     failed = page_of(cells(1, state="failed", reason="x: missing", **UNKNOWN))
-    assert (failed.count("Nothing in the table."), "x: missing" in failed, "0 of 1" in failed) == (4, True, True)
+    assert (failed.count("No values in the table."), "x: missing" in failed, "0 of 1" in failed) == (4, True, True)
 
 
 def test_groups_have_their_colours_and_the_rare_ones_share_one() -> None:
@@ -159,7 +159,7 @@ def test_the_head_and_the_tiles_are_counts_and_medians_of_the_rows() -> None:
 
 def test_every_refused_scan_is_there_with_its_reason_and_marked_where_it_was_taken() -> None:
     rows = [cells(k) for k in range(1, 9)]
-    damaged = "frames_left.npy: damaged (its checksum does not fit) in sine-x-180; bring it back"
+    damaged = "frames_left.npy: damaged (its checksum does not fit) in sine-x-180; restore it"
     for k in (2, 5):
         rows[k - 1] = cells(k, state="failed", reason=f"/disk/scans/{k:06d}: {damaged}", **UNKNOWN)
     rows[6] = cells(7, spoilt=True, faults="MOTION: the hands moved by 3 mm; BLURRED: edges of 4 px")
@@ -175,7 +175,7 @@ def test_every_refused_scan_is_there_with_its_reason_and_marked_where_it_was_tak
     for reason, kind in (("dark (7 of 9); open it", "dark"), ("/disk/scans/000001: dark", "dark"), ("", "not known")):
         page = page_of(cells(1, state="failed", reason=reason))
         assert f"<tbody><tr><td>{kind}</td><td>1</td></tr></tbody>" in page
-    assert '<h2>Refused scans, and why</h2><p class="note">None.</p>' in page_of(cells(1))
+    assert '<h2>Rejected scans, with reasons</h2><p class="note">None.</p>' in page_of(cells(1))
 
 
 HOSTILE = """<script>throw new Error("in")</script><img src=x onerror=alert(1)>"'&amp;"""

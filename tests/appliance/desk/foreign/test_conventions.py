@@ -62,7 +62,7 @@ def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: P
 @pytest.mark.parametrize(
     ("name", "changes", "said"),
     [
-        ("three-steps", [("bright dark", "dark bright")], "they are exchanged"),
+        ("three-steps", [("bright dark", "dark bright")], "are exchanged"),
         ("inverses", [("gray-x ~gray-x", "~gray-x gray-x")], "x.code_inverted = true"),
     ],
 )  # fmt: skip
@@ -138,7 +138,7 @@ def test_a_folder_becomes_a_cloud_and_a_description_that_works(shell: Shell, for
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "cloud.npz").read_bytes()
     said = shell("import", folder, "--out", tmp_path / "cloud.npz")
     assert said.code == Exit.USAGE
-    assert "cloud.toml is there already: import it" in said.err
+    assert "cloud.toml exists already; import it" in said.err
     with np.load(tmp_path / "cloud.npz") as grid:
         complete, off_mm = judged(made, points_of(grid), grid["mask"])
     assert complete > 0.94

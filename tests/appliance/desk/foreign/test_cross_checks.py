@@ -144,7 +144,7 @@ BOTH_SIGNS = {"x.sign": -1, "y.sign": -1}
         ("x", TWO, {"R": R.T}, POSE, "if R is transposed", {}),
         ("xy", TWO, {"T": -T}, POSE, "if T is negated", {}),
         ("x", TWO, {"R": R.T, "T": -T}, POSE, "if R is transposed and T negated", {}),
-        ("xy", TWO, {"R": turned(TWO, 0, 1.0)}, POSE, "no better if cameras, R or T are exchanged", {}),
+        ("xy", TWO, {"R": turned(TWO, 0, 1.0)}, POSE, "exchanging cameras, R or T is no better", {}),
         ("x", TWO, {"K1": K @ TWO.left.K, "K2": K @ TWO.right.K}, IMAGES_SIZE, "half the size, multiply the matrices by 2", {}),
         # Of several that do as well none is left out.
         ("x", TWO, {"R": R.T, "change": without_texture}, POSE, "if R is transposed or T is negated", {}),

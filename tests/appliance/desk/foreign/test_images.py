@@ -98,7 +98,10 @@ def test_headers_tell_which_image_is_unlike_the_others(tmp_path: Path) -> None:
 
 def test_headers_alone_tell_that_one_camera_has_more_images(tmp_path: Path) -> None:
     saved(tmp_path, 3)
-    for right, wanted in (("[12]", "left and right have other images"), ("[0-2]", r"\[cameras.left\] is missing")):
+    for right, wanted in (
+        ("[12]", "left and right have different kinds of images"),
+        ("[0-2]", r"\[cameras.left\] is missing"),
+    ):
         said = described(tmp_path, f'left.gray-x = "*.png"\nright.gray-x = "{right}.png"')
         with pytest.raises(ForeignError, match=wanted):
             check_images(Path("set.toml"), said, {side: first_of_side(said, side) for side in said.files})

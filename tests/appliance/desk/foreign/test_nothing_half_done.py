@@ -47,14 +47,14 @@ def test_a_description_that_cannot_be_followed_costs_no_minute_of_compiling(fore
     )  # fmt: skip
     assert done.returncode == Exit.FAILED
     assert len(done.stderr.splitlines()) == 1, done.stderr
-    assert "have no right_matrix, rotation, translation under a name that is known" in done.stderr
+    assert "have no right_matrix, rotation, translation under a known name" in done.stderr
     assert [path for path in compiled.rglob("*") if path.suffix in (".nbi", ".nbc")] == []
 
 
 @pytest.mark.parametrize(
     ("changes", "out", "said"),
     [
-        ((("three-steps", "nothing"),), "c.ply", "No such file or directory; give the description of the images"),
+        ((("three-steps", "nothing"),), "c.ply", "No such file or directory; give the image set description"),
         ((("[images]", "[images"),), "c.ply", "correct that line"),
         ((('left = "*_left.png"', 'left = "*_port.png"'),), "c.ply", "no file is called '*_port.png'"),
         ((("sine-x*3", "sine-x*4"),), "c.ply", "10 images (00_left.png to 09_left.png), and images.order names 11 images"),

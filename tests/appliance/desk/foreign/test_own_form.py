@@ -43,7 +43,7 @@ def test_two_directions_of_four_steps_become_a_scan_folder(shell: Shell, foreign
     assert abs(own.document["points"] / said.document["points"] - 1.0) < 0.02
     again = shell("import", made.description, "--out", tmp_path / "000001")
     assert again.code == Exit.FAILED
-    assert "is there already" in again.error
+    assert "exists already" in again.error
 
 
 def test_a_lens_that_our_files_cannot_hold_is_no_scan_folder() -> None:
@@ -83,9 +83,9 @@ gray = "complementary"
         ((("gray-y*7 sine-y*4", ""), ("[y]\nperiod_px = 16\nsteps = 4\ngray = \"complementary\"\n", "")), "fringes of one direction only, x"),
         ((("sine-x*4", "sine-x*3"), ("steps = 4\ngray = \"complementary\"\n[y]", "steps = 3\ngray = \"complementary\"\n[y]")),
          "x: its steps 0°, 120°, 240° are not the four of 0°, 90°, 180°, 270°"),
-        ((("steps = 4\ngray = \"complementary\"\n[y]", "steps = 4\n[y]"),), "x: its code does not number half periods from the edge"),
-        ((("steps = 4\ngray", "steps = 4\ncode_offset_px = 8\ngray"),), "x: its code does not number half periods from the edge"),
-        ((('right = "r*"\n', ""),), "there is no second camera"),
+        ((("steps = 4\ngray = \"complementary\"\n[y]", "steps = 4\n[y]"),), "x: its code does not count half periods from the edge"),
+        ((("steps = 4\ngray", "steps = 4\ncode_offset_px = 8\ngray"),), "x: its code does not count half periods from the edge"),
+        ((('right = "r*"\n', ""),), "it has no second camera"),
         ((("sine-x*4", "sine-x*4 sine-x2*4"), ("period_px = 16", "period_px = [16, 64]")), "x: it has 2 periods"),
         ((("period_px = 16", "period_px = 16.5"),), "x: its period is 16.5 px, no whole number"),
         ((("sine-x*4", "modulated-x*12"),), "x: its fringes have a carrier"),

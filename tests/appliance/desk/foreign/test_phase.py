@@ -75,7 +75,7 @@ def test_noise_makes_the_error_that_the_steps_allow() -> None:
 
 @pytest.mark.parametrize("steps_deg", [(0.0, 1.0, 2.0), (0.0, 180.0, 360.0), (0.0, 360.0, 720.0, 90.0)])
 def test_steps_that_tell_no_phase_are_refused(steps_deg: tuple[float, ...]) -> None:
-    with pytest.raises(ForeignError, match="too near to each other"):
+    with pytest.raises(ForeignError, match="too close together"):
         step_weights(steps_deg)
 
 

@@ -123,6 +123,6 @@ def test_a_picture_that_was_cut_off_is_refused_in_our_words_alone(
     data = cv2.imencode(kind, image)[1].tobytes()
     left.write_bytes(data[: len(data) * 2 // 3] if kind != ".tif" else data[:8] + data[len(data) // 2 :])
     cv2.imwrite(str(right), image)
-    with pytest.raises(PicturesError, match=r"00_left\.\w+: (is no picture|\d+x\d+ px)"):
+    with pytest.raises(PicturesError, match=r"00_left\.\w+: (is no image|\d+x\d+ px)"):
         read_pair(Pair("00", left, right), 80, 60)
     assert capfd.readouterr().err == ""

@@ -123,11 +123,11 @@ def test_each_scan_without_a_place_has_the_reason_that_helps_most() -> None:
     placed = place(8, edges_of(compared), middles(8))
     left = _omissions(8, placed, compared)
     assert {scan: (one.why, one.beside) for scan, one in left.items()} == {
-        3: ("it fits others that have no place either", None),
-        4: ("it fits others that have no place either", None),
+        3: ("it overlaps only scans without a pose", None),
+        4: ("it overlaps only scans without a pose", None),
         5: ("5 and 6", 6),
         6: ("5 and 6", 5),
         7: ("it overlaps no other scan", None),
     }
     contradicting = replace(placed, wrong=(edge(3, 4),))
-    assert _omissions(8, contradicting, compared)[4].why == "its pairs contradict the loops of the others"
+    assert _omissions(8, contradicting, compared)[4].why == "its scan pairs contradict the loops of the others"

@@ -114,7 +114,7 @@ def test_another_thing_or_a_drawing_in_metres_is_refused_with_both_sizes() -> No
     stone: Any = trimesh.creation.icosphere(subdivisions=3, radius=70.0)
     with pytest.raises(SurfaceMatchError, match=r"must: is it the same thing, in mm.* and 200 x 150 x 5\d"):
         register_to_reference(view([stone]), reference(HERE))
-    with pytest.raises(SurfaceMatchError, match=r"0\.2 x 0\.15 x 0\.05 mm; is the CAD model in metres"):
+    with pytest.raises(SurfaceMatchError, match=r"0\.2 x 0\.15 x 0\.05 mm; if the CAD model is in metres"):
         register_to_reference(view(block()), reference(HERE, 0.001))
 
 

@@ -89,7 +89,7 @@ def test_everything_that_was_handed_in_is_said_with_its_unit(report: Report, wri
 def test_what_is_not_known_is_a_dash_and_what_is_absent_has_no_heading(surface: FusedCloud) -> None:
     said = plain(page(Report("One", scans=[ReportScan("7", ReportVerdict.DOUBTFUL)], surface=surface)))
     assert "7 ! doubtful – – – – – – –" in said
-    for heading in ("Pairs of scans", "Uncertainty over", "Deviation from", "Warnings"):
+    for heading in ("Scan pairs", "Uncertainty over", "Deviation from", "Warnings"):
         assert heading not in said.partition("How to read this")[0]
 
 
