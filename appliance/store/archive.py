@@ -192,7 +192,7 @@ def pack_scan(fs: FileSystem, source: Path, target: Path) -> CopyOutcome:
     wrong = stored.wrong_files(source, manifest, checksums=True)
     if wrong:
         # A damaged scan stays where it is: packed, it would look like one that was compared.
-        raise ScanError(f"{source}: {_problem_list(wrong)}; not packed: bring it back from a copy first")
+        raise ScanError(f"{source}: {_problem_list(wrong)}; not packed: restore it from a copy first")
     draft = _draft(target)
     parts: dict[str, Iterable[Bytes]] = {}
     for path in _files(source):
@@ -237,7 +237,7 @@ def problems_of(folder: Path) -> dict[str, str]:
             continue
         try:
             if packed.stamp_of(folder / name) != manifest.files[name]:
-                wrong[name] = "decodes to other frames"
+                wrong[name] = "decodes to different frames"
         except PackedError as error:
             wrong[name] = str(error)
         except OSError as error:
@@ -277,7 +277,7 @@ def remove_source(fs: FileSystem, source: Path, copy: Path) -> None:
         now = sorted(path.name for path in leaving.iterdir())
     if now != [path.name for path in compared]:
         fs.move_folder(leaving, source)
-        raise ScanError(f"{source}: was changed while it was compared; nothing was removed: call again")
+        raise ScanError(f"{source}: changed during the comparison; nothing is removed; call again")
     fs.remove_folder(leaving)
 
 
@@ -292,7 +292,7 @@ def finish_removals(fs: FileSystem, root: Path, kinds: Iterable[LibraryFolder]) 
             try:
                 _files(folder)
             except ScanError as error:
-                left[folder.name] = f"{error}. The scan itself was packed and compared before"
+                left[folder.name] = f"{error}; the scan is packed and compared; remove its folder yourself"
             else:
                 fs.remove_folder(folder)
     return left
@@ -308,7 +308,7 @@ def _compare_present(fs: FileSystem, source: Path, target: Path) -> CopyOutcome:
     with StorageError.naming("cannot compare", target):
         same = theirs.is_file() and ours.read_bytes() == theirs.read_bytes()
     if not same:
-        raise ScanError(f"{target}: is there and is another scan than {source}; give another folder with --out")
+        raise ScanError(f"{target}: exists and is another scan than {source}; give another folder with --out")
     manifest = StoredScan.manifest_of(source)
     wrong = stored.wrong_files(target, manifest, checksums=False)
     if wrong:
@@ -330,9 +330,8 @@ def _compare_present(fs: FileSystem, source: Path, target: Path) -> CopyOutcome:
                 different.append(path.name)
     if different:
         raise ScanError(
-            f"{', '.join(different)} DIFFERS at both ends, and was left alone ({source}, {target}); make it the same at "
-            "both, or move away "
-            "the one that is not wanted"
+            f"{', '.join(different)} DIFFERS in source and target, and is not copied ({source}, {target}); "
+            "make both the same, or move away the unwanted one"
         )
     return CopyOutcome.ALREADY
 
@@ -359,9 +358,9 @@ def _refuse_difference(source: Path, copy: Path) -> list[Path]:
             frames = name in FRAME_FILES
             same = _stamp(source / name, frames=frames) == _stamp(copy / name, frames=frames)
         except (PackedError, OSError) as error:
-            raise ScanError(f"{copy / name}: cannot be compared with {path} ({error}); nothing was removed") from error
+            raise ScanError(f"{copy / name}: cannot be compared with {path} ({error}); nothing is removed") from error
         if not same:
-            raise ScanError(f"{copy / name}: is not what {path} is; nothing was removed")
+            raise ScanError(f"{copy / name}: differs from {path}; nothing is removed")
     return files
 
 
@@ -396,7 +395,7 @@ def _plain_parts(path: Path) -> Iterator[Bytes]:
     try:
         yield from packed.read_index(path).parts()
     except PackedError as error:
-        raise ScanError(f"{path}: {error}; bring it back from a copy") from error
+        raise ScanError(f"{path}: {error}; restore it from a copy") from error
 
 
 def _draft(target: Path) -> Path:
@@ -413,7 +412,8 @@ def _files(folder: Path) -> list[Path]:
         non_files = [path.name for path in paths if not path.is_file()]
     if non_files:
         raise ScanError(
-            f"{folder}: {', '.join(non_files)}: no file, and only files are packed; move it out, and call again"
+            f"{folder}: {', '.join(non_files)}: not a regular file, and only files are packed; move it out, "
+            "and call again"
         )
     return paths
 

@@ -23,20 +23,20 @@ Bytes = bytes | bytearray | memoryview
 _BLOCK = 4 * 1024 * 1024
 CHECKSUM_DIGITS = 12
 """Digits of the checksum in the name of a file whose own name was taken by other content."""
-_OWNER = "this user may not: check the owner and the mode of the folder, or use another folder"
+_OWNER = "this user has no permission: check owner and mode of the folder, or use another folder"
 _REMEDIES = {
     errno.ENOSPC: "the disk is full: free space on it, or use another folder",
-    errno.EDQUOT: "this user's share of the disk is used up: free space, or have the share enlarged",
-    errno.EROFS: "the file system is mounted for reading only: mount it for writing, or use another folder",
+    errno.EDQUOT: "this user's disk quota is used up: free space, or have the quota enlarged",
+    errno.EROFS: "the file system is mounted read-only: mount it for writing, or use another folder",
     errno.EACCES: _OWNER,
     errno.EPERM: _OWNER,
-    errno.ENOENT: "a part of the path does not exist: correct it",
-    errno.ENOTDIR: "a part of the path is a file: correct it, or move the file away",
-    errno.EISDIR: "it is a folder: give the name of a file",
+    errno.ENOENT: "a part of the path does not exist: correct the path",
+    errno.ENOTDIR: "a part of the path is a file: correct the path, or move the file away",
+    errno.EISDIR: "the path is a folder: give the name of a file",
     errno.ENAMETOOLONG: "the name is too long: give a shorter one",
-    errno.EIO: "the disk fails: copy what is on it, and replace it",
-    errno.EMFILE: "too many files are open in this process: start it again",
-    errno.ENOTEMPTY: "something else was put into the folder: move it out",
+    errno.EIO: "the disk fails: copy its files, and replace it",
+    errno.EMFILE: "too many files are open in this process: restart it",
+    errno.ENOTEMPTY: "the folder is not empty: move its other files out",
 }
 
 

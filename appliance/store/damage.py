@@ -102,9 +102,7 @@ def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[n
     count = len(manifest.record.sequence.patterns)
     shape = _shape(folder, manifest, count)
     if shape is None:
-        raise ScanError(
-            f"{folder / file}: nothing is left that says how large its frames are; bring it back from a copy"
-        )
+        raise ScanError(f"{folder / file}: the size of its frames is lost; restore it from a copy")
     if stored.is_packed(folder, file):
         return _unpacked(packed_path(folder / file), (count, *shape))
     pixels = count * shape[0] * shape[1]
@@ -202,13 +200,13 @@ class SalvagedScan:
         if second is not None and of_first and not of_second:
             alone = replace(manifest.record, exposure=second.exposure, second=None)
             frames = {side: frames_as_they_are(folder, manifest, second_frames_file(side)) for side in SIDES}
-            notes.append("only the second exposure was used")
+            notes.append("only the second exposure is used")
             return cls(
                 StoredScan(folder, replace(manifest, record=alone), frames), tuple(notes), dict.fromkeys(SIDES, 1.0)
             )
         if second is not None:
             manifest = replace(manifest, record=replace(manifest.record, second=None))
-            notes.append("only the first exposure was used")
+            notes.append("only the first exposure is used")
         sequence = StoredScan(folder, manifest, {}).sequence
         frames, variance = {}, dict.fromkeys(SIDES, 1.0)
         for side in SIDES:
@@ -227,26 +225,25 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
         pattern = sequence.patterns[k]
         if pattern.kind is Kind.GRAY:
             raise ScanError(
-                f"{what}: {pattern.name} cannot be missed, since nothing else tells which fringe a pixel sees; bring "
-                "the folder "
-                "back from a copy"
+                f"{what}: {pattern.name} is lost, and no other frame gives the fringe order; restore the "
+                "folder from a copy"
             )
         if pattern.kind is Kind.SINE:
             steps = sequence.axis(pattern.direction).sine
             if any(step in lost for step in steps if step != k):
                 raise ScanError(
-                    f"{what}: two of the four sine images of a direction are lost; bring the folder back from a copy"
+                    f"{what}: two of the four sine frames of a direction are lost; restore the folder from a copy"
                 )
             # The steps after, opposite and before: I(k) = I(k+1) + I(k−1) − I(k+2), indices modulo 4.
             frames[k] = _sine(*(frames[steps[(pattern.index + offset) % PHASE_STEPS]] for offset in (1, 2, 3)))
             variance = THREE_STEP_VARIANCE
-            notes.append(f"{pattern.name} was made up from the other three steps")
+            notes.append(f"{pattern.name} is computed from the other three phase steps")
     if sequence.bright in lost and sequence.dark in lost:
-        raise ScanError(f"{what}: bright and dark image are both lost; bring the folder back from a copy")
+        raise ScanError(f"{what}: bright and dark frame are both lost; restore the folder from a copy")
     for k, is_bright in ((sequence.bright, True), (sequence.dark, False)):
         if k in lost:
             frames[k] = _reference(frames[gray], is_bright=is_bright)
-            notes.append(f"{sequence.patterns[k].name} was made up from the Gray images")
+            notes.append(f"{sequence.patterns[k].name} is computed from the Gray code frames")
     return variance
 
 

@@ -87,20 +87,22 @@ class IncompleteRecording:
         patterns = record.sequence.patterns
         shapes = {frames[side].shape for side in SIDES}
         if len(shapes) != 1:
-            raise ValueError(f"left and right frames differ: {sorted(shapes)}; give those of the same patterns")
+            raise ValueError(
+                f"left and right frames differ in shape: {sorted(shapes)}; give frames of the same patterns"
+            )
         (count, height_px, width_px) = shapes.pop()
         if not 0 < count < len(patterns):
             raise ValueError(f"{count} of {len(patterns)} frames are no incomplete recording")
         folder = root / INCOMPLETE_FOLDER
         numbers = _sweep(fs, folder)
         if len(numbers) >= MOST:
-            raise ValueError(f"{folder} has {MOST} recordings already; look at them, and move them elsewhere")
+            raise ValueError(f"{folder} has {MOST} recordings already; move some of them elsewhere")
         needed = 2 * count * height_px * width_px + _OTHER_BYTES
         # Space for the next scan has priority over an incomplete one.
-        with StorageError.naming("cannot ask for the room on", root):
+        with StorageError.naming("cannot read the free space of", root):
             left = fs.free_bytes(root) - needed - size_bytes(len(patterns), width_px, height_px) - reserve_bytes
         if left < 0:
-            raise StorageError("cannot keep", folder, "there would be no room for the next scan")
+            raise StorageError("cannot keep", folder, "the space for the next scan would not be left")
         number = f"{max(numbers, default=0) + 1:06d}"
         draft = folder / f".{number}"
         try:

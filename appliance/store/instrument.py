@@ -60,7 +60,7 @@ log = logging.getLogger("kingfisher")
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 NOISE_FILE = CALIBRATION_FILE.with_name("noise.json")
 """Files with measurements of the instrument, relative to the storage root."""
-ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
+ONLY_IN_AIR = "the calibration is an air calibration without ports and water; calibrate in water"
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class Instrument:
                 and misfit is None
                 and (candidate.camera_serials is not None or not problem.exchanged)
             ):
-                calibration, detail = candidate, f"{detail}; {path.name}, which was in use before, is used"
+                calibration, detail = candidate, f"{detail}; {path.name}, the calibration used before, is used"
                 break
         log.warning("uncalibrated: %s", detail)
         device = None
@@ -142,13 +142,13 @@ class Instrument:
         try:
             stored = RESPONSE.load(path)
         except ContentError as error:
-            log.warning("patterns are drawn without compensation: %s", error)
+            log.warning("patterns are made without response correction: %s", error)
             return None
         if stored is None:
             return None
         if stored.rig_serial != self.rig.rig.serial:
             log.warning(
-                "patterns are drawn without compensation: response %s is of instrument %s; this one is %s; "
+                "patterns are made without response correction: response %s is of instrument %s; this one is %s; "
                 "measure its own, or remove the file",
                 path,
                 stored.rig_serial,
@@ -158,7 +158,8 @@ class Instrument:
         if stored.trigger_delay_us not in (None, self.rig.board.trigger_delay_us):
             # Bit planes: an exposure that begins at another moment of the frame sees other bits, and another response.
             log.warning(
-                "patterns are drawn without compensation: response %s was measured with board.trigger_delay_us = %d, "
+                "patterns are made without response correction: response %s was measured with "
+                "board.trigger_delay_us = %d, "
                 "not %d; "
                 "measure it again, or remove the file",
                 path,
@@ -168,12 +169,12 @@ class Instrument:
             return None
         if stored.exposure_us not in (None, self.exposure.time_us):
             log.warning(
-                "response %s was measured at %s; the rig file's exposure is %s, at which it may be another",
+                "response %s was measured at %s; the rig file's exposure is %s, for which the response may differ",
                 path,
                 Exposure(stored.exposure_us or 0).label,
                 self.exposure.label,
             )
-        log.info("patterns are drawn for the projector's measured response")
+        log.info("patterns are made for the projector's measured response")
         return stored.response
 
     def design(self) -> Calibration:
@@ -224,7 +225,7 @@ class Instrument:
         try:
             stored = NOISE.load(path)
         except ContentError as error:
-            log.warning("the data sheets' noise is believed: %s", error)
+            log.warning("the noise of the data sheets is used: %s", error)
             return self.rig
         if stored is None:
             return self.rig
@@ -235,7 +236,7 @@ class Instrument:
             cameras.right.serial,
         ):
             log.warning(
-                "the data sheets' noise is believed: %s is of instrument %s with cameras %s and %s, this one is %s "
+                "the noise of the data sheets is used: %s is of instrument %s with cameras %s and %s, this one is %s "
                 "with %s and %s; "
                 "measure its own, or remove the file",
                 path,
@@ -256,7 +257,7 @@ class Instrument:
                 black_level_dn=figures.black_level_dn,
             )
 
-        log.info("the cameras' noise is that which was measured")
+        log.info("the measured noise of the cameras is used")
         updated = replace(
             cameras,
             left=measured(cameras.left, measured_cameras.left),

@@ -235,9 +235,7 @@ class Library:
         if folder_kind is LibraryFolder.TRASH:
             raise scan.ScanError(f"scan {folder.name} is in the trash already; `kingfisher scans restore` takes it out")
         if folder_kind is LibraryFolder.SET_ASIDE:
-            raise scan.ScanError(
-                f"scan {folder.name} is set aside: it is not whole, and in no list; nothing to put away"
-            )
+            raise scan.ScanError(f"scan {folder.name} is set aside: it is incomplete and in no list; leave it")
         return self._move(folder, self._folder_of(LibraryFolder.TRASH) / folder.name)
 
     def restore(self, scan_id: str) -> Path:
@@ -250,7 +248,7 @@ class Library:
         if folder is None:
             raise UnknownScan(
                 f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list trash --root {self.root}` "
-                "shows it"
+                "lists the trash"
             )
         return self._move(folder, self._folder_of(_kind_before_trash(folder)) / folder.name)
 
@@ -258,7 +256,7 @@ class Library:
         # The trash is made when it is first needed.
         self._fs.make_folders(target.parent)
         if target.exists():
-            raise scan.ScanError(f"scan {folder.name}: {target} is there already; move one of them elsewhere")
+            raise scan.ScanError(f"scan {folder.name}: {target} exists already; move one of them elsewhere")
         self._fs.move_folder(folder, target)
         return target
 
@@ -341,8 +339,8 @@ class Library:
             if folder is not None:
                 return folder_kind, folder
         raise UnknownScan(
-            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows what there "
-            "is"
+            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows "
+            "what there is"
         )
 
     def _find_on(self, folder_kind: LibraryFolder, scan_id: str) -> Path | None:

@@ -35,7 +35,7 @@ def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
         except OSError as error:
             owner = os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"
             raise StorageError(
-                "cannot use", root, f"another instance (process {owner}) is using it", "stop that one first"
+                "cannot use", root, f"another instance (process {owner}) is using it", "stop that process first"
             ) from error
         with StorageError.naming("cannot write", path):
             # The number is for messages only; the lock does not depend on it.

@@ -240,7 +240,7 @@ def read(folder: Path) -> Manifest:
     if (folder / INCOMPLETE_MANIFEST_FILE).exists():
         raise ContentError(
             str(folder),
-            "an incomplete recording is no scan, and nothing is measured, evaluated or calibrated with it",
+            "an incomplete scan cannot be used for measuring, evaluating or calibrating",
             remedy="`kingfisher cloud incomplete:N` makes an unchecked cloud of it",
         )
     raise ContentError(str(path), "missing")

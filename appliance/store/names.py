@@ -37,7 +37,7 @@ def take_number(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
     number = max(1, _stored(root / NUMBER_FILE), max(used, default=0) + 1)
     if number > LARGEST_NUMBER:
         raise StorageError(
-            "cannot count on in", root, f"{LARGEST_NUMBER} is the last number", "start a new storage folder"
+            "cannot number on in", root, f"{LARGEST_NUMBER} is the last number", "start a new storage folder"
         )
     fs.replace_file(root / NUMBER_FILE, _line(number + 1))
     return number
@@ -79,7 +79,7 @@ def component(name: str, what: str) -> str:
     """
     if not is_component(name):
         raise ValueError(
-            f"{what} is {name!r:.60}; allowed are 1 to {MOST_CHARACTERS} characters that can be read, none of "
+            f"{what} is {name!r:.60}; allowed are 1 to {MOST_CHARACTERS} printable characters, none of "
             f"{' '.join(sorted(_RESERVED))}, "
             "not beginning with a dot, a dash or a blank and not ending with a dot or a blank"
         )

@@ -76,8 +76,8 @@ class SourceScan:
             # Not `rig_hash`: exposures and folders may differ between scans, cameras and raster may not.
             if source.rig.optical_hash != rig.optical_hash:
                 raise ScanError(
-                    f"{source.scan.folder}: is of {_cameras(source.rig)}, not of {_cameras(rig)} as the others; "
-                    "take scans of one instrument"
+                    f"{source.scan.folder}: is of {_cameras(source.rig)}, the others are of "
+                    f"{_cameras(rig)}; give scans of one instrument"
                 )
         root = options.root or next((source.root for source in scans if source.root is not None), None)
         return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
@@ -106,9 +106,9 @@ class SourceScan:
             return chosen[0]
         first, second = (chosen[k].calibration for k in (0, k_other))
         raise CalibrationError(
-            f"{scans[0].scan.folder} was taken with calibration {first.hash[:SHOWN_DIGITS]} of {first.made_at}, "
-            f"{scans[k_other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose one for all with "
-            "--calibration FILE, or the instrument's with --current"
+            f"{scans[0].scan.folder} is of calibration {first.hash[:SHOWN_DIGITS]} of {first.made_at}, "
+            f"{scans[k_other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose "
+            "one for all scans with --calibration FILE, or the instrument's with --current"
         )
 
     def refuse_misfit(self, calibration: Calibration, whose: str, *, foreign: bool, start: bool = False) -> None:
@@ -144,7 +144,8 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
             return f"is for {side} images of {eye.width_px}x{eye.height_px} px; the scan's are {width_px}x{height_px} px; {remedy}"
     if calibration.method == IN_AIR and not start:
         return (
-            "is one in air, which only calibrating in water begins with; give one made in water with --calibration FILE"
+            "is an air calibration, from which only a water calibration starts; give a water calibration "
+            "with --calibration FILE"
         )
     # The calibration that the scan was taken with fits it by definition, with any serial numbers.
     if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
@@ -152,7 +153,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
     mismatch = owner_misfit(calibration, _owner(scan))
     if mismatch is None:
         return None
-    return f"{mismatch.reason}; {remedy}" + ("" if start else f", or use it all the same with {FOREIGN_OPTION}")
+    return f"{mismatch.reason}; {remedy}" + ("" if start else f", or accept it with {FOREIGN_OPTION}")
 
 
 def _owner(scan: SourceScan) -> Owner:
@@ -169,8 +170,8 @@ def _of_the_scan(scan: StoredScan) -> ChosenCalibration:
     if problem is not None:
         named = (scan.manifest.record.calibration_hash or "not named")[:SHOWN_DIGITS]
         raise CalibrationError(
-            f"{path}: {problem}; the scan's calibration is {named}: give its file with --calibration FILE, or take the "
-            "instrument's newest with --current --root PATH"
+            f"{path}: {problem}; the scan's calibration is {named}: give its file with --calibration FILE, "
+            "or use the instrument's newest with --current --root PATH"
         )
     return ChosenCalibration(load_calibration(path), "the scan's own")
 
@@ -181,7 +182,7 @@ def _same_size(scan: StoredScan, side: str, size: tuple[int, int], whose: str, o
         raise ScanError(
             f"{scan.folder}: its {side} images are {width_px}x{height_px} px; {whose} is for {size[0]}x{size[1]} px; "
             "give the "
-            f"one of the instrument that recorded it ({option}), or none where the scan carries its own"
+            f"one of the instrument that recorded it ({option}), or no option if the scan has its own"
         )
 
 

@@ -135,7 +135,7 @@ class PackedFile:
         if pixels.dtype != "uint8" or pixels.shape != (self.height_px, self.width_px):
             raise PackedError(f"frame {k} is {pixels.dtype} {pixels.shape}")
         if _crc32(pixels.reshape(-1).data) != self.crc32[k]:
-            raise PackedError(f"frame {k} decodes to other pixels")
+            raise PackedError(f"frame {k} decodes to different pixels")
         return pixels
 
 
@@ -199,12 +199,12 @@ def _index(path: Path, content: dict[str, Any], start: int, file: BinaryIO) -> P
         or not len(sums) == len(stream_sums) == len(streams)
         or not isinstance(content["sha256"], str)
     ):
-        raise ValueError("another number of streams than of checksums")
+        raise ValueError("the numbers of streams and checksums differ")
     # The unpacked length must fit header and frames, so that no memory is allocated because of a damaged index.
     if length != len(header) + len(streams) * height * width or not all(
         isinstance(checksum, str) for checksum in (*sums, *stream_sums)
     ):
-        raise ValueError("lengths that do not fit each other")
+        raise ValueError("the lengths contradict each other")
     offsets = [start + len(header)]
     for checksum in streams:
         offsets.append(offsets[-1] + _whole(checksum, 2 * height * width + 4096))

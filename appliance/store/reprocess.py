@@ -82,9 +82,8 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     )
     if not meet and not wrong_frames:
         return EmptyCloud(
-            f"{points} points are left of {decoded} decoded pixels: the rays of both cameras do not meet, so this "
-            "calibration is "
-            "not that of the instrument as it was then; give the right one with --calibration FILE",
+            f"{points} points are left of {decoded} decoded pixels: the rays of both cameras do not meet, "
+            "so the calibration is not that of the scan; give the right one with --calibration FILE",
             by_calibration=True,
         )
     if points and meet:
@@ -225,10 +224,10 @@ def _work_through(
     for step in processor.steps(even_if_wrong=True):
         match step:
             case Verdicts():
-                progress("taking the motion out" if step.compensating else "matching")
+                progress("compensating the motion" if step.compensating else "matching")
             case FullCloud():
                 full = step
             case _:
                 pass
-    assert full is not None, "the last step, since no wrong pattern ends them"
+    assert full is not None, "the last step, if no pattern is wrong"
     return full

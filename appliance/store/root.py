@@ -45,7 +45,7 @@ def standing_root(environment: Mapping[str, str]) -> tuple[Path | None, str]:
     """
     named = environment.get(VARIABLE)
     vain = (
-        f"neither the folder you stand in nor one above it is a storage root, {VARIABLE} "
+        f"neither the current folder nor one above it is a storage root, {VARIABLE} "
         f"{f'is {named}' if named else 'is not set'}"
     )
     try:

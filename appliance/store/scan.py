@@ -126,7 +126,10 @@ class StoredScan:
         problem = self.problem_of(CLOUD_FILE)
         if problem is None:
             return "the same, byte for byte" if same else "other points"
-        return f"{CLOUD_FILE}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
+        return (
+            f"{CLOUD_FILE}: {problem}; "
+            f"{'computed again, equal byte for byte' if same else 'computed again, but the points differ'}"
+        )
 
     @classmethod
     def load(cls, folder: Path, *, only_raw: bool = False) -> StoredScan:
@@ -168,7 +171,7 @@ class StoredScan:
         name = second_frames_file(side) if second else frames_file(side)
         names = manifest.record.sequence.patterns
         if not 0 <= k < len(names):
-            raise ScanError(f"{folder}: there is no frame {k}; allowed are 0 to {len(names) - 1}")
+            raise ScanError(f"{folder}: frame {k} does not exist; allowed are 0 to {len(names) - 1}")
         if is_packed(folder, name):
             frame = _frame_of_packed(packed_path(folder / name), k, len(names))
         else:
@@ -231,8 +234,8 @@ class StoredScan:
         if damaged:
             damages = "; ".join(str(frames) for frames in damaged)
             raise ScanError(
-                f"{folder}: {damages}; bring the scan's folder back from a copy, or see what `kingfisher cloud` makes without "
-                "(.ply)"
+                f"{folder}: {damages}; restore the scan's folder from a copy, or make a cloud without the "
+                "damaged frames by `kingfisher cloud` (.ply)"
             )
 
 
@@ -278,7 +281,7 @@ def add_second(
     """
     _check(frames, record)
     if record.second is None:
-        raise ValueError("the record tells of no second sequence; give it before its frames")
+        raise ValueError("the record has no second sequence; add it before its frames")
     # Files of an earlier attempt are not in the manifest and may be damaged: they are written anew.
     files = {name: stamp for name, stamp in manifest.files.items() if name not in SECOND_FILES}
     checks = dict(manifest.frame_crc32)
@@ -394,7 +397,7 @@ def _wrong_packed(path: Path, stamp: Stamp, *, checksums: bool) -> str | None:
         if length != index.length_bytes:
             return f"packed: {length} bytes instead of {index.length_bytes}"
         if index.stamp != stamp:
-            return "packed: of other frames"
+            return "packed: of different frames"
         if checksums and not index.is_undamaged():
             return "damaged (its checksum does not fit)"
     except PackedError as error:

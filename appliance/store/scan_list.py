@@ -68,7 +68,7 @@ class ScanList:
         except (ValueError, RecursionError) as error:
             raise ListError(f"LIST {path}: not readable ({error}); see docs/evaluation.md") from error
         if not isinstance(content, dict):
-            raise ListError(f"LIST {path}: a table was expected, not {type(content).__name__}; see docs/evaluation.md")
+            raise ListError(f"LIST {path}: is a {type(content).__name__}; allowed is a table; see docs/evaluation.md")
         # A misspelt key would be a certificate that is silently not used.
         _known(path, content, _TOP_KEYS)
         tables = content.get("scan")
@@ -96,9 +96,9 @@ class ScanList:
             first = first_by_artefact.setdefault((folder.resolve(), entry.artefact), k)
             if first != k:
                 raise ListError(
-                    f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{first}] ({self.entries[first].scan!r:.60}) once "
-                    "more, with the same "
-                    f"artefact {entry.artefact.value}, and would count twice; remove one of them"
+                    f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{first}] "
+                    f"({self.entries[first].scan!r:.60}) again, with the same artefact "
+                    f"{entry.artefact.value}; remove one of them"
                 )
 
 

@@ -64,7 +64,7 @@ def test_a_folder_copied_anywhere_gives_the_bytes_that_the_instrument_stored(
     (copy / "cloud.ply").write_bytes(stored[:-7])
     (copy / "preview.png").write_bytes(b"\0")  # keeps nobody from the raw frames
     again = desk("cloud", copy, "--out", "again.ply", "--json")
-    assert again.document["stored_cloud"].endswith("made again, byte for byte")
+    assert again.document["stored_cloud"].endswith("computed again, equal byte for byte")
     assert (tmp_path / "again.ply").read_bytes() == stored
 
 
@@ -137,8 +137,8 @@ def test_what_does_not_need_the_damaged_frame_is_salvaged_and_marked(
     said = desk("cloud", copy, "--out", tmp_path / "s.npz")
     assert (said.code, f"frames_{side}.npy" in said.error, f"in {name};" in said.error) == (1, True, True)
     said = desk("cloud", copy, "--out", out, "--json")
-    assert (said.code, "not to be measured in" in said.err) == (4, True)
-    assert any(f"{name} was made up from" in text for text in said.document["salvaged"])
+    assert (said.code, "do not measure in it" in said.err) == (4, True)
+    assert any(f"{name} is computed from" in text for text in said.document["salvaged"])
     made = read_ply(out)
     assert name in (made.salvaged or "")
     # Where three steps leave the range of grey values, there is none.
@@ -179,7 +179,7 @@ def test_a_disk_that_refuses_is_no_crash_leaves_no_half_cloud_and_unusable_targe
     assert (said.code, f"{out}: File too large" in last, "--out" in last) == (1, True, True)
     assert list(tmp_path.iterdir()) == []
     for target, word in (
-        (tmp_path / "no" / "x.ply", "no folder"), (tmp_path, "is a folder"), ("/dev/null", "no ordinary file"),
+        (tmp_path / "no" / "x.ply", "no folder"), (tmp_path, "is a folder"), ("/dev/null", "not a regular file"),
     ):  # fmt: skip
         said = desk("cloud", 1, "--root", root, "--out", target)
         assert (said.code, f"--out {target}" in said.error, word in said.error) == (2, True, True)

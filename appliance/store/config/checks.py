@@ -47,7 +47,7 @@ def broken_rules(rig: Rig) -> Iterator[BrokenRule]:
             rig.camera.kind,
             "is no family of cameras",
             ", ".join(families()),
-            f'correct it; usually it is "{USUAL}", and may be left out',
+            f'correct it, or leave it out for "{USUAL}"',
         )
     yield from _exposures_fit(rig)
     yield from _volume_is_seen(rig)
@@ -69,7 +69,7 @@ def broken_rules(rig: Rig) -> Iterator[BrokenRule]:
             rig.display.connector,
             "same as projector.connector",
             "two different connectors",
-            "the projector and the diver's screen each need their own",
+            "give the projector and the diver's display a connector each",
         )
     limits = rig.limits
     for part, warm, hot, off in (
@@ -78,11 +78,19 @@ def broken_rules(rig: Rig) -> Iterator[BrokenRule]:
     ):
         if hot >= off:
             yield BrokenRule(
-                f"limits.{part}_off_c", off, f"<= {hot:g}", f"above {part}_hot_c", "cool down before switching off"
+                f"limits.{part}_off_c",
+                off,
+                f"<= {hot:g}",
+                f"above {part}_hot_c",
+                "give a limit for cooling below the one for switching off",
             )
         if warm >= hot:
             yield BrokenRule(
-                f"limits.{part}_warm_c", warm, f">= {hot:g}", f"below {part}_hot_c", "warn before scans are blocked"
+                f"limits.{part}_warm_c",
+                warm,
+                f">= {hot:g}",
+                f"below {part}_hot_c",
+                "give a limit for the warning below the one that blocks scans",
             )
 
 
@@ -106,7 +114,7 @@ def _exposures_fit(rig: Rig) -> Iterator[BrokenRule]:
         yield BrokenRule(
             "camera.left.exposure_ms",
             left_ms,
-            "is none of scan.exposures_ms",
+            "is not in scan.exposures_ms",
             ", ".join(f"{exposure_ms:g}" for exposure_ms in allowed_ms),
             "choose one of them, or measure this one with `kingfisher calibration measure exposures`",
         )
@@ -132,10 +140,10 @@ def _whole_sub_frames(rig: Rig) -> Iterator[BrokenRule]:
         yield BrokenRule(
             "board.trigger_delay_us",
             delay_us,
-            f"is not where one of projector.sub_frames {projector.sub_frames} begins",
+            f"is not at the beginning of one of projector.sub_frames {projector.sub_frames}",
             ", ".join(str(begin_us) for begin_us in begins_us if begin_us <= MOST_DELAY_US)
             + f" us, each to {BOUNDARY_US} us",
-            "begin with a sub-frame, or measure the projector with `kingfisher setup measure projector`",
+            "choose the beginning of a sub-frame, or measure the projector with `kingfisher setup measure projector`",
         )
     left_ms, right_ms = rig.camera.left.exposure_ms, rig.camera.right.exposure_ms
     exposures = [
@@ -158,7 +166,7 @@ def _whole_sub_frames(rig: Rig) -> Iterator[BrokenRule]:
             right_ms,
             "differs from camera.left.exposure_ms",
             f"{left_ms:g}, as on the left",
-            "set both alike: what a camera needs more is its gain_db",
+            "set both alike; set a camera's brightness by its gain_db",
         )
 
 
@@ -171,7 +179,7 @@ def _volume_is_seen(rig: Rig) -> Iterator[BrokenRule]:
             volume.working_mm,
             "not between volume.nearest_mm and volume.farthest_mm",
             "nearest_mm < working_mm < farthest_mm",
-            "state the distances that the housing was built for",
+            "give the distances for which the housing is built",
         )
         return
     if rig.design.toe_in_deg <= 0.0:
@@ -182,8 +190,8 @@ def _volume_is_seen(rig: Rig) -> Iterator[BrokenRule]:
             "volume.working_mm",
             volume.working_mm,
             f"does not fit [design], whose cameras' axes cross at {crossing_mm:.0f} mm",
-            f"a volume that holds this distance; it is {volume.nearest_mm:g}..{volume.farthest_mm:g} mm",
-            "state [volume] for this housing, or correct design.baseline_mm and design.toe_in_deg",
+            f"a volume that includes this distance; it is {volume.nearest_mm:g}..{volume.farthest_mm:g} mm",
+            "correct [volume] for this housing, or design.baseline_mm and design.toe_in_deg",
         )
 
 

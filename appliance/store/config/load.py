@@ -143,7 +143,7 @@ def _error_of_detail(
     if _is_unknown_key(detail):
         # An unknown key has no range: a similar name is the only help.
         near = _nearest(detail["loc"])
-        hint = f"did you mean {near}?" if near else f"known here: {', '.join(_siblings(detail['loc']))}"
+        hint = f"did you mean {near}?" if near else f"known are: {', '.join(_siblings(detail['loc']))}"
         return wrong(f"{key} unknown key", "", f"{hint} ({source})")
     if kind in ("missing", "missing_argument"):
         return wrong(f"{key} missing", allowed, f"add it to {source}")

@@ -123,7 +123,9 @@ class PullResult:
             for item in self.of(PullOutcome.LATER, PullOutcome.DIFFERS, PullOutcome.FAILED)
         ]
         if self.being_written:
-            lines.append(f"{self.being_written} still being written or undecided there; left for next time")
+            lines.append(
+                f"{self.being_written} still being written or not yet kept on the instrument; left for the next call"
+            )
         summary = ", ".join(f"{count} {item.value}" for item in PullOutcome if (count := len(self.of(item))))
         return [*lines, f"{summary or 'nothing there'}; {self.taken_bytes / 1e6:.1f} MB"]
 
@@ -160,7 +162,7 @@ def pull_scans(
     opened = _opener(host, out, identity, known_hosts, limit_s)
     fs.make_folders(target)
     if not os.access(target, os.W_OK | os.X_OK):
-        raise PullWordError(f"--out {target}: this user may not write there; give another folder, or change its owner")
+        raise PullWordError(f"--out {target}: no permission to write; give another folder, or change its owner")
     with hold_lock(target):
         # An Event that is never set: it waits, and Ctrl-C ends the wait.
         return pull_from(opened, target, fs, every=every, far=far, wait=threading.Event().wait)
@@ -176,7 +178,7 @@ def _opener(host: str, out: Path, identity: Path | None, known_hosts: Path | Non
         if identity is not None:
             raise PullWordError(f"HOST {host}: a folder; --identity is for an instrument on the network")
         if root.resolve() == out.resolve():
-            raise PullWordError(f"--out {out}: is where the scans are read from; give another folder")
+            raise PullWordError(f"--out {out}: is the folder that the scans are read from; give another folder")
         return lambda: nullcontext(FolderSource(root))
     if host.startswith("-") or not host.isprintable() or " " in host or not host:
         raise PullWordError(f"HOST {host!r}: give an address, [user@]address[:port], or the path of a folder")
@@ -225,12 +227,11 @@ def pull_from(
             if empty >= ATTEMPTS:
                 count = len(done.of(PullOutcome.TAKEN))
                 raise PullError(
-                    f"{lost}; tried {ATTEMPTS} times. {count} scans and {done.taken_bytes / 1e6:.1f} MB were taken and "
-                    "stay; "
-                    "call again, and it goes on there"
+                    f"{lost}after {ATTEMPTS} attempts. {count} scans and {done.taken_bytes / 1e6:.1f} MB "
+                    "are copied and stay; call again to continue"
                 ) from lost
             # Waits grow: an instrument that starts again needs a minute, a cable that moved a second.
-            log.warning("the link broke; trying again in %g s", WAITS_S[empty - 1])
+            log.warning("the connection broke; trying again in %g s", WAITS_S[empty - 1])
             wait(WAITS_S[empty - 1])
 
 
@@ -261,7 +262,7 @@ def _attempt(source: Source, target: Path, fs: LocalFileSystem, done: PullResult
 
         def came(length: int, k: int = k, path: str = recording.path) -> None:
             done.taken_bytes += length
-            far(f"taking {path}", k, len(missing), done.taken_bytes - begun_bytes, of_bytes)
+            far(f"copying {path}", k, len(missing), done.taken_bytes - begun_bytes, of_bytes)
 
         try:
             take(recording, source, fs, target / recording.path, came)
@@ -278,12 +279,10 @@ def _recordings(source: Source, folder_names: list[str], done: PullResult) -> It
             entries = source.listing(folder_name)
         except NotThere:
             if folder_name == LibraryFolder.SCANS.value:
-                raise PullError(
-                    "there is no folder `scans` there; give the folder that holds it, or another host"
-                ) from None
+                raise PullError("it has no folder `scans`; give the folder that holds it, or another host") from None
             continue
         except Unreadable as error:
-            raise PullError(f"the list of scans cannot be read there: {error}") from error
+            raise PullError(f"its list of scans cannot be read: {error}") from error
         for entry in sorted(entries, key=lambda entry: by_number(entry.name)):
             if entry.folder and scan_number(entry.name) is not None:
                 yield f"{folder_name}/{entry.name}"
@@ -337,7 +336,7 @@ def _beside(source: Source, target: Path, fs: LocalFileSystem, done: PullResult)
             done.add(
                 path,
                 PullOutcome.DIFFERS,
-                "is here twice with other content; move away the one with a checksum in its name",
+                "two copies here differ; move away the one with a checksum in its name",
             )
         elif written:
             done.add(path, PullOutcome.TAKEN, "" if copy == target / path else f"as {copy.name}", len(data))
@@ -351,7 +350,7 @@ def _small_files(source: Source, folder: str, done: PullResult, depth: int = 1) 
     except NotThere:
         return
     except Unreadable as error:
-        done.add(folder, PullOutcome.FAILED, f"cannot be read there: {error}")
+        done.add(folder, PullOutcome.FAILED, f"cannot be read on the instrument: {error}")
         return
     for entry in entries:
         if entry.folder and depth < DEEPEST:

@@ -104,9 +104,7 @@ class FolderSource:
         """Yield the full path of ``path``, and turn OSError into the errors of ``Source``."""
         full_path = self._root / path
         if is_linked(self._root, path):
-            raise Unreadable(
-                f"{full_path}: leads over a link, which could lead anywhere on this computer; not followed"
-            )
+            raise Unreadable(f"{full_path}: is a symbolic link, which is not followed; replace it by its target")
         try:
             yield full_path
         except OSError as error:
@@ -218,13 +216,12 @@ class SshLink:
             place = host if port == library.DEFAULT_PORT else f"[{host}]:{port}"
             if any(library.match_known_hosts(known_keys, host, "", port)[0]):
                 raise self._final(
-                    f"its host key is another one than before ({key.get_fingerprint()}). If the instrument's disk was "
-                    "made anew, "
-                    f"forget the old one with `ssh-keygen -R '{place}' -f {files[0]}`; if not, this is another computer"
+                    f"its host key has changed ({key.get_fingerprint()}). If the instrument's disk was "
+                    f"newly installed, remove the old one with `ssh-keygen -R '{place}' -f {files[0]}`; "
+                    "otherwise this is another computer"
                 ) from error
             raise self._final(
-                f"its host key is not known here ({key.get_fingerprint()}). If it is the instrument that answers "
-                "there, add this "
+                f"its host key is unknown ({key.get_fingerprint()}). If this is the instrument, add this "
                 f"line to {files[0]} and call again: {place} {key.export_public_key().decode().strip()}"
             ) from error
         return connection, await connection.start_sftp_client(path_errors="surrogateescape")
@@ -248,27 +245,25 @@ class SshLink:
 
         After a first link, causes that may pass count as LinkLost.
         """
-        text = str(error) or "nothing came"
+        text = str(error) or "no data"
         if isinstance(error, library.PermissionDenied):
             return self._final(
-                "it does not take this key. Enrol the public one (a stick with kingfisher-keys.pub while TRANSFER is "
-                "on), or give "
-                f"the right private one with --identity; one with a passphrase has to be in ssh-agent ({text})"
+                "it does not accept this key; enrol the public key (a stick with kingfisher-keys.pub while "
+                "TRANSFER is on), or give the right private key with --identity; a key with a passphrase "
+                "must be in ssh-agent ({text})"
             )
         if isinstance(error, library.ChannelOpenError):
-            return self._final(f"it has no SFTP; is this the instrument? ({text})")
+            return self._final(f"it has no SFTP; give the address of the instrument ({text})")
         if isinstance(error, socket.gaierror) and not self._linked:
             return self._final(
-                "no computer of that name is known; give the address that the instrument's menu shows under TRANSFER "
-                f"({text})"
+                f"the name is unknown; give the address that the instrument's menu shows under TRANSFER ({text})"
             )
         # With several addresses of one name, asyncio puts all their errors into one text.
         refused = isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in text
         if refused and not self._linked:
             return self._final(
-                f"nobody listens at port {self.port}; switch TRANSFER on in the instrument's menu (it is off "
-                "after each "
-                f"power-on) ({text})"
+                f"no service at port {self.port}; switch TRANSFER on in the instrument's menu (it is off "
+                f"after each power-on) ({text})"
             )
         return LinkLost(f"{self.host}: {text}")
 
@@ -304,12 +299,12 @@ class SshLink:
         try:
             return loop.run_until_complete(asyncio.wait_for(request, self.limit_s))
         except TimeoutError:
-            raise LinkLost(f"nothing came for {self.limit_s:g} s") from None
+            raise LinkLost(f"no data for {self.limit_s:g} s") from None
         except (library.SFTPNoSuchFile, library.SFTPNoSuchPath) as error:
             raise NotThere(f"{path}: not there") from error
         except (library.SFTPConnectionLost, library.SFTPNoConnection, library.SFTPBadMessage) as error:
-            raise LinkLost(f"the link broke ({error})") from error
+            raise LinkLost(f"the connection broke ({error})") from error
         except library.SFTPError as error:
-            raise Unreadable(f"{path}: not given by the server ({error})") from error
+            raise Unreadable(f"{path}: cannot be read ({error})") from error
         except (library.Error, OSError) as error:
-            raise LinkLost(f"the link broke ({error})") from error
+            raise LinkLost(f"the connection broke ({error})") from error

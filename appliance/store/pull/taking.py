@@ -76,9 +76,9 @@ def outcomes_of_source() -> Iterator[None]:
     try:
         yield
     except NotThere as error:
-        raise NotYet(PullOutcome.LATER, f"was moved or changed there meanwhile ({error})") from error
+        raise NotYet(PullOutcome.LATER, f"was moved or changed on the instrument during copying ({error})") from error
     except Unreadable as error:
-        raise NotYet(PullOutcome.FAILED, f"cannot be read there: {error}") from error
+        raise NotYet(PullOutcome.FAILED, f"cannot be read on the instrument: {error}") from error
 
 
 def find(source: Source, path: str) -> RemoteRecording:
@@ -90,16 +90,16 @@ def find(source: Source, path: str) -> RemoteRecording:
             }
             manifest_name = next((name for name in (MANIFEST_FILE, INCOMPLETE_MANIFEST_FILE) if name in entries), None)
             if manifest_name is None:
-                raise NotYet(PullOutcome.FAILED, f"{path}: has no manifest there; look at it on the instrument")
+                raise NotYet(PullOutcome.FAILED, f"{path}: has no manifest; check it on the instrument")
             content = text_of(source, f"{path}/{manifest_name}", MANIFEST.max_bytes)
         manifest = _manifest(content, manifest_name, path)
     except (ContentError, ScanError) as error:
-        raise NotYet(PullOutcome.FAILED, f"its manifest cannot be used there: {error}") from error
+        raise NotYet(PullOutcome.FAILED, f"its manifest is not usable: {error}") from error
     if manifest.scan_id != Path(path).name.partition("-")[0]:
         raise NotYet(PullOutcome.FAILED, f"{path}: its manifest is of scan {manifest.scan_id}")
     missing = [name for name in manifest.files if entries.keys().isdisjoint((name, _packed_name(name)))]
     if missing:
-        raise NotYet(PullOutcome.FAILED, f"{path}: {', '.join(sorted(missing))} missing there")
+        raise NotYet(PullOutcome.FAILED, f"{path}: {', '.join(sorted(missing))} missing on the instrument")
     files = tuple(entry for name, entry in entries.items() if name not in (manifest_name, LABEL_FILE))
     label_bytes = entries[LABEL_FILE].size_bytes if LABEL_FILE in entries else 0
     return RemoteRecording(path, content, manifest_name, files, label_bytes, manifest)
@@ -122,16 +122,15 @@ def compare_present(recording: RemoteRecording, source: Source, fs: LocalFileSys
     if ours != recording.manifest_content and (different or not local_files):
         raise NotYet(
             PullOutcome.DIFFERS,
-            f"{'; '.join(different) or 'its manifest'}: not the same at both ends, and left alone ({target}); one "
-            "instrument, one "
-            "folder: give another DIR for another instrument, or move the folder away to have the instrument's",
+            f"{'; '.join(different) or 'its manifest'}: differs from the copy here, and is not copied "
+            f"({target}); give another DIR for another instrument, or move the copy away to copy the instrument's",
         )
     if recording.manifest_name == MANIFEST_FILE:
         wrong = wrong_files(target, MANIFEST.decode(ours, str(target)), checksums=False)
         if wrong:
             raise NotYet(
                 PullOutcome.FAILED,
-                f"is here, and damaged ({target}): {_problem_list(wrong)}; move it away, and call again",
+                f"the copy here is damaged ({target}): {_problem_list(wrong)}; move it away, and call again",
             )
     _take_label(recording, source, fs, target)
     raise NotYet(PullOutcome.ALREADY, "")
@@ -191,15 +190,15 @@ def _begin(recording: RemoteRecording, fs: LocalFileSystem, draft: Path) -> None
 
 
 def _require_room(recording: RemoteRecording, fs: LocalFileSystem, target: Path) -> None:
-    with StorageError.naming("cannot ask for the room on", target.parent):
+    with StorageError.naming("cannot read the free space of", target.parent):
         free_bytes = fs.free_bytes(target.parent)
     missing = recording.size_bytes - present_bytes(recording, target) + ROOM_LEFT_BYTES - free_bytes
     if missing > 0:
         raise StorageError(
-            "cannot take a scan to",
+            "cannot copy a scan to",
             target.parent,
             f"the disk lacks {missing / 1e6:.1f} MB for the next one",
-            "free space on it, and call again: what was taken stays",
+            "free space on it, and call again; copied scans stay",
         )
 
 
@@ -237,7 +236,10 @@ def _take_label(recording: RemoteRecording, source: Source, fs: LocalFileSystem,
     if ours is None:
         fs.replace_file(path, theirs)
     elif ours != theirs:
-        raise NotYet(PullOutcome.DIFFERS, f"its name or note is another one at both ends ({path}), and left alone")
+        raise NotYet(
+            PullOutcome.DIFFERS,
+            f"its name or note differs from the copy here ({path}), and is not copied; make both the same",
+        )
     return len(theirs)
 
 

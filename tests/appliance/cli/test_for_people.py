@@ -67,7 +67,7 @@ def test_a_disk_that_takes_no_changes_and_a_full_one_are_told_apart(
 ) -> None:
     run = ["run", "--root", str(disk / "root")]
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True, timeout=20)
-    assert "mounted for reading only" in error_of(run, capfd, 1)
+    assert "mounted read-only" in error_of(run, capfd, 1)
     subprocess.run(["mount", "-o", "remount,rw", str(disk)], check=True, timeout=20)
     with suppress(OSError), (disk / "fill").open("wb") as fill:
         fill.write(bytes(1 << 22))

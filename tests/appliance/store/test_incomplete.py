@@ -62,7 +62,7 @@ def test_it_is_no_scan_for_anybody(tmp_path: Path) -> None:
     assert library.recover().set_aside == ()
     assert library.begin(frames(5), RECORD, ORIGIN).scan_id == "000001", "its number is none of the scans'"
     # This is what evaluate, calibrate and reconstruct ask first.
-    with pytest.raises(stored.ScanError, match=r"incomplete recording is no scan.*kingfisher cloud incomplete:N"):
+    with pytest.raises(stored.ScanError, match=r"incomplete scan cannot be used.*kingfisher cloud incomplete:N"):
         StoredScan.manifest_of(folder)
 
 
@@ -84,7 +84,7 @@ def test_a_disk_that_fails_at_any_call_leaves_all_or_nothing(tmp_path: Path, for
 
 def test_a_scan_that_may_come_goes_first_and_no_more_are_kept_than_so_many(tmp_path: Path) -> None:
     needed = stored.size_bytes(5, 10, 8) + 2 * 4 * 80 + 1_000_000
-    with pytest.raises(StorageError, match="room"):
+    with pytest.raises(StorageError, match="space"):
         kept(tmp_path, fs=SoFull(needed + 999), reserve_bytes=1000)
     assert list((tmp_path / "incomplete").iterdir()) == []
     kept(tmp_path, fs=SoFull(needed + 1000), reserve_bytes=1000)

@@ -179,7 +179,7 @@ def test_what_is_whole_is_recovered_and_marked_and_the_rest_set_aside(empty: Lib
     assert (empty.root / "scans" / "000001" / "manifest.json.draft.partial").read_bytes() == b"half"
     assert empty.recover() == type(outcome)()
     shutil.rmtree(taken.folder)
-    with pytest.raises(ScanError, match="nothing to put away"):
+    with pytest.raises(ScanError, match="in no list; leave it"):
         empty.trash("000004")
 
 

@@ -93,7 +93,7 @@ def test_a_file_in_several_parts_has_the_length_and_checksum_that_are_found_on_t
 @pytest.mark.parametrize(
     ("number", "remedy"),
     [
-        (errno.ENOSPC, "full"), (errno.EDQUOT, "share"), (errno.EROFS, "reading only"), (errno.EACCES, "this user may not"), (errno.EPERM, "this user may not"),
+        (errno.ENOSPC, "full"), (errno.EDQUOT, "quota"), (errno.EROFS, "read-only"), (errno.EACCES, "this user has no permission"), (errno.EPERM, "this user has no permission"),
         (errno.ENOENT, "does not exist"), (errno.ENOTDIR, "is a file"), (errno.EISDIR, "is a folder"), (errno.ENAMETOOLONG, "too long"),
         (errno.EIO, "the disk fails"), (errno.EMFILE, "too many files"), (errno.EXDEV, "replace the disk"), (None, "replace the disk"),
     ],

@@ -38,7 +38,7 @@ def test_the_packaged_rig_is_the_instrument_of_the_paper() -> None:
     ("old", "new", "key", "words"),
     [
         ("exposure_ms = 12.0", "exposure_ms = 25", "camera.left.exposure_ms", "25 > 16.6; allowed: 0.05..16.6 ms; correct it in rig.toml"),
-        ("[scan]", "[scan]\nzzzz = 1", "scan.zzzz", "known here: period_px, shortest_exposure_ms"),
+        ("[scan]", "[scan]\nzzzz = 1", "scan.zzzz", "known are: period_px, shortest_exposure_ms"),
         ("exposure_ms = 12.0", "exposure_m = 12.0", "camera.left.exposure_m", "did you mean camera.left.exposure_ms?"),
         ("[scan]", "[scam]", "scam", "did you mean scan?"),
         ('name = "Kingfisher"', 'name = "K"\nexposure_ms = 3', "rig.exposure_ms", "camera.left.exposure_ms"),
@@ -93,7 +93,7 @@ def test_a_volume_that_the_cameras_do_not_look_into_is_refused() -> None:
     """A rig file of another housing that does not state its volume would draw, search and judge as the standard one."""
     said = str(refusal(changed("baseline_mm = 230.0", "baseline_mm = 120.0")))
     assert "volume.working_mm 500 does not fit [design], whose cameras' axes cross at 273 mm" in said
-    assert "state [volume] for this housing" in said
+    assert "correct [volume] for this housing" in said
     assert refusal(changed("working_mm = 500.0", "working_mm = 570.0")).key == "volume.working_mm"
 
 

@@ -183,7 +183,7 @@ def test_what_cannot_be_a_whole_recording_is_told_and_never_published(there: Pat
     done = pulled(FolderSource(there), here)
     said = reasons(done, FAILED)
     for number, words in (
-        ("000002", "frames_right.npy: damaged"), ("000006", "no manifest"), ("000007", "manifest cannot be used"), ("000008", "cloud.ply missing"),
+        ("000002", "frames_right.npy: damaged"), ("000006", "no manifest"), ("000007", "manifest is not usable"), ("000008", "cloud.ply missing"),
         ("000010", "of scan 000009"),
     ):  # fmt: skip
         assert words in said.pop(f"scans/{number}")
@@ -289,7 +289,7 @@ def test_a_link_that_breaks_now_and_then_is_opened_again_and_one_over_which_noth
     assert len(done.of(TAKEN)) == 7, "what came over an earlier link is not looked at again"
     assert set(waits) == {1.0}, "each link brought something: none waits longer than after the first break"
     waits.clear()
-    with pytest.raises(PullError, match="6 times"):
+    with pytest.raises(PullError, match="6 attempts"):
         pull_from(opened(BreakingSource(there, 0)), here, FS, every=False, far=lambda *_: None, wait=waits.append)
     assert waits == [1.0, 2.0, 4.0, 8.0, 15.0]
 

@@ -158,7 +158,7 @@ def test_a_key_that_is_given_is_the_only_one_that_is_tried_and_no_agent_is_asked
             pass
         new_key(tmp_path / "other")
         other = replace(server.link, identity=tmp_path / "other")
-        assert "does not take this key" in refused(other)
+        assert "does not accept this key" in refused(other)
         with pytest.raises(BlockingIOError):
             agent.accept()
     (tmp_path / "other").write_text("no key\n")
@@ -195,7 +195,7 @@ def test_a_server_that_says_nothing_is_a_lost_link_after_the_limit() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
-        with pytest.raises(LinkLost, match="nothing came"), linked("127.0.0.1", other.getsockname()[1], 0.2)():
+        with pytest.raises(LinkLost, match="no data"), linked("127.0.0.1", other.getsockname()[1], 0.2)():
             pass
 
 
