@@ -145,7 +145,7 @@ class LightBench:
                 return {side: self.frames(side, len(order)) for side in SIDES}
         assert fault is not None
         raise BringupError(
-            f"{TRIES} recordings failed one after the other: {fault.code.value}: {fault.detail}; ask `kingfisher setup "
+            f"{TRIES} recordings in a row failed: {fault.code.value}: {fault.detail}; run `kingfisher setup "
             "measure trigger`"
         )
 

@@ -19,7 +19,7 @@ LISTENED_S = 20.0
 ASKED_EVERY_S = 0.4
 SETTLED_S = 0.05
 """Time after which a laser's current has settled, and is read a second time."""
-EYES = "turn both laser windows away from everybody's eyes: each laser lights for a moment"
+EYES = "turn both laser windows away from all eyes: each laser is switched on for a moment"
 BEAT_MS, LONGEST_BEAT_MS = 500.0, 750.0
 """Time between heartbeats, and the longest that is accepted: one and a half of it, since a missing one makes two."""
 MOST_DRIFT_PPM = 50.0
@@ -100,7 +100,7 @@ def _observe(
     start_ns = last_reading_ns = clock.now_ns()
     readings.append(board.read_clock())
     while (passed_s := (clock.now_ns() - start_ns) / 1e9) < LISTENED_S:
-        workplace.say("listening to the board", passed_s / LISTENED_S)
+        workplace.say("reading the board's heartbeats", passed_s / LISTENED_S)
         event = board.next_event(ASKED_EVERY_S / 4.0)
         if isinstance(event, Telemetry):
             beats_us.append(event.board_time_us)
@@ -136,7 +136,7 @@ def _firmware(installed: str, expected: str | None) -> list[Finding]:
 
 
 def _restart(cause: str) -> Finding:
-    statement = f"restarted while it was listened to ({cause})"
+    statement = f"restarted during the check ({cause})"
     return Finding("restarts", False, statement, "none", "look for dips of its supply")
 
 
@@ -145,7 +145,7 @@ def judge_beats(beats_us: Sequence[int], lost_reports: int, damaged_lines: int) 
     limits = f"{BEAT_MS:g} ms apart, {LONGEST_BEAT_MS:g} at most; nothing lost or damaged"
     numbers: dict[str, float] = {"lost_reports": lost_reports, "damaged_lines": damaged_lines}
     if len(beats_us) < 2:
-        statement = f"{len(beats_us)} heartbeats were heard"
+        statement = f"{len(beats_us)} heartbeats are received"
         return finding_of("heartbeats", False, statement, limits, "flash the board's firmware anew", **numbers)
     # By the board's own clock: the time at which a line reaches the host depends on the host.
     longest_ms = max((after - before) / 1000.0 for before, after in pairwise(beats_us))
@@ -189,10 +189,10 @@ def judge_laser(side: str, states: tuple[LaserState, LaserState, LaserState]) ->
     if states_on[0] or states_on[2]:
         remedy = "do not look into it: its driver conducts while it is off; check the enable's pull-down and the driver"
     elif other_states_on[1] and not states_on[1]:
-        statement += f"; the {other_side} one answered instead"
+        statement += f"; the {other_side} one is on instead"
         remedy = "exchange the two lasers' wires at the board"
     elif other_states_on[1]:
-        statement += f"; the {other_side} one came on as well"
+        statement += f"; the {other_side} one is on as well"
         remedy = "look for a bridge between the two enables"
     elif not states_on[1] or any(other_states_on):
         remedy = "check its wires, its driver's supply, the shunt amplifier, and that the hardware gate sees heartbeats"
@@ -211,7 +211,7 @@ def judge_sensor(name: str, fitted: bool, value: float | None, supply_low_v: flo
     word = f"sensor.{name}"
     # No instrument needs every sensor; the builder lists the fitted ones in the firmware.
     if not fitted:
-        return Finding(word, True, "not fitted, says the board", limits)
+        return Finding(word, True, "not fitted, as the board reports", limits)
     if value is None:
         remedy = "check its wires and its address on the bus; leave it out of the firmware's list if it is not fitted"
         return Finding(word, False, "fitted, but does not answer", limits, remedy)

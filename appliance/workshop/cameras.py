@@ -73,7 +73,7 @@ def do(workplace: Workplace) -> StepOutcome:
     checks = ask_devices(workplace.rig, workplace.wires, names)
     findings = [
         Finding(
-            check.device, check.ok, check.summary, "what `kingfisher check` wants", "" if check.ok else check.summary
+            check.device, check.ok, check.summary, "as `kingfisher check` requires", "" if check.ok else check.summary
         )
         for check in checks
     ]
@@ -119,7 +119,7 @@ def _configure(camera: Camera, side: str, spec: CameraRig) -> tuple[list[Finding
     camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
     held = _read_back(camera)
     if held is None:
-        statement = "this family of cameras cannot be asked for its settings"
+        statement = "this family of cameras does not report its settings"
         return [link, Finding(f"camera.{side} settings", True, statement)], ()
     return [link, *judge_settings(side, held)], held
 

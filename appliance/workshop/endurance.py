@@ -173,7 +173,7 @@ def _fire(
     timeouts = Timeouts(rig.projector.refresh_hz)
     for side, grabber in grabbers.items():
         if not grabber.wait(recordings[side], "ready", timeouts.ready_s):
-            raise BringupError(f"camera.{side} did not start within {timeouts.ready_s:g} s; ask `kingfisher check`")
+            raise BringupError(f"camera.{side} did not start within {timeouts.ready_s:g} s; run `kingfisher check`")
     pulse_count = _PulseCount()
     exposure_us = round(1000.0 * rig.camera.left.exposure_ms)
     series_s = PULSES / rig.projector.refresh_hz + timeouts.margin_s
@@ -184,7 +184,7 @@ def _fire(
         until_ns = clock.now_ns() + int(series_s * 1e9)
         while not pulse_count.take(board.next_event(timeouts.pulse_s)):
             if clock.now_ns() > until_ns:
-                pulse_count.ended_by = "the board did not say that it was done"
+                pulse_count.ended_by = "the board did not report the end of the run"
                 break
         # A board may report the end at the rising edge of its last pulse, and is busy until that has ended.
         clock.sleep_s(exposure_us / 1e6 + 0.001)
@@ -257,7 +257,7 @@ def judge_endurance(run: EnduranceRun, warm_c: Mapping[str, float]) -> tuple[Fin
 def _whole(run: EnduranceRun) -> Finding:
     ended = "" if run.ended_by is None else f"; ended by: {run.ended_by}"
     statement, limits = f"{run.minutes:.2g} minutes, {run.pulses} pulses{ended}", f"{run.wanted_minutes:g} minutes"
-    remedy = "the findings below say of what"
+    remedy = "see the findings below"
     return finding_of("run", not ended, statement, limits, remedy, minutes=run.minutes, frames=run.pulses)
 
 
@@ -270,8 +270,8 @@ def _board(run: EnduranceRun) -> Finding:
 
 
 def _side(side: str, camera: CameraEndurance, pulses: int) -> Finding:
-    limits = "a whole frame with a stamp for each pulse"
-    statement, remedy = f"{camera.complete} whole frames of {pulses} pulses", ""
+    limits = "a complete frame with a time stamp for each pulse"
+    statement, remedy = f"{camera.complete} complete frames of {pulses} pulses", ""
     # A lost camera also lacks frames: report the cause, not the effect.
     if camera.lost is not None:
         statement += f"; the camera was lost: {camera.lost}"
@@ -280,18 +280,15 @@ def _side(side: str, camera: CameraEndurance, pulses: int) -> Finding:
         counts = ", ".join(f"{word} ({camera.bad.count(word)}x)" for word in dict.fromkeys(camera.bad))
         statement += f"; {len(camera.bad)} arrived {counts}"
         remedy = (
-            "both cameras on USB controllers of their own; usbcore.usbfs_memory_mb = 1000; no other work on the "
-            "computer; "
-            "DeviceLinkThroughputLimit below the port's speed"
+            "connect each camera to its own USB controller; set usbcore.usbfs_memory_mb = 1000; end other "
+            "work of the computer; set DeviceLinkThroughputLimit below the port's speed"
         )
     # Block ids distinguish a frame lost on the way from a pulse without a frame; a cable may be the cause of both.
     elif camera.gaps or camera.complete != pulses:
         statement += f", with {camera.gaps} gaps"
-        remedy = (
-            "frames are lost between camera and computer: another cable or port; a trigger is missed: see step trigger"
-        )
+        remedy = "use another cable or port, if frames are lost on the link; see step trigger, if a trigger is missed"
     elif 0 < camera.without_stamp < camera.complete:
-        statement += f"; {camera.without_stamp} without a time"
+        statement += f"; {camera.without_stamp} without a time stamp"
         remedy = "update the camera's firmware"
     numbers = {
         "whole": camera.complete,

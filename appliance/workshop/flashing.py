@@ -48,8 +48,8 @@ def sync_rises(projector: ProjectorRig) -> bool:
     if rises is None:
         # A wrong guess would shift every trigger by the width of the sync, which no check would notice.
         raise BringupError(
-            f"projector: {mode[0]}x{mode[1]} at {mode[2]} Hz is made with either sign of the vertical sync; "
-            'allowed: sync = "negative" or "positive" under [projector]; read it in the mode (docs/build/firmware.md)'
+            f"projector: {mode[0]}x{mode[1]} at {mode[2]} Hz may have either sign of the vertical sync; "
+            'allowed: sync = "negative" or "positive" under [projector]; take it from the mode (docs/build/firmware.md)'
         )
     return rises
 
@@ -70,7 +70,7 @@ def firmware_files(part: Part, rig: Rig) -> dict[str, bytes]:
     if not sources:
         raise BringupError(
             f"{folder}: the firmware's sources are not part of an installation; "
-            f"call it within the source tree: ./dev run kingfisher setup firmware {part}"
+            f"run it in the source tree: ./dev run kingfisher setup firmware {part}"
         )
     files: dict[str, bytes] = {}
     for source in sources:

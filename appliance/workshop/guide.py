@@ -159,7 +159,7 @@ class _Walk:
             return {step: StepOutcome((refusal(error),))}
         except BringupError as error:
             statement, _, remedy = str(error).partition("; ")
-            finding = Finding("measurement", False, statement, "", remedy or "see the findings before")
+            finding = Finding("measurement", False, statement, "", remedy or "see the findings above")
             return {step: StepOutcome((finding,))}
         if new != text:
             replace_rig(self.rig_file, text, new)

@@ -156,7 +156,7 @@ def timing_of(profile: Profile, period_us: float) -> LightTiming:
     """
     windows = windows_of(profile)
     if not windows:
-        raise BringupError("no light was seen in any slice of the frame: check the lamp, and the cameras' gain")
+        raise BringupError("no light in any time slice of the frame: check the lamp, and the cameras' gain")
     begins_us = windows[0].begins_us
     # Rounded down, with a margin: light that begins a line or two before a blank belongs to that blank.
     latency = max(0, int((begins_us + EARLY_US) // period_us))
@@ -306,7 +306,7 @@ def _distinct(good: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
 def judge(lamp: Lamp, rig: Rig) -> StepOutcome:
     """Judge the lamp's windows and the response of the exposures that were tried."""
     period_us = 1e6 / rig.projector.refresh_hz
-    tables = {"Every exposure that was tried": _trials(lamp)} if lamp.responses else {}
+    tables = {"All measured exposures": _trials(lamp)} if lamp.responses else {}
     keys = keys_of(lamp, period_us, rig.camera.left.exposure_ms) if lamp.offer is not None else {}
     return StepOutcome((_windows(lamp, period_us), _grey(lamp)), tables, _figures(lamp, period_us), keys)
 
@@ -316,7 +316,10 @@ def _windows(lamp: Lamp, period_us: float) -> Finding:
     shown = ", ".join(f"{window.begins_us / 1000.0:.2f} to {window.ends_us / 1000.0:.2f} ms" for window in windows)
     lit_percent = 100.0 * sum(window.ends_us - window.begins_us for window in windows) / period_us
     kind = f"{'no' if lamp.sub_frames == 1 else lamp.sub_frames} equal sub-frames"
-    statement = f"the lamp lights {shown} after the blank, {lit_percent:.0f} % of the frame; {kind}, drawn into {lamp.channels} channels"
+    statement = (
+        f"the lamp lights {shown} after the blank, {lit_percent:.0f} % of the frame; {kind}, patterns in "
+        f"{lamp.channels} channels"
+    )
     return finding_of("light", True, statement, "", "", windows=len(windows), lit_percent=lit_percent)
 
 
@@ -328,16 +331,18 @@ def _grey(lamp: Lamp) -> Finding:
     if offer is not None:
         shape = lamp.responses[Trial(offer.delay_us, offer.exposures_us[-1])]
         percent, times = 100.0 * shape.line_rms, ", ".join(f"{time / 1000.0:g}" for time in offer.exposures_us)
-        statement = f"exposures of {times} ms from {offer.delay_us} µs after the blank see grey as it was drawn"
+        statement = (
+            f"exposures of {times} ms from {offer.delay_us} µs after the blank show grey values as in the pattern"
+        )
         if shape.shape is not Shape.STRAIGHT:
-            statement += f"; it is curved by {percent:.1f} %, which scans straighten"
+            statement += f"; the response is curved by {percent:.1f} %, which scans correct"
         return finding_of("grey", True, statement, limits, "", line_percent=percent, exposures=len(offer.exposures_us))
     shapes = list(lamp.responses.values())
     # The most frequent shape counts; single others come from exposures with next to no light.
     kinds = Counter(shape.shape for shape in shapes)
     best = min(shapes, key=lambda candidate: candidate.line_rms, default=None)
     kinds_in_words = ", ".join(f"{count} {kind.value}" for kind, count in kinds.most_common())
-    statement = f"no exposure of {len(shapes)} sees grey as it was drawn ({kinds_in_words})"
+    statement = f"no exposure of {len(shapes)} shows grey values as in the pattern ({kinds_in_words})"
     if best is None:
         return Finding("grey", False, statement, limits, PATTERN_MODE)
     statement += f"; the best is {100.0 * best.line_rms:.1f} % off a straight line, like a power of {best.power:.1f}"
@@ -345,9 +350,9 @@ def _grey(lamp: Lamp) -> Finding:
     if kinds[Shape.GAMMA]:
         remedy = "switch gamma off in the projector (linear, 1:1, table off) and in the graphics driver"
     elif kinds[Shape.DARK] == len(shapes):
-        remedy = "take something white at half a metre, that neither is too dark nor saturates the cameras"
+        remedy = "use a white object at half a metre, neither too dark nor saturated"
     elif kinds[Shape.RESTLESS] == len(shapes):
-        remedy = "switch dynamic contrast, dither and lamp dimming off in the projector, and other light in the room"
+        remedy = "switch off dynamic contrast, dither and lamp dimming in the projector, and other light in the room"
     return finding_of("grey", False, statement, limits, remedy, line_percent=100.0 * best.line_rms, power=best.power)
 
 
@@ -402,7 +407,7 @@ def _figures(lamp: Lamp, period_us: float) -> dict[str, tuple[str, bytes]]:
         "grey values per slice",
         [edge_us / 1000.0 for edge_us in edges_us],
     )
-    drawn = {"light.png": ("Light of a flash over time; red: the lamp's windows", flash)}
+    drawn = {"light.png": ("Light of a flash over time; red: when the lamp is on", flash)}
     # Usable exposures first, then the straightest.
     best = sorted(lamp.ramps, key=lambda t: (not lamp.responses[t].usable, lamp.responses[t].line_rms))
     if best:

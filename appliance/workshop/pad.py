@@ -113,8 +113,11 @@ def judge_key(trial: KeyTrial, faulty: bool = False) -> Finding:
     times = trial.pressed.count(trial.key)
     statement, remedy = f"pressed once and released after {trial.held_s or 0.0:.2f} s", ""
     if not trial.pressed:
-        statement = "was not pressed, or the pad did not notice"
-        remedy = "check its coil's wires and its target's distance; lower the threshold in the pad's firmware"
+        statement = "no press is reported"
+        remedy = (
+            "press it; if it was pressed, check its coil's wires and its target's distance, or lower the "
+            "threshold in the pad's firmware"
+        )
         remedy = "its coil is faulty: see coils" if faulty else remedy
     # Causes with the most consequences first: exchanged wires explain all that follows.
     elif times == 0:
@@ -123,12 +126,13 @@ def judge_key(trial: KeyTrial, faulty: bool = False) -> Finding:
     elif other_keys:
         statement = f"{other_keys} answered as well"
         remedy = (
-            "coils see each other's target: more distance between them, other sensor frequencies, higher thresholds"
+            "one coil senses the other's target: use more distance between coils, other sensor frequencies "
+            "or higher thresholds"
         )
     elif trial.key not in trial.released:
-        statement = "was pressed and stays pressed"
-        remedy = "the target does not come back, or the threshold is too near to rest: raise it in the pad's firmware"
+        statement = "is reported as still pressed"
+        remedy = "free the key's target; if it is free, raise the threshold in the pad's firmware"
     elif times > 1:
         statement = f"answered {times} times"
-        remedy = "press it once; if that was so, the coil bounces: raise the hysteresis in the pad's firmware"
+        remedy = "press it once only; if it was pressed once, raise the hysteresis in the pad's firmware"
     return finding_of(f"key.{trial.key}", not remedy, statement, LIMITS, remedy, presses=times, held_s=trial.held_s)

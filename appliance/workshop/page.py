@@ -47,7 +47,7 @@ def outcomes_page(title: str, findings: Sequence[Finding], outcomes: Sequence[St
     if keys:
         page.heading("Keys of the rig file")
         page.facts(keys)
-    page.heading("What was seen")
+    page.heading("Findings")
     for outcome in outcomes:
         for caption, data in outcome.pictures.values():
             page.figure(caption, data)

@@ -74,15 +74,18 @@ CODES = 64
 """Number of intervals of codes in which the light is averaged."""
 FEWEST_IN_CODE = 8
 _RIPPLES = {
-    1: "light is added to some images: daylight and lamps off; black level and ambient light steady; dynamic contrast off",
-    2: "images are unequally bright, or show a part of the picture before: step latency and step light again; "
-    "shorter exposures; both cameras' overlap; dynamic contrast off",
+    1: "light is added to some frames: switch off other light and dynamic contrast; keep black level and "
+    "ambient light steady",
+    2: "frames differ in brightness, or show a part of the pattern before: repeat steps latency and light; "
+    "use shorter exposures and trigger overlap in both cameras; switch off dynamic contrast",
 }
 """Remedies of a ripple at one and two cycles; that at four has the causes in ``_CURVED``."""
 _CURVED = {
     Shape.GAMMA: "gamma: switch it off in the projector and in the graphics driver, or measure it with `kingfisher calibration measure response {scan} --install`",
-    Shape.BIT_PLANES: "cut bit planes: take only exposures that step light found, and do step light again after any change of the projector's mode",
-    Shape.RESTLESS: "light that differs from place to place or image to image: dynamic contrast and dither off, no other light, a still plane",
+    Shape.BIT_PLANES: "exposures cut bit planes: use only those that step light found, and repeat step light "
+    "after a change of the projector's mode",
+    Shape.RESTLESS: "light changes over the plane or between frames: switch off dynamic contrast, dither and "
+    "other light; keep the plane still",
 }
 CYCLES = (1, 2, 4)
 DEGREE = 5
@@ -239,9 +242,7 @@ def _record(workplace: Workplace, patterns: DrawnPatterns, exposure: Exposure) -
             if fault is None:
                 return report, {side: store.frames(side)[: len(sequence)].copy() for side in SIDES}
     assert fault is not None
-    raise BringupError(
-        f"{TRIES} scans failed one after the other: {fault.code.value}: {fault.detail}; do step trigger again"
-    )
+    raise BringupError(f"{TRIES} scans in a row failed: {fault.code.value}: {fault.detail}; repeat step trigger")
 
 
 def _lit(frames: NDArray[np.uint8], sequence: PatternSequence) -> NDArray[np.bool_]:
@@ -477,25 +478,34 @@ def _filled(figures: PlaneFigures) -> Finding:
     statement = " and ".join(
         f"{100.0 * share:.0f} % of the {side_name} image" for side_name, share in figures.filled.items()
     )
-    statement, limits = f"fringes were read in {statement}", f"{100.0 * LEAST_FILLED:g} % and more"
-    remedy = f"the {side} camera sees too little: bring the plane to the working distance and upright, light it more, see step raster"
+    statement, limits = f"fringes are decoded in {statement}", f"{100.0 * LEAST_FILLED:g} % and more"
+    remedy = (
+        f"the {side} camera sees too little: put the plane upright at the working distance, use more light, see "
+        "step raster"
+    )
     numbers = {f"{side_name}_percent": 100.0 * share for side_name, share in figures.filled.items()}
     return finding_of("plane", smallest >= LEAST_FILLED, statement, limits, remedy, **numbers)
 
 
 def _clipping(figures: PlaneFigures) -> Finding:
     side, largest = max(figures.saturated.items(), key=lambda entry: entry[1])
-    statement = f"{100.0 * largest:.1f} % of what is lit in the {side} image is saturated at {figures.exposure.label}"
+    statement = (
+        f"{100.0 * largest:.1f} % of the illuminated pixels of the {side} image are saturated at "
+        f"{figures.exposure.label}"
+    )
     limits, ok = f"up to {100.0 * MOST_SATURATED:g} %", largest <= MOST_SATURATED
-    remedy = "clipping: every allowed exposure is too long for this plane: less gain_db, shorter exposures_ms, a duller plane, no lamp on it"
+    remedy = (
+        "every allowed exposure is too long for this plane: reduce gain_db or exposures_ms, use a duller "
+        "plane, switch off other light"
+    )
     return finding_of("clipping", ok, statement, limits, remedy, saturated_percent=100.0 * largest)
 
 
 def _response(figures: PlaneFigures) -> Finding:
-    limits = "straight, or one smooth curve that scans straighten"
+    limits = "straight, or one smooth curve, which scans correct"
     # Blurred fringes have only the middle codes.
     if figures.response is None:
-        statement = "too little was seen of it to tell: fringes are too fine for these cameras"
+        statement = "not measurable: the fringes are too fine for these cameras"
         return Finding("response", True, statement, limits)
     shape, percent = figures.response, 100.0 * figures.response.line_rms
     statement = (
@@ -511,7 +521,7 @@ def _ripple(figures: PlaneFigures, k: int) -> Finding:
     cycles, limit_px = CYCLES[k], LIMITS_PER_PERIOD[k] * figures.period_px
     name, limits = f"ripple {cycles}x", f"up to {limit_px:.3f} px"
     if not figures.ripple:
-        statement, remedy = "no plane was found in either image", "let nothing but the plane be in the picture"
+        statement, remedy = "no plane was found in either image", "show nothing but the plane"
         return Finding(name, False, statement, limits, remedy)
     where, worst = max(figures.ripple.items(), key=lambda coordinate: coordinate[1].amplitude_px[k])
     amplitude_px = worst.amplitude_px[k]
@@ -527,10 +537,13 @@ def _ripple(figures: PlaneFigures, k: int) -> Finding:
 def _cause(figures: PlaneFigures) -> str:
     """Return the remedy for the most likely cause of fringes that are no sines."""
     if max(figures.saturated.values(), default=0.0) > MOST_SATURATED:
-        return "clipping: a shorter exposure, less gain, a duller plane"
+        return "saturation: use a shorter exposure, less gain or a duller plane"
     if figures.response is not None and figures.response.shape in _CURVED:
         return _CURVED[figures.response.shape].format(scan=figures.scan)
-    return f"the light is no sine: measure its response (`kingfisher calibration measure response {figures.scan} --install`), and see gamma, exposures and focus"
+    return (
+        "the light is not sinusoidal: measure the response (`kingfisher calibration measure response "
+        f"{figures.scan} --install`), and check gamma, exposures and focus"
+    )
 
 
 def _flat(figures: PlaneFigures) -> Finding:
@@ -552,6 +565,6 @@ def _flat(figures: PlaneFigures) -> Finding:
 
 
 def _judges(figures: PlaneFigures) -> Finding:
-    statement = "; ".join(figures.faults) or f"scan {figures.scan} is stored; nothing speaks against it"
-    remedy = "the page docs/faults.md has each with its remedy"
-    return finding_of("judges", not figures.faults, statement, "nothing that refuses the scan", remedy)
+    statement = "; ".join(figures.faults) or f"scan {figures.scan} is stored; no judge rejects it"
+    remedy = "docs/faults.md has the remedy of each fault"
+    return finding_of("judges", not figures.faults, statement, "no fault that rejects the scan", remedy)

@@ -258,7 +258,7 @@ def _orientation(views: Mapping[str, PictureView]) -> Finding:
         side, how = next(iter(wrong.items()))
         statement, remedy = f"both cameras see the picture {how.value}", _ORIENTATION_REMEDIES[how]
         if len(wrong) < len(views):
-            statement = f"camera.{side} alone sees the picture {how.value}: it is the camera that turns it"
+            statement = f"camera.{side} alone sees the picture {how.value}: the camera turns it, not the projector"
             remedy = f"mount camera.{side} the right way round, and switch its ReverseX and ReverseY off"
     return finding_of("orientation", not remedy, statement, limits, remedy)
 
@@ -274,12 +274,12 @@ def raster_finding(lines: Mapping[str, LineLight], views: Mapping[str, PictureVi
         "camera_px_per_projector_px": min((ratio for ratio in resolved if ratio is not None), default=None),
     }
     scaled = [name for name, line in lines.items() if line.is_scaled]
-    statement, remedy = "single lines are equally bright: each pixel is one of the panel's", ""
+    statement, remedy = "single lines are equally bright: the projector does not scale its picture", ""
     # An unknown result is no fault: the picture may be right, and the operator can look at the checker's photograph.
     if any(ratio is None or ratio < LEAST_RESOLVED for ratio in resolved) or not all(
         ratio.is_measurable for ratio in lines.values()
     ):
-        statement = "whether the picture is scaled cannot be told by cameras this coarse, or in so little light"
+        statement = "scaling is not measurable: the cameras are too coarse, or the light is too weak"
     elif scaled:
         statement = f"single {' and '.join(scaled)} are not equally bright: the projector scales its picture"
         remedy = (

@@ -39,11 +39,11 @@ def with_keys(text: str, values: Mapping[KeyValue, Value]) -> str:
     # Read back and compared with the intended content: an edit by lines may hit text that only looks like the key.
     if _content(new) != _intended(tomllib.loads(text), values):
         names = ", ".join(f"{place.table}.{place.key}" for place in values)
-        raise BringupError(f"the rig file is written in a way that cannot be edited by lines; set by hand: {names}")
+        raise BringupError(f"the rig file cannot be edited line by line; set by hand: {names}")
     try:
         parse_rig(new, "what was measured")
     except ConfigError as error:
-        raise BringupError(f"what was measured makes no rig file: {error}") from error
+        raise BringupError(f"the measured values make no valid rig file: {error}") from error
     return new
 
 

@@ -16,7 +16,7 @@ from appliance.workshop.step import StepOutcome
 SURE = 0.005
 """Smallest difference of the cameras' logarithmic ratios of scale that identifies them."""
 _STATEMENTS = {
-    None: "which camera is left cannot be told here: take a flat wall at half a metre, and a picture that is not turned",
+    None: "left and right are not measurable here: use a flat wall at half a metre, and an upright picture",
     True: "left and right camera are exchanged",
     False: "left and right are as in the rig file",
 }

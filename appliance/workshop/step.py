@@ -32,7 +32,7 @@ class Person(Protocol):
 
 def numbered_request(what: str, attempt: int) -> str:
     """Return a request for the ``attempt``-th time, from 0: repeated ones say that it did not help."""
-    return what if attempt == 0 else f"{what} (asked again, {attempt + 1} of {MOST_ASKED}: it was not seen)"
+    return what if attempt == 0 else f"{what} (attempt {attempt + 1} of {MOST_ASKED}: not detected)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def wall(workplace: Workplace) -> str:
 
 def refusal(error: DeviceError) -> Finding:
     """Return the finding for a device that is missing or refuses."""
-    return Finding(error.device, False, error.message, "there, and as the rig file states it", error.remedy)
+    return Finding(error.device, False, error.message, "present, and as in the rig file", error.remedy)
 
 
 @dataclass(frozen=True, slots=True)

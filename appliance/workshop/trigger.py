@@ -109,7 +109,7 @@ def _camera(side: str, frames: TriggeredFrames, period_ns: float) -> Finding:
         remedy = "check the USB cable and that each camera has a port of its own"
     # Numbers with a single cause first: no frame at all, every second frame. Other numbers have many causes.
     elif count == 0:
-        statement = f"no frame of {PULSES} pulses: the camera does not see its line"
+        statement = f"no frame of {PULSES} pulses: the camera does not get its trigger"
         remedy = (
             f"check the line's wire and level, and trigger_source of [camera.{side}]: the input that the wire leads to"
         )
@@ -121,7 +121,7 @@ def _camera(side: str, frames: TriggeredFrames, period_ns: float) -> Finding:
             "or shorten the exposure"
         )
     elif count > PULSES:
-        statement += ": it exposes without being asked"
+        statement += ": it exposes without a trigger"
         remedy = "switch TriggerMode on for FrameStart and off for all other triggers; two edges of one pulse are noise on the line"
     elif count < PULSES:
         statement += ": some triggers are lost"
@@ -157,11 +157,11 @@ def _stamps(name: str, pulses_us: Sequence[int], times_ns: Sequence[int | None])
     limits = f"jitter up to {MOST_JITTER_US:g} µs, drift up to {MOST_DRIFT_PPM:g} ppm"
     known_ns = [time_ns for time_ns in times_ns if time_ns is not None]
     if len(known_ns) < len(times_ns):
-        return Finding(name, True, "the camera has no clock: its frames are told by their count alone", limits)
+        return Finding(name, True, "the camera has no clock: its frames are assigned by their count alone", limits)
     if len(known_ns) != len(pulses_us) or len(known_ns) < FEWEST_STAMPS:
         statement = f"{len(known_ns)} stamps of frames and {len(pulses_us)} of pulses cannot be compared"
         return Finding(
-            name, False, statement, limits, "first see that each pulse makes a frame: the findings above say how"
+            name, False, statement, limits, "first make sure that each pulse makes a frame: see the findings above"
         )
     # Relative to the first one: absolute times of a clock would lose digits.
     pulses = np.array([time_us - pulses_us[0] for time_us in pulses_us], np.float64)
@@ -179,6 +179,9 @@ def _stamps(name: str, pulses_us: Sequence[int], times_ns: Sequence[int | None])
             f"frame {int(deviations_us.argmax())} is the worst"
         )
     elif abs(drift_ppm) > MOST_DRIFT_PPM:
-        remedy = "one of the clocks is none: check the unit of the camera's time stamps (GevTimestampTickFrequency), and the board's crystal"
+        remedy = (
+            "one of the clocks is wrong: check the unit of the camera's time stamps "
+            "(GevTimestampTickFrequency), and the board's crystal"
+        )
     numbers = {"jitter_us": jitter_us, "jitter_rms_us": jitter_rms_us, "drift_ppm": drift_ppm}
     return finding_of(name, not remedy, statement, limits, remedy, **numbers)

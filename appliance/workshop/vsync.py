@@ -59,7 +59,7 @@ def _findings(workplace: Workplace, board: Board, outputs: Outputs) -> tuple[Fin
     try:
         first, last = _count_syncs(board, projector, workplace, period_ns)
     except SyncError as error:
-        remedy = "the board must see the video that the graphics card sends, not one that a converter makes anew"
+        remedy = "connect the board to the video of the graphics card itself, not behind a converter"
         return (*beat, Finding("count", False, str(error), "as many syncs as blanks", remedy))
     # Dark while this process holds the card: after its release the console would light it again.
     outputs.close_projector()
@@ -142,7 +142,7 @@ def judge_stamps_of_syncs(stamps: Sequence[tuple[int, int]], refresh_hz: float) 
     limits = f"{refresh_hz:g} ± {MOST_OFF_HZ:g} Hz"
     jitter_limits = f"up to {MOST_JITTER_US:g} µs (stamps are whole µs)"
     if len(stamps) < FEWEST_STAMPS:
-        statement = f"{len(stamps)} syncs were seen"
+        statement = f"{len(stamps)} syncs are counted"
         remedy = "check the tap of the projector's video, and that a splitter's second output is lit"
         return Finding("rate", False, statement, limits, remedy), Finding(
             "jitter", False, statement, jitter_limits, remedy
@@ -166,7 +166,7 @@ def judge_stamps_of_syncs(stamps: Sequence[tuple[int, int]], refresh_hz: float) 
                 "the board misses every second sync: check the divider behind the tap (5 V to 3.3 V), and its level"
             )
     rate = finding_of("rate", not remedy, f"{rate_hz:.3f} Hz", limits, remedy, rate_hz=rate_hz)
-    statement = f"syncs are at most {deviation_us:.1f} µs away from an even beat"
+    statement = f"syncs deviate by at most {deviation_us:.1f} µs from equal intervals"
     remedy = "series resistor and ground beside the sync's wire; stamp syncs in hardware, not in an interrupt"
     return rate, finding_of(
         "jitter", deviation_us <= MOST_JITTER_US, statement, jitter_limits, remedy, jitter_us=deviation_us
@@ -194,14 +194,14 @@ def judge_stop(stopped_after_ms: float | None) -> Finding:
             "while its input is dark cannot be used"
         )
         return Finding("stop", False, "syncs go on while the projector's output is off", limits, remedy)
-    statement = f"the last sync was told {stopped_after_ms:.0f} ms after the output was switched off"
+    statement = f"the last sync came {stopped_after_ms:.0f} ms after the output was switched off"
     return finding_of("stop", True, statement, limits, "", stopped_after_ms=stopped_after_ms)
 
 
 def judge_edge(phase_us: float) -> Finding:
     """Return the finding on the time from flips to syncs; the edge itself cannot be determined."""
     statement = (
-        f"which edge is counted cannot be told by the board's protocol; syncs are dated {phase_us:+.0f} µs after the "
+        f"the board's protocol does not show which edge is counted; the syncs' times are {phase_us:+.0f} µs after the "
         "kernel's flips. The "
         "wrong one shifts every exposure by the pulse's width (some 120 µs): compare sync of [projector] with an "
         "oscilloscope"

@@ -58,7 +58,7 @@ def mend(builder: BoxBuilder, step: str, finding: dict[str, Any]) -> str:
         # In percent, says the manual of these cameras, which wake up with none.
         builder.add(f"{black[1]}.features", "BlackLevel = 1.0")
         return f"{black[1]} black"
-    if "does not see its line" in said and "trigger_source of [camera.left]" in remedy:
+    if "does not get its trigger" in said and "trigger_source of [camera.left]" in remedy:
         # Whoever wired it knows where the wire leads.
         builder.edit("camera.left", "trigger_source", 'trigger_source = "Line0"')
         return "line"

@@ -75,4 +75,4 @@ def test_no_overlap_halves_the_frames_of_one_camera_and_the_other_does_not_see_i
     assert said["pulses"]["said"] == "the board fired 64 of 64 pulses"
     assert "every second trigger is ignored" in said["camera.left"]["said"]
     assert "TriggerOverlap ReadOut" in said["camera.left"]["remedy"]
-    assert "does not see its line" in said["camera.right"]["said"]
+    assert "does not get its trigger" in said["camera.right"]["said"]

@@ -99,5 +99,5 @@ def test_it_is_laid_out_again_as_a_whole(tmp_path: Path, capsys: pytest.CaptureF
 def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "thesis.txt").write_text("years")
     assert main(["setup", "firmware", "keys", "--out", str(tmp_path)]) == Exit.USAGE
-    assert "thesis.txt, which is not of this firmware" in capsys.readouterr().err
+    assert "thesis.txt, which is no file of this firmware" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]

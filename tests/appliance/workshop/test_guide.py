@@ -128,7 +128,7 @@ def test_keys_are_written_all_or_none_and_steps_rest_on_the_file_as_it_is_then(b
     [
         (DeviceGone("keys", "no key pad", "Check the cable"), "keys", "no key pad", "Check the cable"),
         (BringupError("it is dark; light it"), "measurement", "it is dark", "light it"),
-        (BringupError("it is dark"), "measurement", "it is dark", "see the findings before"),
+        (BringupError("it is dark"), "measurement", "it is dark", "see the findings above"),
     ],
 )
 def test_what_ends_a_step_early_is_a_finding(error: Exception, name: str, said: str, remedy: str, bench: Bench) -> None:
