@@ -65,7 +65,7 @@ def _cameras(wires: Wires, kind: str) -> Iterator[str]:
     try:
         yield from list_cameras(wires)
     except (DeviceError, usb.core.USBError) as error:
-        yield f"cameras of kind {kind} could not be asked: {error}"
+        yield f"cameras of kind {kind} cannot be listed: {error}"
 
 
 def _ports() -> Iterator[str]:
@@ -84,7 +84,7 @@ def _hid(hidraw: Any) -> Iterator[str]:
             path = entry.get("path", b"")
             yield f"{entry['vendor_id']:04x}:{entry['product_id']:04x} {name} ({path.decode(errors='replace')})"
     except OSError as error:
-        yield f"HID devices could not be asked: {error}"
+        yield f"HID devices cannot be listed: {error}"
 
 
 def _connectors(wires: Wires, path: str) -> Iterator[str]:
@@ -103,7 +103,7 @@ def _connectors(wires: Wires, path: str) -> Iterator[str]:
             modes = ", ".join(dict.fromkeys(str(mode) for mode in connector.modes))
             yield f"{connector.name} on {path} ({modes or 'offers no mode'})"
     except OSError as error:
-        yield f"{path} could not be asked: {error}"
+        yield f"{path} cannot be read: {error}"
     finally:
         with contextlib.suppress(OSError):
             card.close()

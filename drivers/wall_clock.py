@@ -44,7 +44,7 @@ def set_from_outside() -> bool:
     try:
         state = ctypes.CDLL(None).adjtimex(timex)
     except (OSError, AttributeError) as error:
-        log.warning("nobody tells whether the clock is right: %s", error)
+        log.warning("it is not known whether the clock is synchronised: %s", error)
         return False
     return is_reliable(state, struct.unpack_from("=i", timex.raw, STATUS_OFFSET)[0])
 

@@ -109,7 +109,7 @@ class UsbBus:
         if not needs.enabled:
             raise DeviceRefused(
                 self._device.name,
-                f"refuses to send images of {payload_size} bytes, which are no multiple of its {needs.alignment} bytes",
+                f"cannot send images of {payload_size} bytes, no multiple of its {needs.alignment} bytes",
                 'Choose another size of the image, or kind = "usb3vision"',
             )
 

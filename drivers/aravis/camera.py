@@ -77,7 +77,9 @@ class AravisCamera:
             camera.stop()
         except ValueError as error:
             device.close()
-            raise DeviceRefused(spec.name, f"its registers make no sense ({error})", "Update its firmware") from error
+            raise DeviceRefused(
+                spec.name, f"its registers contradict each other ({error})", "Update its firmware"
+            ) from error
         except BaseException:
             device.close()
             raise
@@ -243,7 +245,7 @@ class AravisCamera:
         if sent != size:
             raise DeviceRefused(
                 self._spec.name,
-                f"wants to send {sent} bytes for an image of {size}",
+                f"sends {sent} bytes for an image of {size}",
                 "Switch off chunk data and padding in the camera",
             )
         return size
@@ -311,7 +313,7 @@ def _search(name: str, serial: str, aravis: Aravis) -> AravisDevice:
     if silent:
         raise DeviceRefused(
             name,
-            f"serial number {serial} not found, and a camera could not be asked for its own ({'; '.join(silent)})",
+            f"serial number {serial} not found, and the serial number of a camera cannot be read ({'; '.join(silent)})",
             "Install the udev rules, or stop the program that uses the camera",
         )
     presence = f"there are {', '.join(sorted(other_serials))}" if other_serials else "Aravis sees no camera"

@@ -27,7 +27,7 @@ USB_ASYNC = 1
 """``ARV_UV_USB_MODE_ASYNC``: several transfers wait in the kernel at once."""
 END_S = 5.0
 """Longest wait for the end of a stream, which takes tenths of a second."""
-STUCK = ("Aravis hangs while it ends a stream and keeps the camera", "Switch the instrument off and on")
+STUCK = ("Aravis does not end a stream, and holds the camera", "Switch the instrument off and on")
 """The fault, and its remedy, once that wait was in vain."""
 
 

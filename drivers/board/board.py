@@ -325,7 +325,7 @@ class TriggerBoard:
                     sent_ns = self._clock.now_ns()
         silent = f"no answer to {verb} in {ATTEMPTS} attempts of {ANSWER_TIMEOUT_S * 1000:.0f} ms"
         if other_readers := self._other_readers():
-            raise DeviceGone(self._name, f"{silent}{other_readers}", "Stop it: it takes the answers")
+            raise DeviceGone(self._name, f"{silent}{other_readers}", "Stop that program: it reads the board's answers")
         raise DeviceGone(
             self._name,
             silent,
@@ -378,7 +378,7 @@ class TriggerBoard:
             raise DeviceGone(self._name, reason, "Check the board's cable; it is opened again by itself")
 
     def _nonsense(self, verb: str, error: MalformedLine) -> DeviceRefused:
-        return DeviceRefused(self._name, f"answered {verb} with nonsense ({error})", "Update the board's firmware")
+        return DeviceRefused(self._name, f"sent an invalid answer to {verb} ({error})", "Update the board's firmware")
 
     # ------------------------------------------------------------------------------------------------- reader
 

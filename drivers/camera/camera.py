@@ -92,7 +92,9 @@ class UsbVisionCamera:
             camera.stop()
         except ValueError as error:
             usb.close()
-            raise DeviceRefused(spec.name, f"its registers make no sense ({error})", "Update its firmware") from error
+            raise DeviceRefused(
+                spec.name, f"its registers contradict each other ({error})", "Update its firmware"
+            ) from error
         except BaseException:
             usb.close()
             raise
@@ -301,7 +303,7 @@ class UsbVisionCamera:
         if needs.payload_size != payload_size:
             raise DeviceRefused(
                 self._spec.name,
-                f"wants to send {needs.payload_size} bytes for an image of {payload_size}",
+                f"sends {needs.payload_size} bytes for an image of {payload_size}",
                 "Switch off chunk data and padding in the camera",
             )
         # Just after plugging in, some cameras report sizes of 0; one packet is enough for each.

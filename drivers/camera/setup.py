@@ -277,7 +277,7 @@ class CameraSetup:
             name = marked.removeprefix(MAY_BE_MISSING)
             if name in OWN_KEYS:
                 raise DeviceRefused(
-                    self._name, f"{name} = {value!r} stands under features", f"Use the key {OWN_KEYS[name]} for it"
+                    self._name, f"{name} = {value!r} is under features", f"Use the key {OWN_KEYS[name]} for it"
                 )
             selected = selected or name.endswith("Selector")
             optional = marked != name

@@ -253,7 +253,8 @@ def find_camera(backend: Any, name: str, serial: str) -> FoundCamera:
     if forbidden:
         raise DeviceRefused(
             name,
-            f"serial number {serial} not found, and a camera could not be asked for its own ({'; '.join(forbidden)})",
+            f"serial number {serial} not found, and the serial number of a camera cannot be read "
+            f"({'; '.join(forbidden)})",
             "Install the udev rules, or stop the program that uses the camera",
         )
     presence = (
@@ -328,7 +329,7 @@ class _Pipe:
 
     def write(self, data: bytes, timeout_s: float) -> None:
         if self._out is None:
-            raise ValueError("the stream pipe has no way out")
+            raise ValueError("the stream pipe has no OUT direction")
         # Bytes are read-only, and a transfer needs writable memory.
         buffer = transfer_buffer(np.frombuffer(bytearray(data), np.uint8))
         try:

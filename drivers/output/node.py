@@ -21,7 +21,9 @@ class DrmNode:
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except PermissionError as error:
-            raise DeviceRefused(path, f"may not be opened ({error.strerror})", "Join the group video") from error
+            raise DeviceRefused(
+                path, f"cannot be opened without permission ({error.strerror})", "Join the group video"
+            ) from error
         except OSError as error:
             raise DeviceGone(
                 path, f"cannot be opened ({error.strerror})", "Check the graphics driver and the key card of the output"

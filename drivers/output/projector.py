@@ -140,7 +140,7 @@ class PatternProjector(Generic[P]):
 
     def _require_reachable(self, ahead: int) -> None:
         if ahead > MAX_LEAD_BLANKS:
-            raise ValueError(f"play was to start {ahead} blanks ahead; allowed are 2..{MAX_LEAD_BLANKS}")
+            raise ValueError(f"play starts {ahead} blanks ahead; allowed are 2..{MAX_LEAD_BLANKS}")
 
     def _is_late(self, number: int, first: int | None, before: FlipStamp, shown: FlipStamp) -> bool:
         if first is not None:

@@ -36,9 +36,9 @@ def test_a_bus_that_cannot_be_asked_says_why(monkeypatch: pytest.MonkeyPatch) ->
         raise usb.core.USBError("busy")
 
     found = listed(monkeypatch, [], refuse, busy)
-    assert found.cameras == ("cameras of kind usb3vision could not be asked: [Errno None] busy",)
+    assert found.cameras == ("cameras of kind usb3vision cannot be listed: [Errno None] busy",)
     assert found.ports == ()
-    assert found.hid == ("HID devices could not be asked: no permission",)
+    assert found.hid == ("HID devices cannot be listed: no permission",)
     first, second = found.connectors
     assert first.startswith("/dev/dri/card0 could not be opened:"), "one card is asked once"
     assert second.startswith("/dev/dri/card1 could not be opened:"), "a card that no rig file names is asked as well"

@@ -72,7 +72,7 @@ class Ldc3114(CoilChip):
             if self._read(self.STATUS) & self.READY_TO_WRITE:
                 break
         else:
-            raise OSError("the LDC3114 does not let itself be configured")
+            raise OSError("the LDC3114 cannot be configured")
         self._write(self.ENABLE, self.ALL_COILS)
         self._write(self.SCAN_RATE, self.FASTEST)
         self._write(self.POLARITY, self.NO_BUTTONS)

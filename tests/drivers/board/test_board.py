@@ -370,5 +370,5 @@ def test_each_refusal_of_the_protocol_has_its_reason_and_remedy_and_nonsense_is_
         ]
         for verb, fields, ask in asks:
             far.respond = saying(verb, *fields)
-            with pytest.raises(DeviceRefused, match=f"answered {verb} with nonsense"):
+            with pytest.raises(DeviceRefused, match=f"an invalid answer to {verb}"):
                 ask()

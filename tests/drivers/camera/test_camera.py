@@ -333,7 +333,7 @@ def test_images_that_never_come_whole_in_one_transfer_come_in_pieces_from_the_ne
 @pytest.mark.parametrize("payload", [64 * 48 - 1, 64 * 48 + 16])
 def test_more_than_the_pixels_or_less_is_refused_before_anything_streams(payload: int) -> None:
     device, camera = opened(lambda device: device.needs(payload), settings=SETTINGS)
-    with pytest.raises(DeviceRefused, match=f"wants to send {payload} bytes for an image of 3072"):
+    with pytest.raises(DeviceRefused, match=f"sends {payload} bytes for an image of 3072"):
         camera.start()
     assert not any(entry in device.log for entry in STARTED)
 
