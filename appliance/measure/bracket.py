@@ -85,7 +85,7 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     # Compensated points can be registered; points of no single moment cannot.
     if first.spoilt or second.spoilt:
         which = "first" if first.spoilt else "second"
-        return evidence.refused(f"instrument and scene moved while the {which} exposure was recorded")
+        return evidence.refused(f"instrument or object moved during the {which} exposure")
     height_px, width_px = first.bright.shape
     surface = surface_of(first.cloud, second.cloud, (height_px, width_px)) if len(first.cloud.pixel) else None
     registration = None if surface is None else register_exposures(surface, second.cloud)
@@ -136,11 +136,11 @@ def _refusal(registration: Registration) -> str | None:
     if registration.moved_mm > MAX_MOVED_MM or registration.turned_deg > MAX_TURNED_DEG:
         return (
             f"moved by {_amount(registration)} between the exposures; up to {MAX_MOVED_MM:g} mm and "
-            f"{MAX_TURNED_DEG:g} deg are undone"
+            f"{MAX_TURNED_DEG:g} deg are compensated"
         )
     if registration.residual > MAX_RESIDUAL or registration.shared < LEAST_SHARED:
         return (
-            f"the two exposures do not show one rigid thing: {100.0 * registration.shared:.0f} % of their points lie "
+            f"the two exposures do not show one rigid object: {100.0 * registration.shared:.0f} % of their points lie "
             f"on one surface, {registration.residual:.1f} times the noise apart"
         )
     return None

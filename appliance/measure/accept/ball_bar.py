@@ -74,7 +74,7 @@ def find_ball_bar(cloud: PointSource) -> BallBar | NotFound:
     if rows.size < 100:
         return NotFound(
             f"the cloud has only {rows.size} points; bring the ball bar into the light of the projector, at the "
-            "working distance, or see whether the calibration is of this instrument"
+            "working distance, or check that the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
     # One point per cube, so that a near, bright ball does not have more votes than the other.

@@ -81,8 +81,8 @@ def find_frustum(cloud: PointSource) -> Frustum | NotFound:
     rows = finite_rows(cloud.points_mm)
     if rows.size < 1000:
         return NotFound(
-            f"the cloud has only {rows.size} points; bring the frustum into the light, at the working distance, or see "
-            "whether the calibration is of this instrument"
+            f"the cloud has only {rows.size} points; bring the frustum into the light, at the working "
+            "distance, or check that the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
     planes = _planes(points[thinned(points, CELL_MM)])

@@ -94,7 +94,7 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
     if rows.size < LEAST_POINTS:
         return NotFound(
             f"the cloud has only {rows.size} points; bring the plane into the light of the projector, at the working "
-            "distance, or see whether the calibration is of this instrument"
+            "distance, or check that the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
     plane = _most_agreed(points[thinned(points, CELL_MM)])
@@ -104,10 +104,7 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
         mine = np.abs(plane.distance_mm(points)) < BELONGS_MM
         plane = orthogonal_plane(points[mine])
     if mine.mean() < LEAST_SHARE:
-        return NotFound(
-            f"only {100 * mine.mean():.0f} % of the points lie on one plane; let nothing but the plane be in the "
-            "picture"
-        )
+        return NotFound(f"only {100 * mine.mean():.0f} % of the points lie on one plane; show nothing but the plane")
     near = np.flatnonzero(mine)
     keep = np.ones(near.size, bool)
     for _ in range(ROUNDS):

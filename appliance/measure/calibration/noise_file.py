@@ -65,5 +65,5 @@ NOISE = SealedFile(
     schema=1,
     max_bytes=64 * 1024,
     what="noise",
-    remedy="measure the noise again, or remove the file: the rig file's data sheets are then believed",
+    remedy="measure the noise again, or remove the file: the data sheets' noise of the rig file is then used",
 )

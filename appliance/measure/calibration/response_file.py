@@ -42,5 +42,5 @@ RESPONSE = SealedFile(
     schema=1,
     max_bytes=64 * 1024,
     what="response",
-    remedy="measure the response again, or remove the file: patterns are then drawn without compensation",
+    remedy="measure the response again, or remove the file: patterns are then made without response correction",
 )

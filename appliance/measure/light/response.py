@@ -35,7 +35,7 @@ class Response:
                 f"{HIGHEST_ORDER + 1} finite numbers; measure it again"
             )
         if np.diff(self.light(np.linspace(*CODES, _FINE))).min() <= 0.0:
-            raise ValueError("a response with light that does not grow with the code; measure it again")
+            raise ValueError("the response's light does not grow with the code; measure it again")
 
     def light(self, codes: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the light of codes 8 … 247, any shape, in the unit of the harmonics."""

@@ -376,7 +376,7 @@ class _Solver:
         self._variance = np.concatenate([one.variance for one in sides])
         both = np.concatenate([one.residual_dn for one in sides])
         if not np.isfinite(both).any():
-            raise ValueError("no sample stays in the pictures; the instrument moved too far")
+            raise ValueError("no sample stays within the images; the instrument moved too far")
         return both, np.concatenate([one.modulation_dn for one in sides])
 
     def _equations(self, side: str, values: Array, kinds: tuple[int, ...]) -> _Equations:

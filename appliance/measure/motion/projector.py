@@ -72,7 +72,7 @@ def fit_projector_to(rig: StereoRig, scans: Sequence[ShownPoints], size_px: tupl
     pattern_px = np.concatenate([one.pattern_px for one in scans])
     if len(points_mm) < MIN_POINTS:
         raise ValueError(
-            f"{len(points_mm)} points show the projector; needed are {MIN_POINTS}; scan more of the object"
+            f"{len(points_mm)} points are on the projector's light; needed are {MIN_POINTS}; scan more of the object"
         )
     drawn = _drawn(rig, scans[0].water_index, points_mm, pattern_px, size_px)
     values = np.zeros(len(_PRIOR_SD))

@@ -132,7 +132,7 @@ TURNS = 0.4
 INSIDE = 0.15
 """Least depth behind the surface, in levers, of an axis that is called the object's own."""
 LEVEL_DEG = 22.5
-UNEVEN = "have something uneven in both views (a flange, a weld, an edge), or stick on marks"
+UNEVEN = "bring a structured part (a flange, a weld, an edge) into both views, or stick on marks"
 COARSE = 3
 """Patches per side that are joined for the search by shape."""
 
@@ -331,29 +331,28 @@ def refusal_of(fit: Fit) -> PairRefusal | None:
 
 def _words(refusal: PairRefusal | None, fit: Fit | None, a: ReadyScan, b: ReadyScan) -> str:
     if refusal is PairRefusal.NOTHING_IN_COMMON:
-        return "no pose was found: nothing in common; scan in between, or with more overlap"
+        return "no pose was found: no overlap; scan in between, or with more overlap"
     if refusal is PairRefusal.AMBIGUOUS:
-        return (
-            "it fits as well elsewhere, since shape or paint repeats: have something that is there once in both views"
-        )
+        return "several poses fit, since shape or texture repeats: bring a unique part into both views"
     if fit is None:
         slides = b if a.holds else a
         loose = freedom(slides.resistance.directions, slides.resistance.significance)
-        return f"no marks in common, and by shape alone the {'second' if a.holds else 'first'} can {loose}: scan in between, {UNEVEN}"
+        return (
+            f"no common keypoints, and by shape alone the {'second' if a.holds else 'first'} can {loose}: scan "
+            f"in between, {UNEVEN}"
+        )
     if refusal is None:
         return f"{100.0 * fit.overlap:.0f} % in common; placed within {1000.0 * fit.sigma_mm:.0f} µm"
     if refusal is PairRefusal.SLIDES or refusal is PairRefusal.UNCERTAIN:
         if fit.texture_correlation is not None and fit.texture_correlation >= LEAST_ALIKE:
-            remedy = (
-                "both show the same marks, but too few to hold it: scan again with more in common, or stick on marks"
-            )
+            remedy = "too few common keypoints determine the pose: scan again with more overlap, or stick on marks"
         elif a.holds and b.holds:
-            remedy = "what holds each of them is not in both views: scan in between"
+            remedy = "what determines the pose is not in both views: scan in between"
         else:
             remedy = UNEVEN
         return f"the second can {freedom(fit.directions, fit.significance)} on the first: {remedy}"
     if refusal is PairRefusal.TOO_LITTLE:
-        return "too little in common: scan again with half of the view in common"
+        return "too little overlap: scan again with half of the view in common"
     return "surfaces contradict each other: one of the scans may have moved, or they show different places"
 
 

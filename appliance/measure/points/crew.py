@@ -92,7 +92,7 @@ class Crew:
         try:
             with self._lock:
                 if not self._changed.wait_for(lambda: task.is_done or (helping and self._open), MOST_S):
-                    raise TimeoutError(f"a part of the reconstruction has not ended for {MOST_S:g} s")
+                    raise TimeoutError(f"a part of the reconstruction has not ended after {MOST_S:g} s")
                 if task.is_done:
                     return True
                 open_task = self._open[0]
@@ -109,7 +109,7 @@ class Crew:
         with self._lock:
             # A task that an interruption kept from being added was never taken.
             if task.taken_by is not None and not self._changed.wait_for(lambda: task.is_done, MOST_S):
-                raise TimeoutError(f"a part of the reconstruction has not ended for {MOST_S:g} s")
+                raise TimeoutError(f"a part of the reconstruction has not ended after {MOST_S:g} s")
 
     def end_left(self, task: WorkItem[object]) -> None:
         """Mark ``task`` as done if this thread took it and was interrupted before or after running it.
@@ -118,7 +118,7 @@ class Crew:
         """
         with self._lock:
             if task.taken_by == threading.get_ident() and not task.is_done and task not in self._open:
-                task.raised = RuntimeError("it was interrupted; begin the scan again")
+                task.raised = RuntimeError("it was interrupted; start the scan again")
                 task.is_done = True
                 self._changed.notify_all()
 
@@ -195,7 +195,7 @@ class WorkItem(Generic[T]):
         crew, itself = self._crew, cast(WorkItem[object], self)
         if crew.take(itself):
             self._work = None
-            self.raised = RuntimeError("its scan was given up before this was begun; begin the scan again")
+            self.raised = RuntimeError("its scan was cancelled before this began; start the scan again")
             crew.ended(itself)
 
     def await_end(self) -> None:

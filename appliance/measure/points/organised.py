@@ -54,7 +54,8 @@ def organised(cloud: Cloud, bright: NDArray[np.uint8]) -> OrganisedCloud:
     h, w = bright.shape
     if len(cloud.pixel) and int(cloud.pixel.max()) >= h * w:
         raise ValueError(
-            f"the cloud has a point of pixel {int(cloud.pixel.max())}; the image has {h * w}: give its own"
+            f"the cloud has a point of pixel {int(cloud.pixel.max())}; the image has {h * w}: give the "
+            "cloud's own image"
         )
 
     def grid(values: NDArray[np.float32], *more: int) -> NDArray[np.float32]:

@@ -52,7 +52,7 @@ def quantile(values: NDArray[Any], share: float) -> float:
     ``share``: 0 to 1. Raises ValueError without values.
     """
     if not values.size:
-        raise ValueError("no values came; quantiles of none do not exist")
+        raise ValueError("no values for quantiles; give at least one")
     place = share * (values.size - 1)
     rank = int(place)
     parted = np.partition(values, rank)

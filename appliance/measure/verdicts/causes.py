@@ -330,7 +330,7 @@ def _outside(sight: Numbers) -> Cause | None:
         return None
     code = FaultCode.SCAN_NEAR if near > far else FaultCode.SCAN_FAR
     word = "nearer" if near > far else "farther"
-    what = f"{100.0 * share:.0f} % of what is seen lies {word} than is measured, most at {distance:.0f} mm"
+    what = f"{100.0 * share:.0f} % of the surface lies {word} than the working volume, most at {distance:.0f} mm"
     return Cause(Fault(code, what, {"distance_mm": distance}), ALL, True)
 
 
@@ -417,7 +417,10 @@ def _faint(
             return None
         detail = f"fringes of {fringe:.1f} DN; a longer exposure makes {best:.0f} DN of them"
         return Cause(Fault(FaultCode.TOO_DARK, detail, numbers), share, False)
-    detail = f"fringes of {fringe:.1f} DN, and no exposure makes more than {best:.1f} DN of them: the water swallows the light"
+    detail = (
+        f"fringes of {fringe:.1f} DN, and no exposure makes more than {best:.1f} DN of them: the water absorbs "
+        "the light"
+    )
     return Cause(Fault(FaultCode.WATER_DIRTY, detail, numbers), share, False)
 
 
@@ -447,10 +450,10 @@ def _unseen(sight: Numbers, room: float) -> Cause:
     light, glow = sight.get("light_dn") or 0.0, sight.get("glow_per_m")
     numbers = {"light_dn": light}
     if glow is not None and glow >= SWALLOWS_PER_M:
-        detail = f"nothing but lit water, {light:.1f} DN, and its glow fades within a hand's breadth"
+        detail = f"only backscatter is visible, {light:.1f} DN, and it fades within a short distance"
         return Cause(Fault(FaultCode.WATER_DIRTY, detail, numbers | {"coverage_percent": 0.0}), ALL, False)
     if room >= MUCH_ROOM:
-        detail = f"nothing is seen; the exposure could be {room:.0f} times as bright"
+        detail = f"nothing is visible; the exposure could be {room:.0f} times as bright"
         return Cause(Fault(FaultCode.TOO_DARK, detail, numbers), ALL, False)
     return Cause(Fault(FaultCode.NOTHING_SEEN, f"no fringes anywhere; white adds {light:.1f} DN", numbers), ALL, False)
 
@@ -459,9 +462,7 @@ def _unexplained(summary: CloudSummary) -> Fault:
     coverage = summary.coverage_percent
     few = coverage is None or coverage < USABLE_COVERAGE_PERCENT
     detail = (
-        "too few points, and nothing that was judged explains it"
-        if few
-        else "points are too noisy, and nothing explains it"
+        "too few points, and no judge finds the cause" if few else "points are too noisy, and no judge finds the cause"
     )
     return Fault(FaultCode.SCAN_POOR, detail, {} if coverage is None else {"coverage_percent": coverage})
 

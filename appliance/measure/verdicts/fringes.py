@@ -27,9 +27,9 @@ def judge_fringes(bend: PhaseBend, period_px: int) -> Judgement:
         return Judgement(Verdict(NAME, True, numbers, "sines, or nearly so"))
     percent = 100.0 * (noisier - 1.0)
     text = (
-        f"this exposure bends the fringes by {bend.rms_px:.2f} px; straightened, points are {percent:.0f} % noisier. "
-        "Take another "
-        "exposure; kingfisher calibration measure exposures tells which are good"
+        f"this exposure distorts the fringes by {bend.rms_px:.2f} px; after response correction, points are "
+        f"{percent:.0f} % noisier. "
+        "Choose another exposure; `kingfisher calibration measure exposures` lists good ones"
     )
     return Judgement(
         Verdict(NAME, False, numbers, text), Fault(FaultCode.FRINGES_BENT, text, {"noise_percent": percent})

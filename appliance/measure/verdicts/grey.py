@@ -75,14 +75,15 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
         larger_share, smaller_share = numbers[f"{side}_share"], numbers[f"{other_side}_share"]
         text = (
             f"camera.{side} sees the mean of the fringes at {larger_share:.2f} of its light and camera.{other_side} at {smaller_share:.2f} "
-            f"(linear: up to {PROPORTIONAL:.2f}): "
-            f"it bends grey. Under features of camera.{side} set Gamma = 1.0, GammaEnable and LUTEnable = false, and "
+            f"(linear: up to {PROPORTIONAL:.2f}): its grey values are not linear. Under features of camera.{side} set Gamma = 1.0, GammaEnable and LUTEnable = false, and "
             f"no Gamma above 1 in camera.{other_side}"
         )
         return Judgement(Verdict(NAME, False, numbers, text), Fault(FaultCode.GREY_BENT, text, device=f"camera.{side}"))
     if all(abs(difference) <= limit for difference in apart.values()):
         return Judgement(Verdict(NAME, True, numbers, "both cameras see grey alike"))
-    return Judgement(Verdict(NAME, None, numbers, "what changes between the images hides how the cameras see grey"))
+    return Judgement(
+        Verdict(NAME, None, numbers, "not judged: the images change too much to compare the cameras' grey values")
+    )
 
 
 def _share(sample: Sample, sequence: PatternSequence) -> _Share | None:

@@ -77,7 +77,7 @@ def judge_holes(
         # Ambient light over half of the scale is no fault of the exposure.
         ambient = float(np.mean(dark[in_hole] >= np.uint8(FULL_DN) // 2))
         code, why = (
-            (FaultCode.AMBIENT, "light from elsewhere saturates it")
+            (FaultCode.AMBIENT, "ambient light saturates it")
             if ambient >= _LIGHT
             else (FaultCode.TOO_BRIGHT, "it is saturated")
         )
@@ -94,6 +94,9 @@ def judge_distance(summary: CloudSummary, volume: WorkingVolume) -> Judgement:
     if volume.nearest_mm <= distance_mm <= volume.farthest_mm:
         return Judgement(Verdict(name, True, numbers, "inside of the measuring volume"))
     code = FaultCode.SCAN_NEAR if distance_mm < volume.nearest_mm else FaultCode.SCAN_FAR
-    text = f"the middle of the points lies at {distance_mm:.0f} mm, measured is from {volume.nearest_mm:g} to {volume.farthest_mm:g} mm"
+    text = (
+        f"the middle of the points lies at {distance_mm:.0f} mm, the working volume from {volume.nearest_mm:g} "
+        f"to {volume.farthest_mm:g} mm"
+    )
     fault = Fault(code, text, {"distance_mm": distance_mm})
     return Judgement(Verdict(name, False, numbers, f"{code.value}: {text}"), fault)

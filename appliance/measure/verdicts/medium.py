@@ -44,13 +44,13 @@ def judge_medium(
     step = max(1, len(left_px) // MOST_ASKED)
     left_px, right_px = left_px[::step], right_px[::step]
     if len(left_px) < FEWEST or water_index == AIR:
-        return Judgement(Verdict(NAME, None, {}, "too little is seen to tell water from air"))
+        return Judgement(Verdict(NAME, None, {}, "too few points to distinguish water from air"))
     water_mm, air_mm = (_spread_mm(signed_gap_mm(rig, index, left_px, right_px)) for index in (water_index, AIR))
     numbers: dict[str, float | None] = {"water_gap_mm": water_mm, "air_gap_mm": air_mm}
     if water_mm < rig.volume.scaled(LEAST_APART_MM) or air_mm >= MEETS * water_mm:
         return Judgement(Verdict(NAME, True if water_mm < air_mm else None, numbers, "nothing speaks for air"))
     text = (
-        f"rays miss each other by {water_mm:.2f} mm in the water that is stated, and by {air_mm:.2f} mm in air: the "
+        f"ray gaps are {water_mm:.2f} mm in the stated water, and {air_mm:.2f} mm in air: the "
         "points are wrong; scan under "
         "water"
     )

@@ -43,7 +43,7 @@ def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: fl
     left_px, right_px = left_px[::step], right_px[::step]
     numbers: dict[str, float | None] = {"gap_mm": None, "exchanged_mm": None, "apart_mm": None}
     if len(left_px) < FEWEST:
-        return Judgement(Verdict(NAME, None, numbers, "too little is seen to tell left from right"))
+        return Judgement(Verdict(NAME, None, numbers, "too few points to distinguish left from right"))
     usual = signed_gap_mm(rig, water_index, left_px, right_px)
     exchanged = signed_gap_mm(StereoRig(rig.right, rig.left, rig.volume), water_index, left_px, right_px)
     # A common shift is a tilted camera, and says nothing about its side.
@@ -51,17 +51,23 @@ def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: fl
     gap_mm, exchanged_mm, apart_mm = _spread(usual), _spread(exchanged), max(apart)
     numbers = {"gap_mm": gap_mm, "exchanged_mm": exchanged_mm, "apart_mm": apart_mm}
     if apart_mm < rig.volume.scaled(LEAST_APART_MM):
-        return Judgement(Verdict(NAME, None, numbers, "what is seen lies where left and right look alike"))
+        return Judgement(
+            Verdict(NAME, None, numbers, "not judged: at this distance left and right give the same points")
+        )
     if exchanged_mm < MEETS * apart_mm and gap_mm >= MISSES * apart_mm:
         text = (
-            f"rays miss each other by {gap_mm:.1f} mm, and by {exchanged_mm:.1f} mm with the cameras exchanged: "
+            f"ray gaps are {gap_mm:.1f} mm, and {exchanged_mm:.1f} mm with the cameras exchanged: "
             "exchange the serial numbers of "
             "camera.left and camera.right in the rig file"
         )
         fault = Fault(FaultCode.SIDES_EXCHANGED, text, {"gap_mm": gap_mm, "exchanged_mm": exchanged_mm})
         return Judgement(Verdict(NAME, False, numbers, text), fault)
     passed = True if gap_mm < MEETS * apart_mm else None
-    return Judgement(Verdict(NAME, passed, numbers, "left is left" if passed else "neither order brings rays together"))
+    return Judgement(
+        Verdict(
+            NAME, passed, numbers, "left is left" if passed else "the ray gaps are large in either order of the cameras"
+        )
+    )
 
 
 def _spread(gap_mm: Array) -> float:

@@ -80,9 +80,7 @@ class Windows:
             numbers[f"{side}_forgiven_percent"] = 100.0 * self.forgiven[side]
             if is_known:
                 parts.append(f"{side} at most {100.0 * float(falls[worst]):.0f} % softer in a cell")
-        return Verdict(
-            NAME, None, numbers, ", ".join(parts) or "too little seen by both cameras to judge the windows by"
-        )
+        return Verdict(NAME, None, numbers, ", ".join(parts) or "too few points of both cameras to judge the windows")
 
 
 def window_grid(sequence: PatternSequence) -> PixelGrid:

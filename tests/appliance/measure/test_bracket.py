@@ -132,12 +132,12 @@ def test_points_that_motion_spoilt_or_that_are_hardly_any_are_not_mixed_with_oth
         fault = merged.pair.fault
         assert fault is not None
         assert fault.code is FaultCode.MOVED
-        assert fault.detail == f"instrument and scene moved while the {which} exposure was recorded"
+        assert fault.detail == f"instrument or object moved during the {which} exposure"
         assert fault.numbers["second_ms"] == 12.0
 
 
 MOVED_MM = "moved by {:.2f} mm (5.0 px, {:.2f} deg) between the exposures; up to 10 mm and 3 deg"
-NOT_RIGID = "do not show one rigid thing: {} % of their points lie on one surface, {} times"
+NOT_RIGID = "do not show one rigid object: {} % of their points lie on one surface, {} times"
 
 
 @pytest.mark.parametrize(

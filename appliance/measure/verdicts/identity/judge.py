@@ -329,7 +329,7 @@ def _without_patterns(cameras: list[_Camera]) -> Fault | None:
     light_dn = max(camera.light_dn for camera in cameras)
     return Fault(
         FaultCode.PROJECTOR_DARK,
-        f"the bright frame is {light_dn:.2f} DN brighter than the dark one: there is not even backscatter",
+        f"the bright frame is {light_dn:.2f} DN brighter than the dark one: not even backscatter is visible",
         {"light_dn": light_dn},
         "projector",
     )
@@ -350,9 +350,9 @@ def _named(explanation: Explanation, camera: _Camera, device: str) -> Fault:
                 return Fault(FaultCode.PROJECTOR_DARK, f"from frame {frame} on, all is dark", numbers, device)
             detail = f"from frame {frame} on, {device} shows one and the same pattern"
         case Disagreement.SWAPPED:
-            detail = f"{device} shows the patterns of frames {frame} and {other_frame} in each other's place"
+            detail = f"{device} shows the patterns of frames {frame} and {other_frame} in exchanged order"
         case Disagreement.REPEATED:
             detail = f"frame {frame} of {device} repeats frame {other_frame}"
         case _:
-            detail = f"{device} does not show the sequence; the first doubt is about frame {frame}"
+            detail = f"{device} does not show the sequence; the first wrong frame is {frame}"
     return Fault(FaultCode.PATTERN_WRONG, detail, numbers, device)

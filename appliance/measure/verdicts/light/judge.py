@@ -188,7 +188,7 @@ def judge_light(
     judged = any(levels[side].illuminated_share > 0.0 for side in SIDES)
     passed = fault is None if judged else None
     text = "enough light, not too much, and steady" if fault is None else f"{fault.code.value}: {fault.detail}"
-    verdict = Verdict("light", passed, numbers, text if judged else "nothing is lit by the projector")
+    verdict = Verdict("light", passed, numbers, text if judged else "the projector illuminates nothing")
     return Judgement(verdict, fault, proposal, second)
 
 
@@ -232,7 +232,7 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
                 max(level.ambient_beyond / MAX_AMBIENT_BEYOND, level.burnt / MAX_SATURATED),
                 Fault(
                     FaultCode.AMBIENT,
-                    f"{beyond:.0f} % of the lit pixels get more light from elsewhere than from the projector ({side} "
+                    f"{beyond:.0f} % of the illuminated pixels have more ambient light than projector light ({side} "
                     "camera)",
                     {"ambient_percent": beyond},
                 ),
@@ -249,7 +249,7 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
                 level.weak / MAX_WEAK,
                 Fault(
                     FaultCode.TOO_DARK,
-                    f"{weak:.0f} % of the lit pixels see fringes too weak to measure by ({side} camera)",
+                    f"{weak:.0f} % of the illuminated pixels have fringes too weak to measure ({side} camera)",
                     {"coverage_percent": 100.0 - weak},
                 ),
             ),

@@ -327,7 +327,7 @@ def _judgement(
         "place_v_px": None if place is None or not moved else place.v_px,
     }
     if added is None:
-        return Judgement(Verdict(NAME, None, numbers, "too little to judge by"))
+        return Judgement(Verdict(NAME, None, numbers, "not judged: too few points"))
     text = kind.value
     if moved:
         where = "" if place is None else f", {place.word}"

@@ -253,7 +253,7 @@ def text_of(numbers: dict[str, float | None]) -> str:
     noise_mm = numbers["expected_noise_mm"]
     if noise_mm is not None:
         parts.append(f"noise {1000.0 * noise_mm:.0f} µm")
-    return ", ".join(parts) or "nothing to judge the water by"
+    return ", ".join(parts) or "no data to judge the water"
 
 
 def hides_object(masked: float, backscatter: float, hidden: float) -> bool:
