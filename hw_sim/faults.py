@@ -150,7 +150,7 @@ def _check(fault: Fault, kind: Kind) -> None:
         allowed = " or ".join(f"how={h}" for h in kind.hows) or "no how"
         raise FaultSyntaxError(f"fault '{fault.sentence}': how={fault.how} is not supported; supported: {allowed}")
     if fault.left is not None and not kind.strikes:
-        raise FaultSyntaxError(f"fault '{fault.sentence}': it lasts, so it has no count; for_s= limits it")
+        raise FaultSyntaxError(f"fault '{fault.sentence}': a lasting fault takes no count; give for_s=")
     # NaN is not equal to itself: the first test is whether an amount was given, the next whether it is missing.
     if fault.amount == fault.amount and kind.amount is None:
         raise FaultSyntaxError(f"fault '{fault.sentence}': it takes no amount")
@@ -225,7 +225,7 @@ class FaultBook:
         mended = len(self._faults) - len(remaining)
         if not mended:
             broken = "; ".join(self.sentences) or "nothing"
-            raise FaultSyntaxError(f"mend '{component} {verb}': that is not broken; broken is: {broken}")
+            raise FaultSyntaxError(f"mend '{component} {verb}': there is no such fault; there are: {broken}")
         self._faults = remaining
         self._changed(self._now_ns())
         return mended

@@ -61,7 +61,7 @@ def parse(sentence: str) -> MountShift:
             )
         amounts[name] = amount
     if not amounts:
-        raise MountShiftError(f"knock '{sentence}': by how much? Give one of {', '.join(AMOUNTS)}")
+        raise MountShiftError(f"knock '{sentence}': no amount; give one of {', '.join(AMOUNTS)}")
     return MountShift(camera, **amounts)
 
 

@@ -83,7 +83,7 @@ class WorldOptions:
         if self.chaos and set(self.chaos) != {"seed", "scans", "report"}:
             raise OptionError(f"chaos has {', '.join(sorted(self.chaos))}; it needs seed, scans and report")
         if self.chaos and self.script is not None:
-            raise OptionError("script and chaos: only one diver can hold the instrument; leave one out")
+            raise OptionError("script and chaos: allowed is one diver; leave one out")
         if not 64 <= self.width_px <= 4096 or not 48 <= self.height_px <= 4096:
             raise OptionError(f"camera size {self.width_px}x{self.height_px}; allowed are 64x48 to 4096x4096")
         if self.date is not None:
@@ -128,8 +128,8 @@ class WorldOptions:
             raise OptionError(f"projector: {error}") from error
         if "response" in self.imaging and (beamer.kind != "ideal" or beamer.gamma is not None):
             raise OptionError(
-                f"imaging response '{self.imaging['response']}' and projector kind '{beamer.kind}' both say what light a code "
-                "makes; leave response out, and give the projector a gamma of 1..3 if it is not proportional"
+                f"imaging response '{self.imaging['response']}' and projector kind '{beamer.kind}' both "
+                "define the response; leave response out, and give the projector a gamma of 1..3 if it is not linear"
             )
         return beamer
 

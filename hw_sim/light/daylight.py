@@ -68,7 +68,7 @@ class Daylight:
                 raise ValueError(f"daylight: {name} = {value}; give three finite numbers: x, y, z of the rig frame")
         for name in ("sun_direction", "torch_direction"):
             if not any(getattr(self, name)):
-                raise ValueError(f"daylight: {name} = {getattr(self, name)}; light must travel somewhere: not all zero")
+                raise ValueError(f"daylight: {name} = {getattr(self, name)}; allowed are vectors other than zero")
 
     @property
     def steady(self) -> bool:

@@ -32,20 +32,20 @@ Value = TypeVar("Value")
 SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift(), "fog": Fog()}
 """Commands that change the scene's field of the same name, with its defaults."""
 HELP: Mapping[str, tuple[str, str]] = {
-    "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
-    "mend": ("THING", "repair one thing and nothing else: mend laser.left off, mend projector wrong"),
+    "fault": ("SENTENCE", "cause a fault: fault camera.left off, fault board wrong how=reset"),
+    "mend": ("THING", "repair one fault only: mend laser.left off, mend projector wrong"),
     "clear": ("", "repair everything that is broken"),
-    "cap": ("left|right|both on|off", "a cap is put on a camera's lens, or taken off"),
-    "projector": ("AMOUNTS", "in the projector's menu: projector mirrored=false gamma=off latency_blanks=1"),
-    "worker": ("kill|hang", "the process that computes points dies, or hangs"),
-    "power": ("cut", "the service ends without a word, as when the battery is pulled; begin again with another start"),
+    "cap": ("left|right|both on|off", "put a cap on a camera's lens, or take it off"),
+    "projector": ("AMOUNTS", "change the projector's settings: projector mirrored=false gamma=off latency_blanks=1"),
+    "worker": ("kill|hang", "kill or stop the process that computes points"),
+    "power": ("cut", "end the service at once, as by a loss of power; start the simulator again afterwards"),
     "disk": (
         "off|on|fill|spare",
-        "the scans' folder refuses writes, until on; somebody fills a small disk, or spares it",
+        "off: the scan folder refuses writes until on; fill: a small disk is filled; spare: it is freed",
     ),
     "date": (
         "1970-01-01T00:00:07|+S|-S|kept|lost",
-        "of the computer: it is set, jumps by seconds, is kept by a time server or by nobody",
+        "the computer's clock: set it, shift it by seconds, keep it by a time server, or not",
     ),
     "object": (
         "NAME [X Y Z RX RY RZ]",
@@ -57,8 +57,8 @@ HELP: Mapping[str, tuple[str, str]] = {
     "daylight": ("AMOUNTS | off", "daylight flicker_depth=0.5 caustics=0.3 torch=0.5"),
     "drift": ("AMOUNTS | off", "drift particles_per_l=20 bubbles=5 fish=1"),
     "fog": ("AMOUNTS | off", "on a window: fog left=0.5 x=0.3 y=0.4 radius=0.12"),
-    "knock": ("CAMERA AMOUNTS", "a camera moves in its mount, for good: knock right pitch_deg=0.03"),
-    "screenshot": ("PATH", "the display as a PNG"),
+    "knock": ("CAMERA AMOUNTS", "move a camera in its mount, permanently: knock right pitch_deg=0.03"),
+    "screenshot": ("PATH", "write the display as a PNG"),
 }
 """Verb → (arguments, help text)."""
 
@@ -124,7 +124,7 @@ def do(world: World, verb: str, arguments: tuple[str, ...], status: Path) -> Non
             picture = world.scanned_out("display")
             # OpenCV writes blue first.
             if not cv2.imwrite(arguments[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-                raise CommandError("the picture cannot be written")
+                raise CommandError("the image cannot be written")
         case _:
             world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, arguments)}))
 
@@ -171,7 +171,7 @@ def changed(value: Value, subject: str, assignments: Sequence[str]) -> Value:
             )
         amounts[name] = _amount(f"{subject} {name}", text, defaults[name])
     if not amounts:
-        raise ValueError(f"{subject}: what of it? Give off, or any of {', '.join(defaults)} = amount")
+        raise ValueError(f"{subject}: no amount; give off, or any of {', '.join(defaults)} = amount")
     return replace(value, **amounts)
 
 

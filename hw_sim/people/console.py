@@ -25,10 +25,10 @@ LOOK_S = 0.1
 LONGEST_LINE = 4096
 OWN = {
     "press": ("KEY [S]", "press a glove key: scan back up down, held for S seconds"),
-    "see": ("", "what the instrument shows, in one line"),
-    "faults": ("", "what is broken now"),
-    "where": ("", "object, pose and water before the instrument"),
-    "help": ("[VERB]", "this list, or more about one verb; help fault lists what can break and how"),
+    "see": ("", "show the instrument's state in one line"),
+    "faults": ("", "list the faults now"),
+    "where": ("", "show object, pose and water before the instrument"),
+    "help": ("[VERB]", "show this list, or more about one verb; help fault lists all faults"),
 }
 """Verbs of the console alone → (arguments, help text)."""
 
@@ -68,7 +68,7 @@ class Console:
             case "see", ():
                 return status_file.summary(status_file.read(self._status))
             case "faults", ():
-                return "; ".join(world.broken) or "nothing is broken"
+                return "; ".join(world.broken) or "no fault"
             case "where", ():
                 scene = world.scene
                 pose = " ".join(f"{part:.0f}" for part in scene.start_pose)

@@ -29,7 +29,7 @@ def follow(diver: Operator, step_mm: float, timeout_s: float) -> bool:
                 return True
         elif isinstance(toward, list) and len(toward) == 2:
             if world.scene.pose is None:
-                raise OperatorError("follow: the object has no pose; place it first, by: object NAME X Y Z RX RY RZ")
+                raise OperatorError("follow: the object has no pose; place it first with: object NAME X Y Z RX RY RZ")
             x, y, *more = world.scene.pose
             # The instrument moves in that direction, so the object in the opposite one.
             right, down = (step_mm * float(part) for part in toward)

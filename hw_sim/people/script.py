@@ -43,7 +43,7 @@ def read_script(path: Path) -> tuple[Step, ...]:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ScriptError(f"script {path}: cannot be read ({error.strerror}); give a file that can") from error
+        raise ScriptError(f"script {path}: cannot be read ({error.strerror}); give a readable file") from error
     try:
         return parse_script(data.decode("utf-8"))
     except UnicodeDecodeError as error:
@@ -94,7 +94,7 @@ def _check(step: Step) -> None:
 def _seconds(word: str) -> float:
     seconds = float(word)
     if not 0 <= seconds < 1e6:
-        raise ValueError(f"'{word}' is no duration in s")
+        raise ValueError(f"'{word}' is no duration in s; give a number")
     return seconds
 
 

@@ -91,7 +91,7 @@ def is_met(status: Status, kind: str, args: list[str]) -> bool:
 def check(kind: str, args: list[str]) -> None:
     """Check a condition and its arguments. Raises ValueError if it could never be met."""
     if kind not in CONDITIONS:
-        raise ValueError(f"'{kind}' cannot be waited for; allowed are {', '.join(CONDITIONS)}")
+        raise ValueError(f"'{kind}' is no condition; allowed are {', '.join(CONDITIONS)}")
     if len(args) < CONDITIONS[kind][0]:
         raise ValueError(f"'{kind}' takes {CONDITIONS[kind][0]} words or more, then the seconds")
     if kind in ("distance", "tilt"):

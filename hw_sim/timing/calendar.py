@@ -76,7 +76,7 @@ def _date(word: str) -> datetime.datetime:
 def _jump(word: str) -> datetime.timedelta:
     seconds = float(word)
     if not abs(seconds) <= (LAST - FIRST).total_seconds():
-        raise ValueError(f"'{word}' is farther than a date can jump: {(LAST - FIRST).total_seconds():.0f} s")
+        raise ValueError(f"'{word}' is too large a shift; allowed are up to {(LAST - FIRST).total_seconds():.0f} s")
     return datetime.timedelta(seconds=seconds)
 
 

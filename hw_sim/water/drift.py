@@ -58,7 +58,7 @@ class Drift:
             if len(value) != 3 or not all(math.isfinite(part) for part in value):
                 raise ValueError(f"drift: {name} = {value}; give three finite numbers: x, y, z of the rig frame")
         if not any(self.up):
-            raise ValueError(f"drift: up = {self.up}; bubbles must rise somewhere: not all zero")
+            raise ValueError(f"drift: up = {self.up}; allowed are vectors other than zero")
 
     @property
     def nothing(self) -> bool:

@@ -21,9 +21,7 @@ from hw_sim.window.talk import Lines, parse_sizes, say
 CAMERAS = ("left", "right")
 TICK_S = 0.01
 WANT_EVERY_NS = 33_000_000
-NO_SERVER = (
-    "start it in a desktop session (DISPLAY or WAYLAND_DISPLAY tells which), over ssh with -X, or under xvfb-run"
-)
+NO_SERVER = "start it in a desktop session (with DISPLAY or WAYLAND_DISPLAY set), over ssh with -X, or under xvfb-run"
 NO_GL = "OpenGL 3.3 over EGL is needed, by a graphics card or Mesa's software: install libegl1, libgl1, libgl1-mesa-dri"
 NAMED = {
     glfw.KEY_ENTER: "enter",
@@ -40,7 +38,7 @@ def main(descriptor: int) -> int:
     try:
         panes = open_panes()
     except ValueError as error:
-        say(1, "failed", f"window: none can be opened ({error}); without --window none is needed")
+        say(1, "failed", f"window: cannot be opened ({error}); leave out --window to run without windows")
         return 1
     try:
         say(1, "open")

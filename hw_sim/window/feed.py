@@ -186,5 +186,5 @@ class Feed:
         try:
             code = self._process.wait(END_S)
         except subprocess.TimeoutExpired:
-            return "the windows' process has closed its connection"
-        return f"the windows' process has ended with {code}; run again without --window, or look at what it said above"
+            return "the process of the windows has closed its connection"
+        return f"the windows' process has ended with {code}; see its message above, or run again without --window"
