@@ -107,11 +107,11 @@ class LiveImage:
                 return Fault(FaultCode.AIM_LIGHT, f"{self.shade.bright_dn:.0f} DN where the projector is dark", numbers)
             is_unsaturated = self.saturated_share < SPOILT_SHARE
             if is_unsaturated and self.shade.even_dn >= max(LEAST_GLOW_DN, MILKY_SHARE * self.glow_dn):
-                turbid_detail = f"{self.shade.even_dn:.0f} of {self.glow_dn:.0f} DN are the water's"
+                turbid_detail = f"{self.shade.even_dn:.0f} of {self.glow_dn:.0f} DN are backscatter"
                 return Fault(FaultCode.AIM_TURBID, turbid_detail, numbers | {"veil_dn": self.shade.even_dn})
         if self.detail_dn >= LEAST_DETAIL_DN:
             return None
-        detail = f"contrasts of {self.detail_dn:.1f} DN in smooth light of {self.glow_dn:.0f} DN"
+        detail = f"contrasts of {self.detail_dn:.1f} DN in backscatter of {self.glow_dn:.0f} DN"
         shines = self.glow_dn >= max(LEAST_GLOW_DN, GLOW_OVER_DETAIL * self.detail_dn)
         return Fault(FaultCode.AIM_TURBID if shines else FaultCode.AIM_DARK, detail, numbers)
 

@@ -276,7 +276,7 @@ def _missing(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> Fault:
         remedy = "check the trigger cable and trigger_source of this camera"
         return Fault(FaultCode.CAMERA_SILENT, f"{summary} of as many pulses; {remedy}", numbers, device)
     if every is not None:
-        remedy = "its exposures do not overlap with reading out, or its frame rate or throughput is limited: look at its features"
+        remedy = "exposure and readout do not overlap, or frame rate or throughput is limited: check its features"
         summary = f"{summary}, one for every {every} pulses; {remedy}"
         return Fault(FaultCode.CAMERA_TOO_SLOW, summary, {**numbers, "every": every}, device)
     return Fault(FaultCode.FRAME_MISSING, f"{summary}; the first gap is at frame {where}", numbers, device)
@@ -332,7 +332,7 @@ def _begins_late(ledger: Ledger, side: str) -> int:
 
 def _flips_against_pulses(ledger: Ledger) -> Fault | None:
     if ledger.sync is None:
-        return Fault(FaultCode.SYNC_LOST, "the board's vertical sync was never matched to the projector's", {}, "board")
+        return Fault(FaultCode.SYNC_LOST, "the board's vertical sync is not matched to the projector's", {}, "board")
     for flip, pulse in zip(ledger.flips, ledger.pulses, strict=True):
         # Board time → host time by the matched vsyncs; then pulse minus flip minus the trigger delay and the
         # projector's latency is zero but for jitter.
@@ -341,7 +341,7 @@ def _flips_against_pulses(ledger: Ledger) -> Fault | None:
         if abs(after_ns) > MAX_FLIP_PHASE * ledger.period_ns:
             return Fault(
                 FaultCode.PROJECTOR_TIMING,
-                f"pulse {pulse.index} came {after_ns / 1e6:.1f} ms away from where its pattern's flip puts it",
+                f"pulse {pulse.index} came {after_ns / 1e6:.1f} ms off the time of its pattern's flip",
                 {"frame": pulse.index, "shift_frames": round(after_ns / ledger.period_ns)},
                 "projector",
             )

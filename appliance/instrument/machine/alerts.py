@@ -112,7 +112,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _SERVICE,
             Words("PICTURE MIRRORED", "BILD GESPIEGELT"),
         ),
-        FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _RESTART),
+        FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "SYNC VERLOREN"), _RESTART),
         FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT),
         FaultCode.PROJECTOR_TIMING: Rule(_W, Words("PROJECTOR TIMING", "PROJEKTORTAKT"), _RESTART),
         FaultCode.PROJECTOR_DARK: Rule(_W, Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"), _UNCOVER),
@@ -169,7 +169,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         ),
         FaultCode.SIDES_EXCHANGED: Rule(
             _W,
-            Words("LEFT IS RIGHT", "LINKS IST RECHTS"),
+            Words("CAMERAS SWAPPED", "KAMERAS VERTAUSCHT"),
             _SERVICE,
         ),
         FaultCode.NOT_IN_WATER: Rule(
@@ -308,7 +308,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         ),
         FaultCode.DISK_REFUSES: Rule(
             _W,
-            Words("DISK REFUSES", "SPEICHER GESTÖRT"),
+            Words("DISK ERROR", "SPEICHERFEHLER"),
             Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER DEFEKT"),
             blocks_scan=True,
         ),
@@ -390,7 +390,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         # Neither forbids light nor blocks a scan: `thermal` rations the light, and `conditions` refuses when
         # none is left.
         FaultCode.TEMPERATURE_UNKNOWN: Rule(
-            _W, Words("TEMP ?", "TEMPERATUR ?"), Words("LIGHT IS RATIONED", "LICHT WIRD EINGETEILT")
+            _W, Words("TEMP ?", "TEMPERATUR ?"), Words("LIGHT TIME IS LIMITED", "LICHTZEIT BEGRENZT")
         ),
         # Blocks new scans but stops none under way: a sequence takes 0.4 s, and a low supply is borne for longer
         # than that.

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from appliance.measure import FaultCode
 
 _CABLE = "check the cable and its connectors inside of the housing, then `kingfisher check`"
-_SETTINGS = "compare the camera's section of the rig file with the camera, by `kingfisher check`"
+_SETTINGS = "compare the camera's section of the rig file with the camera: `kingfisher check`"
 _TRIGGER = "check the trigger cables from the board to both cameras, then `kingfisher check`"
 
 ASHORE: Mapping[FaultCode, str] = MappingProxyType(
@@ -23,19 +23,19 @@ ASHORE: Mapping[FaultCode, str] = MappingProxyType(
         FaultCode.DISPLAY_LOST: _CABLE,
         FaultCode.BOARD_LOST: _CABLE,
         FaultCode.KEYS_LOST: _CABLE,
-        FaultCode.VSYNC_LOST: "check the video cable to the projector and the board's tap of it",
+        FaultCode.VSYNC_LOST: "check the video cable to the projector, and the board's tap of it",
         FaultCode.PROJECTOR_DARK: "check the lamp and the video cable of the projector",
         FaultCode.PROJECTOR_TIMING: "look for `PROJECTOR_TIMING` in the journal: the latency is `projector.latency_blanks` of the rig file",
         FaultCode.CAMERA_SILENT: _TRIGGER,
         FaultCode.SYNC_LOST: _TRIGGER,
         FaultCode.CAMERA_TOO_SLOW: _SETTINGS,
         FaultCode.CAMERA_REFUSED: _SETTINGS,
-        FaultCode.PICTURE_MIRRORED: "turn the picture back in the camera or the projector, whose settings mirror it",
-        FaultCode.SIDES_EXCHANGED: "exchange both serials in the rig file: the left camera's pictures are the right one's",
+        FaultCode.PICTURE_MIRRORED: "correct the settings of camera or projector that mirror the image",
+        FaultCode.SIDES_EXCHANGED: "exchange both serials in the rig file: left and right camera are exchanged",
         FaultCode.GREY_BENT: "switch gamma and look-up table of that camera off",
-        FaultCode.DISK_READ_ONLY: "look for errors of the disk in the journal, and replace it",
-        FaultCode.DISK_REFUSES: "look for errors of the disk in the journal, and replace it",
-        FaultCode.STORAGE_FULL: "copy scans to a desk and remove them here",
+        FaultCode.DISK_READ_ONLY: "look for disk errors in the journal, and replace the disk",
+        FaultCode.DISK_REFUSES: "look for disk errors in the journal, and replace the disk",
+        FaultCode.STORAGE_FULL: "copy the scans to a desk, and remove them from the instrument",
         FaultCode.WINDOW: "wipe the window; fog inside means moist air: dry the housing",
     }
 )

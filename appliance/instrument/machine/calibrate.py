@@ -66,7 +66,7 @@ def pressed(machine: Machine, key: Key) -> Result:
     if position is None:  # cannot be reached; if it were, the way out is AIM
         return enter(machine, State.AIM), ()
     if key is Key.BACK:
-        effects = cancelled(machine, "left by the diver")
+        effects = cancelled(machine, "ended by the diver")
         return enter(machine, State.AIM), effects
     if position.task is not None:
         return machine, ()
@@ -152,7 +152,7 @@ def _judge_lengths(machine: Machine) -> Machine:
     if not machine.session.wrong or error is None:
         return cleared(machine, FaultCode.LENGTH_ERROR)
     percent = 100.0 * abs(error)
-    detail = f"the ball bar of VERIFY came out wrong by {100.0 * error:+.3f} %"
+    detail = f"the length error of the ball bar of VERIFY is {100.0 * error:+.3f} %"
     return raised(machine, Fault(FaultCode.LENGTH_ERROR, detail, {"error_percent": percent}))
 
 

@@ -179,7 +179,7 @@ def _lasers(machine: Machine, telemetry: Telemetry) -> Machine:
     lasers = telemetry.lasers
     if lasers.left_on or lasers.right_on:
         sides = " and ".join(n for n, on in (("left", lasers.left_on), ("right", lasers.right_on)) if on)
-        return raised(machine, Fault(FaultCode.LASER_ON, f"{sides} laser conducts although switched off"))
+        return raised(machine, Fault(FaultCode.LASER_ON, f"{sides} laser conducts although it is switched off"))
     return cleared(machine, FaultCode.LASER_ON)
 
 

@@ -70,7 +70,7 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
     size_px = (rig.camera.left.width_px, rig.camera.left.height_px)
     views = _stored_views(target, size_px)
     if views:
-        say(f"{len(views)} views are there already")
+        say(f"{len(views)} views exist already")
     new = 0
     with hold_lock(rig.storage.root), ExitStack() as stack:
         status = stack.enter_context(_status(rig.storage.root))
@@ -82,7 +82,7 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
             # Since the last new view, not since the start: a complete recording may take an hour.
             if clock.now_ns() - last_ns > options.patience_s * 1e9:
                 raise LiveError(
-                    f"no new view in {options.patience_s:g} s ({last_message or 'no board'}); start again to go on"
+                    f"no new view in {options.patience_s:g} s ({last_message or 'no board'}); start again to continue"
                 )
             name = target.next_name()
             pictures = take()
@@ -90,7 +90,7 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
                 faults += 1
                 # A single fault (a late flip, a lost frame) does no harm here: the next take follows at once.
                 if faults > MOST_FAULTS:
-                    raise LiveError(f"{faults} takes failed one after the other: {pictures.detail}; check the devices")
+                    raise LiveError(f"{faults} recordings in a row failed: {pictures.detail}; check the devices")
                 continue
             faults = 0
             view = view_of(name, *pictures, views, target.design)
@@ -176,7 +176,7 @@ def open_devices(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Bo
             return grabbers, board, projector
         if clock.now_ns() > end_ns:
             lost = ", ".join(supervisor.device.value for supervisor in supervisors if supervisor.value is None)
-            raise DeviceError(lost, reason, "Check the connectors, or ask `kingfisher check`")
+            raise DeviceError(lost, reason, "Check the connectors, or run `kingfisher check`")
         clock.sleep_s(POLL_S)
 
 

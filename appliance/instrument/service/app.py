@@ -81,7 +81,7 @@ def recovery_news(scans: Sequence[str]) -> tuple[Fault, ...]:
 def _restarted(mark: Path | None) -> Fault | None:
     if mark is None or not mark.exists():
         return None
-    return Fault(FaultCode.RESTARTED, "the run before did not end by itself; see the journal")
+    return Fault(FaultCode.RESTARTED, "the last run did not end regularly; see the journal")
 
 
 def _undone(prefix: Path) -> Fault | None:

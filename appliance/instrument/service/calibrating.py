@@ -110,7 +110,7 @@ class Background:
                 return outcome
             case _:
                 self.busy = False
-                return Failure(FailureKind.BROKEN_OFF, f"it sent a {type(message).__name__}, which is no answer")
+                return Failure(FailureKind.BROKEN_OFF, f"it sent a {type(message).__name__}, no valid answer")
 
     def stop(self) -> None:
         """Give up the job, if there is one, and end the process."""
@@ -282,7 +282,7 @@ class CalibrationController:
                 pass
             # An unexpected result must not leave the diver waiting.
             case result:
-                events.append(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(result).__name__}"))
+                events.append(Failure(FailureKind.BROKEN_OFF, f"its answer is a {type(result).__name__}"))
         return events
 
     @property

@@ -231,7 +231,7 @@ class Service:
             case do.ReopenDevice():
                 for side, camera in self._parts.devices.cameras.items():
                     if effect.device is None or effect.device.value == f"camera.{side}":
-                        self._inbox += camera.lose("opened again: its images do not follow the patterns")
+                        self._inbox += camera.lose("opened again, since its images do not follow the patterns")
             case do.Quit():
                 self._live.end()
                 self._quit = effect
@@ -263,7 +263,7 @@ class Service:
         try:
             self._choices.write(choices)
         except StorageError as error:
-            log.warning("the choices hold until the next start only: %s", error)
+            log.warning("the settings hold until the next start only: %s", error)
 
     def _publish(self, number: int) -> None:
         scan = self._parts.scans.scan

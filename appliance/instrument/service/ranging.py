@@ -185,7 +185,7 @@ class RangingController:
                 events.append(on.ConditionCleared(FaultCode.LASER_FAILED, device))
             elif not conducts and device not in self._failed:
                 self._failed.add(device)
-                detail = f"the {side} laser does not conduct although switched on"
+                detail = f"the {side} laser does not conduct although it is switched on"
                 events.append(on.ConditionRaised(Fault(FaultCode.LASER_FAILED, detail, device=device)))
         return events
 
@@ -218,9 +218,9 @@ class RangingController:
             return pending.result(SHINING_TIMEOUT_S)
         except TimeoutError:
             pending.cancel()
-            log.warning("lasers in the dark frame: no answer within %g s", SHINING_TIMEOUT_S)
+            log.warning("search for laser dots in the dark frame: no answer within %g s", SHINING_TIMEOUT_S)
         except Exception as error:  # an error of this check must not spoil the scan
-            log.exception("lasers in the dark frame: not judged: %s", error)
+            log.exception("the dark frame is not searched for laser dots: %s", error)
         return None
 
     # ------------------------------------------------------------------------------------------ kf-ranging
@@ -283,7 +283,7 @@ class RangingController:
             try:
                 memory.write(calibration_hash, beams)
             except StorageError as error:
-                log.warning("the laser beams are learned anew after the next start: %s", error)
+                log.warning("the laser beams are measured again after the next start: %s", error)
 
         self._submit(write)
 

@@ -181,7 +181,7 @@ class SequenceRecorder:
             fault = scans.begin(order.number, order.exposure, order.object)
         recorder = self._recorder(order.exposure)
         if fault is None and recorder is None:
-            fault = Fault(FaultCode.INTERNAL, "a capture was wanted without all devices")
+            fault = Fault(FaultCode.INTERNAL, "a capture was requested without all devices")
         if fault is not None or recorder is None:
             self.let_go()
             self._inbox.append(on.CaptureFailed(order.number, fault or Fault(FaultCode.INTERNAL, "no device")))

@@ -71,9 +71,9 @@ class ChoicesFile:
                 return self._standard, None
             chosen = shaped(_StoredChoices, {**asdict(_spelled(self._standard)), **stored.chosen})
             if chosen.object is not None and chosen.object > chosen.objects:
-                raise ContentError("", f"object is {chosen.object}", f"1..{chosen.objects}, the largest number of one")
+                raise ContentError("", f"object is {chosen.object}", f"1..{chosen.objects}, the largest number")
         except ContentError as error:
-            log.warning("%s: %s; the rig file's values hold until something is chosen anew", self.path, error)
+            log.warning("%s: %s; the rig file's values hold until a new choice", self.path, error)
             return self._standard, Fault(FaultCode.SETTINGS_LOST, f"{self.path.name}: {error}")
         values = {name: value for name, value in asdict(chosen).items() if name not in ("exposure_us", "gain_db")}
         return replace(self._standard, exposure=Exposure(chosen.exposure_us, chosen.gain_db), **values), None
@@ -127,9 +127,9 @@ class _StoredBeam:
         if (np.diag(P) > 1.001 * variances).any() or np.linalg.eigvalsh(
             0.5 * (P + P.T)
         ).min() < -1e-9 * variances.max():
-            raise ValueError("a beam is less certain than drawn")
+            raise ValueError("the uncertainty of a beam exceeds that of the design")
         if (np.abs(np.subtract(self.line, drawn.line)) > MOST_SIGMAS * np.sqrt(variances)).any():
-            raise ValueError("a beam is farther from the drawing than its tolerance allows")
+            raise ValueError("a beam deviates from the design beyond its tolerance")
         last_z_mm = math.inf if self.last_z_mm is None else self.last_z_mm
         return PointerBeam(drawn.z0_mm, self.line, self.covariance, self.learned, last_z_mm)
 
@@ -160,7 +160,7 @@ class BeamsFile:
             stored = BEAMS.load(self.path, self._learned_with(calibration_hash))
             return drawn if stored is None else (stored.beams[0].of(left), stored.beams[1].of(right))
         except (ContentError, ValueError) as error:
-            log.warning("%s: %s; the laser beams are learned anew from the drawing", self.path, error)
+            log.warning("%s: %s; the laser beams are measured again, from the design", self.path, error)
             return drawn
 
     def write(self, calibration_hash: str, beams: tuple[PointerBeam, PointerBeam]) -> None:

@@ -371,7 +371,7 @@ class ScanFiles:
         try:
             return [on.ObjectsCounted(self._library.largest_object())]
         except OSError as error:
-            log.warning("numbers of objects are not looked up: %s", error)
+            log.warning("numbers of objects are not read: %s", error)
             return [on.ObjectsCounted(0)]
 
     def count(self) -> list[on.Event]:

@@ -167,7 +167,7 @@ class ScanController:
         """Prepare a second sequence, whose frames have their own memory: the scan in hand is not changed."""
         scan = self.scan
         if scan is None:
-            return Fault(FaultCode.INTERNAL, "a second exposure was wanted without a scan")
+            return Fault(FaultCode.INTERNAL, "a second exposure was requested without a scan")
         if self.room.missing is not None:
             return self.room.missing
         scan.second = SecondInMemory(number, self._clock.now_ns(), exposure)

@@ -94,5 +94,5 @@ def read_status(path: Path) -> Transfer:
     except FileNotFoundError:
         return TRANSFER_UNKNOWN
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        log.warning("%s: %s; what it tells is not shown", path, error)
+        log.warning("%s: %s; its content is not shown", path, error)
         return TRANSFER_UNKNOWN

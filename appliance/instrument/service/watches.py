@@ -76,7 +76,7 @@ class CalibrationWatch:
     def judge(self, gaps: PatchGaps) -> Verdict:
         """Judge the ray gaps of one more scan."""
         if not self._measured:
-            text = "not judged: the calibration was never measured in water"
+            text = "not judged: the calibration is not one in water"
             return Verdict(VERDICT, None, {}, text)
         self.trend, self._eye, finding = judge_with_projector(self.trend, self._eye, self._calibration.rig, gaps)
         return Verdict(VERDICT, None if finding.point is None else not finding.alarm, finding.numbers, finding.text)
@@ -173,9 +173,7 @@ class WindowWatch:
         """Judge one more scan; the verdict is that of all scans so far."""
         verdict = windows.verdict()
         if self._same_scene(windows):
-            return replace(
-                verdict, passed=self._passed, text=f"{verdict.text}; not counted: the scene is that of before"
-            )
+            return replace(verdict, passed=self._passed, text=f"{verdict.text}; not counted: the scene has not changed")
         # Compared with the last scan that counted: ten scans of one wall are no independent evidence.
         self._light = {side: windows.light[side] for side in SIDES}
         for side in SIDES:
@@ -205,10 +203,10 @@ class WindowWatch:
     def _detail(self, side: str) -> str:
         worst = int(np.argmax(self._sums[side]))
         if worst == CELLS[0] * CELLS[1]:
-            return f"all of the {side} window makes fringes soft"
+            return f"the whole {side} window blurs the fringes"
         column, row = worst % CELLS[0], worst // CELLS[0]
         where = f"{_DOWN[3 * row // CELLS[1]]} {_ACROSS[3 * column // CELLS[0]]}"
-        return f"the {side} window makes fringes soft, {where} (cell {column}, {row} of {CELLS[0]} x {CELLS[1]})"
+        return f"the {side} window blurs the fringes, {where} (cell {column}, {row} of {CELLS[0]} x {CELLS[1]})"
 
     def _same_scene(self, windows: Windows) -> bool:
         if self._light is None:

@@ -197,9 +197,9 @@ class Liveness:
         self._look()
         now_ns, (limit_s, silence_s) = self._clock.now_ns(), self._limits_s
         if (now_ns - self._progress_ns) / 1e9 > limit_s + grace_s:
-            return f"it gave no sign of life for {limit_s:g} s"
+            return f"it sent nothing for {limit_s:g} s"
         if (now_ns - self._since_ns) / 1e9 > silence_s + grace_s:
-            return f"it computed for {silence_s:g} s and said nothing"
+            return f"it computed for {silence_s:g} s without a message"
         return None
 
     def computed(self) -> bool:

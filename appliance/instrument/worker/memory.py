@@ -52,7 +52,7 @@ class LivePicture:
     def __init__(self, memory: memoryview | None, capacity: int) -> None:
         """Open the place. Raises ValueError if the memory was closed (``None``)."""
         if memory is None:
-            raise ValueError("the shared memory is closed; look at live pictures while the worker runs")
+            raise ValueError("the shared memory is closed; use live images while the worker runs")
         self._place = np.frombuffer(memory, np.uint8, PICTURE_BYTES, capacity * POINT_BYTES)
 
     def put(self, picture: NDArray[np.uint8]) -> tuple[int, int]:

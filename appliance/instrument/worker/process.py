@@ -352,7 +352,7 @@ class ReconstructionWorker:
             case WorkerFailure(text):
                 return self._restart(f"it failed: {text}")
             case _:
-                return self._restart(f"it sent a {type(message).__name__}, which is no answer")
+                return self._restart(f"it sent a {type(message).__name__}, no valid answer")
         self._expect()
         return event
 

@@ -171,7 +171,7 @@ FAULTS: list[tuple[str, Ledger, FaultCode, str, dict[str, Any]]] = [
     ("they should have waited", replace(clean(), delay_us=10_000), C.PROJECTOR_TIMING, "projector", {}),
     *((f"pulse {k} on sync {off}", on_sync(k, off), C.SYNC_LOST, "board", {"frame": k}) for k in (0, 9, N - 1) for off in (-1, 1)),
     ("never armed", replace(clean(), start_vsync=None), C.SYNC_LOST, "board", {}),
-    ("never matched", replace(clean(), sync=None), C.SYNC_LOST, "board", {}),
+    ("is not matched", replace(clean(), sync=None), C.SYNC_LOST, "board", {}),
 ]  # fmt: skip
 
 

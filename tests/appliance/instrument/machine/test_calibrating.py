@@ -101,7 +101,7 @@ def checked() -> Machine:
         course("and the next step follows", entered, on.Saved(1, "000001"), Session((M1,)), task=(Step.M2, None), latest=M1),
         course("entered it is not taken back by leaving", entered, BACK, state=S.AIM, never=(do.Wish.CANCEL_CALIBRATION, do.Reject)),
         course("looked at it is", trial_in_work, BACK,
-               among=(do.Wish.CANCEL_CALIBRATION, do.Reject(1, "calibration M1: left by the diver"))),
+               among=(do.Wish.CANCEL_CALIBRATION, do.Reject(1, "calibration M1: ended by the diver"))),
         course("refused with its reason", trial_in_work, on.TrialExamined(1, REFUSED), task=(Step.M1, None), latest=REFUSED,
                effects=[do.Reject(1, "calibration M1: TILT_MORE: bar 150.0 mm, 12.0° in depth")]),
         course("which goes with the next key", trial_in_work, on.TrialExamined(1, REFUSED), SCAN, state=S.ARMED, latest=None),

@@ -89,7 +89,7 @@ def supply(volts: float) -> on.ConditionRaised:
 
 def length_error(percent: float | None) -> on.ConditionRaised:
     numbers = {} if percent is None else {"error_percent": percent}
-    return on.ConditionRaised(Fault(C.LENGTH_ERROR, "came out wrong", numbers))
+    return on.ConditionRaised(Fault(C.LENGTH_ERROR, "length error of the ball bar", numbers))
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def test_a_disk_that_does_not_answer_ends_neither_scan_nor_service(
     memory = SilentBeams(tmp_path)
     with RangingController(POINTERS, CALIBRATION, 1.333, MonotonicClock(), 0.1, memory) as ranging:
         assert ranging.shining(BRIGHT, DARK) is None
-        assert "lasers in the dark frame: no answer within 3 s" in caplog.text
+        assert "search for laser dots in the dark frame: no answer within 3 s" in caplog.text
         memory.answers.set()
 
 

@@ -95,7 +95,7 @@ def test_without_all_devices_nothing_is_armed(desk: Desk, one: SequenceRecorder,
     (failed,) = desk.inbox
     assert isinstance(failed, on.CaptureFailed)
     assert (failed.number, failed.fault.code) == (7, FaultCode.INTERNAL)
-    assert failed.fault.detail == "a capture was wanted without all devices"
+    assert failed.fault.detail == "a capture was requested without all devices"
     assert desk.parts.scans.scan is None
 
 

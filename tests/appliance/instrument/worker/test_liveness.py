@@ -43,7 +43,7 @@ def test_one_that_shows_nothing_is_late_after_its_limit_and_a_message_begins_it_
         patient.liveness.owe(10.0, 60.0)
         assert patient.after(9.9) is None
         assert patient.liveness.rested_s == 0.0
-    assert patient.after(0.2) == "it gave no sign of life for 10 s"
+    assert patient.after(0.2) == "it sent nothing for 10 s"
 
 
 @pytest.mark.parametrize(("used_s", "late"), [(0.11, False), (0.09, True)])
@@ -59,7 +59,7 @@ def test_who_only_computes_is_late_in_the_end(patient: Patient) -> None:
     patient.liveness.owe(10.0, 60.0)
     for _ in range(10):
         assert patient.after(6.0, 6.0) is None
-    assert patient.after(0.1, 0.1) == "it computed for 60 s and said nothing"
+    assert patient.after(0.1, 0.1) == "it computed for 60 s without a message"
 
 
 def test_one_that_stops_computing_has_the_limit_from_then_on(patient: Patient) -> None:

@@ -277,7 +277,7 @@ def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_an
     assert desk.after(9.9, News(1, JUDGED)) is not None
     assert desk.after(9.9) is None
     assert desk.worker.answers
-    assert failed(desk.after(0.2), "no sign of life for 10 s") is None
+    assert failed(desk.after(0.2), "it sent nothing for 10 s") is None
     assert desk.told()[-len(frames()) - 2 :] == [begin(1), *frames(), say.Finish()], "its frames are still there"
 
 
@@ -290,7 +290,7 @@ def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk, used_s: float, 
         desk.cpu_s += used_s
         assert desk.after(10.1) is None
     desk.cpu_s += 5.0 if steps else used_s
-    why = "computed for 60 s" if steps else "no sign of life for 10 s"
+    why = "computed for 60 s" if steps else "it sent nothing for 10 s"
     assert failed(desk.after(10.1), why) is None
 
 
