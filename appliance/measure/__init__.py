@@ -96,8 +96,8 @@ if TYPE_CHECKING:
         StoredResponse,  # A response and its source. Raises ValueError for impossible harmonics
     )
     from .cloud import (
+        CloudLocation,  # A cloud in a table: the place of its points, and its description
         CloudSummary,  # Numbers of a cloud for the diver and the manifest
-        Found,  # A cloud in a table: the place of its points, and its description
         PatchGaps,  # Mean signed ray gaps of one scan, before any quality limit
     )
     from .decode.decoder import (

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.cloud import Found
+from appliance.measure.cloud import CloudLocation
 from appliance.measure.decode.decoder import DecodedMaps
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.exposure import Exposure
@@ -64,7 +64,7 @@ class _Numbers:
         verdict = Verdict("pair", False, self.numbers, reason)
         return Bracket(None, Judgement(verdict, Fault(FaultCode.MOVED, reason, _without_none(self.numbers))))
 
-    def merged(self, cloud: Found, method: str) -> Bracket:
+    def merged(self, cloud: CloudLocation, method: str) -> Bracket:
         self.numbers["points"] = float(cloud.summary.points)
         return Bracket(cloud, Judgement(Verdict("pair", True, self.numbers, method)))
 

@@ -75,7 +75,7 @@ class PatchGaps:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class CloudLocation:
     """A cloud in a table: the place of its points, and its description."""
 
     pieces: tuple[tuple[int, int], ...]

@@ -1,13 +1,13 @@
 """The facts about a sequence, which go from the procedure over the worker's pipe to the machine.
 
-Points are never in a fact: ``Found`` says where they are, and the owner of that memory makes a copy on request.
+Points are never in a fact: ``CloudLocation`` says where they are, and the owner of that memory makes a copy on request.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.measure.cloud import Found
+from appliance.measure.cloud import CloudLocation
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import Guidance, Overlap
 from appliance.measure.verdict import Judgement
@@ -27,7 +27,7 @@ class PatternIdentity:
 class CoarseCloud:
     """Cloud of every few pixels."""
 
-    found: Found
+    cloud: CloudLocation
     cpu_s: float = 0.0
     """Processor time of this cloud, including the identity before it."""
 
@@ -54,7 +54,7 @@ class Verdicts:
 class FullCloud:
     """Cloud of every pixel, with the final judgements of the scan."""
 
-    found: Found
+    cloud: CloudLocation
     judgements: tuple[Judgement, ...] = ()
     cpu_s: float = 0.0
 
@@ -63,7 +63,7 @@ class FullCloud:
 class Bracket:
     """Result of a bracket: the cloud of both exposures, or a fault."""
 
-    found: Found | None
+    cloud: CloudLocation | None
     """Cloud of both; ``None``: refused."""
     pair: Judgement
     """Judgement of both together, the verdict ``pair``."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.bracket import ProcessedSequence, merge_bracket
 from appliance.measure.calibration.file import Calibration
-from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.cloud import CloudLocation, CloudSummary
 from appliance.measure.decode.decoder import DecodedMaps
 from appliance.measure.decode.specks import mask_specks
 from appliance.measure.fault import Fault, FaultCode
@@ -64,7 +64,7 @@ class SequenceProcessor:
         self._gatherers: dict[str, Gatherer]
         """Made by ``begin``: a sequence's own."""
         self._moved = self._compensated = False
-        self._full: Found | None = None
+        self._full: CloudLocation | None = None
         self._tasks = WorkList(pipeline.crew)
         """Tasks that belong to the sequence in work."""
         self._last_frames: list[WorkItem[None]] = []
@@ -146,7 +146,7 @@ class SequenceProcessor:
 
         results: dict[str, Judgement | None] = {}
         judged_s = 0.0
-        full_task: Callable[[], Found] | None = None
+        full_task: Callable[[], CloudLocation] | None = None
         for result in judging:
             results[result.name] = result.judgement
             judged_s += result.cpu_s
@@ -161,7 +161,7 @@ class SequenceProcessor:
         reported_s += judged_s
         yield Verdicts((identity, *self._weighed(judgements, coarse.summary)), judged_s, compensating=self._moved)
 
-        full: Found | None = None
+        full: CloudLocation | None = None
         if self._moved:
             # The full cloud is the compensated one if that is good, else the plain one.
             # The plain cloud is computed first: compensation starts from it, and it is the result if that fails.
@@ -216,7 +216,7 @@ class SequenceProcessor:
             bracket = Bracket(None, Judgement(verdict, judgements[0].fault))
         yield replace(bracket, second=judgements, cpu_s=time.process_time() - begun_s)
 
-    def _judge_holes(self, full: Found) -> Judgement:
+    def _judge_holes(self, full: CloudLocation) -> Judgement:
         """Judge the final cloud, which is in the table, against the left camera's images."""
         pipeline, sequence = self._pipeline, self._pipeline.sequence
         mask = pipeline.decoded("left").mask
@@ -260,7 +260,7 @@ class SequenceProcessor:
         """True if the full cloud is known and no sequence has begun since."""
         return self._full is not None
 
-    def cloud(self, location: Found) -> Cloud:
+    def cloud(self, location: CloudLocation) -> Cloud:
         """Return a copy of the points of the last cloud."""
         return self._pipeline.table.cloud(location)
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from appliance.base import Piece
 from appliance.measure.calibration.design import Design, design_calibration
 from appliance.measure.calibration.file import Calibration
-from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.cloud import CloudLocation, CloudSummary
 from appliance.measure.decode.backscatter import warm_up as warm_backscatter
 from appliance.measure.decode.specks import warm_up as warm_specks
 from appliance.measure.judges import JUDGES, JudgeInput, gather
@@ -155,7 +155,7 @@ def judge_scan() -> None:
     with _nothing() as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
-        cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
+        cloud = pipeline.table.cloud(CloudLocation(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
         samples = dict.fromkeys(SIDES, gather(frames, pipeline.sequence, TYPICAL))
         identity = Judgement(Verdict("identity", None))
         judge_input = JudgeInput(images, samples, cloud, calibration.rig, _WATER.index, identity, pipeline)

@@ -161,7 +161,7 @@ def reprocess_scan(
         processor = SequenceProcessor(pipeline, calibration, water)
         full = _work_through(processor, scan.frames, settings, len(pipeline.sequence), progress)
         # A copy, since the next scan overwrites the pipeline's table.
-        judgements, cloud = full.judgements, pipeline.table.cloud(full.found)
+        judgements, cloud = full.judgements, pipeline.table.cloud(full.cloud)
         return ReprocessedScan(pipeline, cloud, water, judgements, why_empty(pipeline, cloud, judgements))
 
 
@@ -195,11 +195,11 @@ def reprocess_bracket(
         progress("merging")
         merged = processor.merge_with(first_results[0])
         verdict = merged.pair.verdict
-        if merged.found is None:
+        if merged.cloud is None:
             raise stored.ScanError(
                 f"{first.folder}: {verdict.text}; two exposures make one cloud where they were taken from one place"
             )
-        cloud = pipeline.table.cloud(merged.found)
+        cloud = pipeline.table.cloud(merged.cloud)
         empty = why_empty(pipeline, cloud, judged)
         return ReprocessedScan(pipeline, cloud, water, (*judgements, merged.pair), empty, verdict)
 

@@ -85,9 +85,9 @@ def worked_through(
         begun = time.process_time()
         full = processor.process(frames, settings)
         cpu_s = time.process_time() - begun
-        cloud = pipeline.table.cloud(full.found)
+        cloud = pipeline.table.cloud(full.cloud)
     faults = tuple(judgement.fault for judgement in full.judgements if judgement.fault is not None)
-    summary = full.found.summary
+    summary = full.cloud.summary
     spoilt = any(fault.code in SPOILS_SCAN for fault in faults)
     grade_of_scan = (
         Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults})
@@ -109,7 +109,7 @@ def moment_s(scanned: ScanResult, exposure: Exposure, sequence: PatternSequence 
 def row_of(world: World, scanned: ScanResult, exposure: Exposure) -> Row:
     """Return the verdicts of one scan and the errors of its points."""
     renderer, at_s = world.renderer(), moment_s(scanned, exposure)
-    cloud, summary = scanned.cloud, scanned.full.found.summary
+    cloud, summary = scanned.cloud, scanned.full.cloud.summary
     view = renderer.view("left", at_s)
     visible = view.seen_by_all
     has_point = np.zeros(visible.size, bool)
@@ -117,7 +117,7 @@ def row_of(world: World, scanned: ScanResult, exposure: Exposure) -> Row:
     along_mm, away_mm = errors_mm(renderer, cloud, at_s)
     over = along_mm / cloud.sigma_mm.astype(np.float64)
     good = np.isfinite(over) & (np.abs(away_mm) <= FALSE_MM)
-    scene, gaps = world.scene, scanned.full.found.gaps
+    scene, gaps = world.scene, scanned.full.cloud.gaps
     return {
         "seed": world.seed,
         "rig_seed": world.rig.seed,

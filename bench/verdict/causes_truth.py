@@ -92,7 +92,7 @@ def judge_scan(scan: RenderedScan, exposure: Exposure, stated: StatedCalibration
     with Pipeline(calibration, water, scan.sequence, noise=settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         full = processor.process(scan.frames, settings)
-        cloud, judgements = pipeline.table.cloud(full.found), full.judgements
+        cloud, judgements = pipeline.table.cloud(full.cloud), full.judgements
     faults = tuple(judgement.fault for judgement in judgements if judgement.fault is not None)
     summary = cloud.summary
     # The diver reads only faults that spoil a scan entirely, if there are any.

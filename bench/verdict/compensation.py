@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from appliance.measure.calibration.file import Calibration
-from appliance.measure.cloud import Found
+from appliance.measure.cloud import CloudLocation
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
 from appliance.measure.light.sides import SIDES
@@ -220,7 +220,7 @@ def _expected(attempted: Attempt) -> dict[str, float | None]:
     }
 
 
-def _push(pipeline: Pipeline, scan: RenderedScan) -> Found:
+def _push(pipeline: Pipeline, scan: RenderedScan) -> CloudLocation:
     for k in range(len(scan.sequence)):
         for side in SIDES:
             pipeline.push(side, scan.frames[side], k)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.cloud import Found
+from appliance.measure.cloud import CloudLocation
 from appliance.measure.motion.attempt import attempt
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.verdicts.motion.judge import judge_motion
@@ -61,7 +61,7 @@ def _scan(motion: Motion) -> RenderedScan:
     return render_scan(scene, "modelled", SEED, WIDTH_PX, 16, frame_s=0.0 if motion.still else FRAME_S)
 
 
-def _push(pipeline: Pipeline, scan: RenderedScan) -> Found:
+def _push(pipeline: Pipeline, scan: RenderedScan) -> CloudLocation:
     for side, frames in scan.frames.items():
         for k in range(len(scan.sequence)):
             pipeline.push(side, frames, k)

@@ -77,7 +77,7 @@ def _case(name: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
     with Pipeline(calibration, WATER, first.sequence) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, WATER)
         full = _process(processor, first, NOMINAL)
-        cloud = pipeline.table.cloud(full.found)
+        cloud = pipeline.table.cloud(full.cloud)
         (light,) = [judgement for judgement in full.judgements if judgement.verdict.name == "light"]
         case["alone"][NOMINAL.label] = _figures(first, cloud)
         if light.second is None:
@@ -86,17 +86,17 @@ def _case(name: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
         held = processor.hold()
         for key, where in (("at rest", scene), ("moved", gone)):
             second = _render(where, light.second, seed)
-            cloud = pipeline.table.cloud(_process(processor, second, light.second).found)
+            cloud = pipeline.table.cloud(_process(processor, second, light.second).cloud)
             if key == "at rest":
                 case["alone"][light.second.label] = _figures(second, cloud)
             merged = processor.merge_with(held)
             verdict = merged.pair.verdict
             case[f"{key}: verdict"] = {"text": verdict.text, **verdict.numbers}
-            case[key] = None if merged.found is None else _figures(first, pipeline.table.cloud(merged.found))
+            case[key] = None if merged.cloud is None else _figures(first, pipeline.table.cloud(merged.cloud))
         if light.proposal is not None:
             single = _render(scene, light.proposal, seed)
             case["alone"][light.proposal.label] = _figures(
-                single, pipeline.table.cloud(_process(processor, single, light.proposal).found)
+                single, pipeline.table.cloud(_process(processor, single, light.proposal).cloud)
             )
     return case
 

@@ -111,7 +111,7 @@ def _take(scene: Scene, rig_seed: int) -> ScanResult:
         processor = SequenceProcessor(pipeline, calibration, water)
         full = processor.process(scan.frames, AcquisitionSettings(EXPOSURE, noise=noise_at(EXPOSURE), steps=STEPS))
         (dirty,) = [judgement for judgement in full.judgements if judgement.verdict.name == "water"]
-        cloud = pipeline.table.cloud(full.found)
+        cloud = pipeline.table.cloud(full.cloud)
         decoded = pipeline.decoded("left").mask == Mask.VALID
     off = np.abs(np.nan_to_num(depth_errors(renderer, cloud).along_ray_mm, nan=1e3))
     wrong = (off > WRONG_MM) & (off > WRONG_SIGMAS * cloud.sigma_mm)

@@ -36,7 +36,7 @@ def digests(scene: TimedScene) -> dict[str, str]:
     with Pipeline(scene.calibration, scene.water, scene.sequence, noise=scene.settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, scene.calibration, scene.water)
         full = processor.process(scene.frames, scene.settings)
-        cloud = pipeline.table.cloud(full.found)
+        cloud = pipeline.table.cloud(full.cloud)
     points = hashlib.sha256()
     for column in (
         cloud.points_mm,

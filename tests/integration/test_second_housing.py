@@ -151,7 +151,7 @@ def test_without_its_own_volume_it_has_no_point_and_exchanged_cameras_are_named_
             full = processor.run()
             assert full is not None
             named = [one.fault.code for one in full.judgements if one.fault is not None]
-            return len(pipeline.table.cloud(full.found).points_mm), named
+            return len(pipeline.table.cloud(full.cloud).points_mm), named
 
     assert faults(drawn, "right", "left")[1] == [FaultCode.SIDES_EXCHANGED]
     assert exact.rig.volume == Instrument(rig).volume != STANDARD

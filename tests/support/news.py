@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.cloud import CloudLocation, CloudSummary
 from appliance.measure.fault import Fault
 from appliance.measure.guidance import Overlap
 from appliance.measure.light.exposure import Exposure
@@ -23,8 +23,8 @@ def held(name: str, fault: Fault) -> Judgement:
     return Judgement(Verdict(name, False), fault)
 
 
-def found(summary: CloudSummary) -> Found:
-    return Found(((0, summary.points),), summary)
+def found(summary: CloudSummary) -> CloudLocation:
+    return CloudLocation(((0, summary.points),), summary)
 
 
 def right(number: int) -> News:

@@ -241,11 +241,11 @@ def _no_points(machine: Machine, scan: ScanInHand, fault: Fault) -> Result:
 
 def _finish_bracket(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Result:
     """Go to the review of the merged bracket, or of the first exposure alone."""
-    if bracket.found is None:
+    if bracket.cloud is None:
         return _not_added(machine, scan, bracket.fault)
     if machine.state is not State.RECONSTRUCT or scan.adding is None:
         return machine, ()
-    summary = bracket.found.summary
+    summary = bracket.cloud.summary
     scan = replace(
         scan,
         full=summary,

@@ -176,7 +176,7 @@ class WorkerReports:
         second, cloud = scan.second, self._worker.full
         if second is None or second.record is None:
             return None
-        if bracket.found is None or cloud is None:
+        if bracket.cloud is None or cloud is None:
             self._without_second(scan, bracket.fault)
             return []
         verdicts = (*second.record.verdicts, *(judgement.verdict for judgement in bracket.second))

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure import CLOUD_BYTES, POINT_BYTES, Cloud, Found, PointTable, coarse_stride_px
+from appliance.measure import CLOUD_BYTES, POINT_BYTES, Cloud, CloudLocation, PointTable, coarse_stride_px
 
 LONGEST_PX = 480
 """Longest side of the image: smaller detail gives no better guidance, and 640 takes twice the time."""
@@ -83,7 +83,7 @@ class CloudMemory:
         self._blocks: list[NDArray[np.uint8]] = []
         self._add()
 
-    def copied(self, table: PointTable, points: Found) -> Cloud:
+    def copied(self, table: PointTable, points: CloudLocation) -> Cloud:
         """Return a copy of the points, which stays valid while one of its arrays, or a part of one, is in use."""
         return table.cloud(points, self._free())
 
@@ -230,11 +230,11 @@ class ParentMemory:
         """Name by which another process opens it."""
         return self._memory.name
 
-    def coarse(self, points: Found) -> Cloud:
+    def coarse(self, points: CloudLocation) -> Cloud:
         """Return a copy of the coarse cloud. Raises ValueError if the memory is closed, as all methods."""
         return self._places.coarse(self._memory.buf).cloud(points)
 
-    def full(self, points: Found) -> Cloud:
+    def full(self, points: CloudLocation) -> Cloud:
         """Return a copy of the full cloud, in memory that is used again when the copy is no longer in use."""
         return self._copies.copied(self._places.full(self._memory.buf), points)
 

@@ -5,7 +5,7 @@
     Ready, Pong, …           its signs of life; its results are ``appliance.measure.News``
 
 A ticket numbers the sequences; news of an earlier one are ignored. Messages contain no pixels or points: frames are in
-the shared store, clouds in shared memory, where ``Found`` names the part.
+the shared store, clouds in shared memory, where ``CloudLocation`` names the part.
 """
 
 from __future__ import annotations

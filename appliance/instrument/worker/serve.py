@@ -298,7 +298,7 @@ class Server:
                     if self._neighbours is not None:
                         self._neighbours.coarse(coarse)
                     # In another place than the full cloud, so that computing goes on before the parent has read it.
-                    self._send_fact(replace(fact, found=self._coarse.put(coarse)))
+                    self._send_fact(replace(fact, cloud=self._coarse.put(coarse)))
                 case FullCloud() | Bracket():
                     self._send_fact(fact)
                     # Copied while the parent copies the points.

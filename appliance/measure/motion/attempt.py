@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
-from appliance.measure.cloud import Found
+from appliance.measure.cloud import CloudLocation
 from appliance.measure.light.patterns import RISING_STEPS
 from appliance.measure.light.water import Water
 from appliance.measure.motion.estimate import MotionEstimate, estimate
@@ -44,7 +44,7 @@ class Attempt:
 
     motion: MotionEstimate | None
     """``None``: too little was seen to estimate one."""
-    found: Found | None
+    found: CloudLocation | None
     """The compensated cloud, in the pipeline's table; ``None``: the plain one is to be found anew, the table's points
     mean nothing."""
     why: str
@@ -58,7 +58,7 @@ class Attempt:
 
 def attempt(
     pipeline: Pipeline,
-    plain: Found,
+    plain: CloudLocation,
     images: ScanImages,
     calibration: Calibration,
     water: Water,
@@ -118,7 +118,7 @@ def is_better(error_before: float, error_after: float, doubt: float = DOUBT) -> 
     return doubt * error_after <= MOST_ERROR and error_after <= NEARLY_EQUAL * error_before
 
 
-def _sigmas_mm(pipeline: Pipeline, found: Found) -> NDArray[np.float32]:
+def _sigmas_mm(pipeline: Pipeline, found: CloudLocation) -> NDArray[np.float32]:
     """Return a copy of the expected errors of the cloud in the pipeline's table, by left pixel (h, w); 0 where there is
     no point."""
     points, shape = pipeline.table.points, pipeline.decoded("left").p_px.shape

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.calibration.gaps import GapModes
 from appliance.measure.calibration.patches import without_veil
-from appliance.measure.cloud import Found
+from appliance.measure.cloud import CloudLocation
 from appliance.measure.decode.decoder import CameraDecoder
 from appliance.measure.decode.scratch import MAX_WIDTH_PX
 from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
@@ -191,7 +191,7 @@ class Pipeline:
         """Return the full cloud: every left pixel with a valid correspondence. Call after ``coarse``."""
         return self.table.cloud(self.find_full())
 
-    def find_coarse(self) -> Found:
+    def find_coarse(self) -> CloudLocation:
         """Compute the coarse cloud, as ``coarse`` does, and leave the points in the table."""
         for decoder in self._decoders.values():
             decoder.finish()
@@ -204,7 +204,7 @@ class Pipeline:
 
     def find_changed(
         self, bright: NDArray[np.uint8] | None = None, variance_px2: Mapping[str, NDArray[np.float32]] | None = None
-    ) -> Found:
+    ) -> CloudLocation:
         """Compute the full cloud again, after ``coarse`` and a change of the decoders' maps.
 
         ``bright`` (h, w) uint8 is the left image for the points' grey values, in place of the sequence's bright frame.
@@ -257,7 +257,7 @@ class Pipeline:
         self._veil = self._veil.removed()
         self._prepare()
 
-    def find_full(self, *, straightened: bool = True) -> Found:
+    def find_full(self, *, straightened: bool = True) -> CloudLocation:
         """Compute the full cloud, as ``full`` does, and leave the points in the table.
 
         ``straightened``: the response correction is applied to the decoders' maps first, if it is needed. A caller that
@@ -267,7 +267,7 @@ class Pipeline:
             self._straighten()
         return self._with_gaps(self._find(1))
 
-    def begin_full(self, tasks: WorkList) -> Callable[[], Found]:
+    def begin_full(self, tasks: WorkList) -> Callable[[], CloudLocation]:
         """Add the tasks of the full cloud to ``tasks`` and return a function that waits for it.
 
         Until then the maps must not change, and the table must not be used for anything else.
@@ -306,7 +306,7 @@ class Pipeline:
         """Subtract the phase error by the response from both cameras' coordinates."""
         self.crew.each(lambda camera: take_out(camera, bend, self._sequence.period_px), cameras)
 
-    def _with_gaps(self, cloud: Found) -> Found:
+    def _with_gaps(self, cloud: CloudLocation) -> CloudLocation:
         if self._gaps is None:
             return cloud
         decoder = self._decoders["left"]
@@ -339,7 +339,7 @@ class Pipeline:
         blocks = self._blocks(self._left_maps(), self._right, self._factors, stride, limits, table, rows)
         return table.cloud(self._collect([block() for block in blocks], stride, table))
 
-    def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
+    def find_replaced(self, left: LeftMaps, right: LeftMaps) -> CloudLocation:
         """Compute the full cloud of other maps than the decoded ones and leave the points in the table.
 
         These maps were interpolated between pixels. They get the response correction, if it is needed. Gaps are not
@@ -372,7 +372,7 @@ class Pipeline:
             self.table.points.gap_mm[first:stop] = np.nan
         return replace(cloud, summary=replace(cloud.summary, gap_mm=None))
 
-    def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:
+    def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> CloudLocation:
         limits = limits or self._kernel_limits(stride)
         return self._find_in(self._left_maps(), self._right, self._factors, stride, limits, table or self.table)
 
@@ -398,7 +398,7 @@ class Pipeline:
         stride: int,
         limits: PointLimits,
         table: PointTable,
-    ) -> Found:
+    ) -> CloudLocation:
         blocks = self._blocks(left, right, factors, stride, limits, table, self._scratch)
         return self._collect(self.crew.each(lambda block: block(), blocks), stride, table)
 
@@ -430,9 +430,9 @@ class Pipeline:
 
         return [partial(work, start) for start in range(0, rows, block)]
 
-    def _collect(self, pieces: Sequence[tuple[int, int]], stride: int, table: PointTable) -> Found:
+    def _collect(self, pieces: Sequence[tuple[int, int]], stride: int, table: PointTable) -> CloudLocation:
         illuminated = self._decoders["left"].illuminated_pixels // stride**2
-        return Found(tuple(pieces), summarise(illuminated, table.points, tuple(pieces)))
+        return CloudLocation(tuple(pieces), summarise(illuminated, table.points, tuple(pieces)))
 
     def _kernel_limits(self, stride: int) -> PointLimits:
         limits = self._limits

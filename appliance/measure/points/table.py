@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.cloud import CloudSummary, Found, PatchGaps
+from appliance.measure.cloud import CloudLocation, CloudSummary, PatchGaps
 from appliance.measure.points.select import Points
 
 Column = TypeVar("Column", bound=np.generic)
@@ -75,16 +75,16 @@ class PointTable:
             intensity,
         )
 
-    def put(self, cloud: Cloud) -> Found:
+    def put(self, cloud: Cloud) -> CloudLocation:
         """Copy a cloud of at most ``capacity`` points in; the earlier points are lost."""
         n = len(cloud.pixel)
         points = self.points
         points.xyz_mm[:n], points.gap_mm[:n], points.sigma_mm[:n] = cloud.points_mm, cloud.ray_gap_mm, cloud.sigma_mm
         points.modulation_half_dn[:n] = np.rint(2.0 * cloud.modulation_dn).astype(np.uint8)
         points.pixel[:n], points.intensity[:n] = cloud.pixel, cloud.intensity
-        return Found(((0, n),), cloud.summary, cloud.gaps)
+        return CloudLocation(((0, n),), cloud.summary, cloud.gaps)
 
-    def cloud(self, location: Found, block: NDArray[np.uint8] | None = None) -> Cloud:
+    def cloud(self, location: CloudLocation, block: NDArray[np.uint8] | None = None) -> Cloud:
         """Copy the points out, in one piece, into ``block`` (``CLOUD_BYTES`` for each at least) or new memory."""
         count = sum(stop - first for first, stop in location.pieces)
         # Columns of four bytes first, so that all are aligned.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.measure.calibration.design import Design, design_calibration
-from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.cloud import CloudLocation, CloudSummary
 from appliance.measure.decode.decoder import Mask
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.patterns import Direction, build_sequence
@@ -60,7 +60,7 @@ def decoded(pipeline: Pipeline) -> int:
 
 
 def said(pipeline: Pipeline, points: int, *judgements: Judgement) -> EmptyCloud | None:
-    cloud = pipeline.table.cloud(Found(((0, points),), CloudSummary(points, 50.0, 520.0, 0.1, 0.1)))
+    cloud = pipeline.table.cloud(CloudLocation(((0, points),), CloudSummary(points, 50.0, 520.0, 0.1, 0.1)))
     return why_empty(pipeline, cloud, judgements)
 
 

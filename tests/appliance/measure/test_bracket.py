@@ -49,7 +49,7 @@ class Desk:
 
     def merged(self, first: ProcessedSequence) -> tuple[Bracket, Cloud | None]:
         made = self.processor.merge_with(first)
-        return made, None if made.found is None else self.pipeline.table.cloud(made.found)
+        return made, None if made.cloud is None else self.pipeline.table.cloud(made.cloud)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def desk(scans: tuple[RenderedScan, RenderedScan]) -> Iterator[Desk]:
         processor = SequenceProcessor(pipeline, calibration, WATER)
         processor.process(short.frames, AcquisitionSettings(SHORT))
         first = processor.hold()
-        second = pipeline.table.cloud(processor.process(long.frames, AcquisitionSettings(LONG)).found)
+        second = pipeline.table.cloud(processor.process(long.frames, AcquisitionSettings(LONG)).cloud)
         yield Desk(processor, pipeline, first, second, short.frames["left"][short.sequence.bright])
 
 
@@ -123,12 +123,12 @@ def test_points_that_motion_spoilt_or_that_are_hardly_any_are_not_mixed_with_oth
     none = replace(few, pixel=np.zeros(0, np.uint32), points_mm=np.zeros((0, 3), np.float32))
     for cloud in (few, none):
         merged, _ = desk.merged(replace(desk.first, cloud=cloud))
-        assert merged.found is None
+        assert merged.cloud is None
         assert "too little in common" in merged.pair.verdict.text
     for which, first in (("first", replace(desk.first, moved=True, spoilt=True)), ("second", desk.first)):
         desk.processor._moved = which == "second"
         merged, _ = desk.merged(first)
-        assert (merged.found, merged.pair.verdict.passed) == (None, False)
+        assert (merged.cloud, merged.pair.verdict.passed) == (None, False)
         fault = merged.pair.fault
         assert fault is not None
         assert fault.code is FaultCode.MOVED

@@ -92,7 +92,7 @@ def test_where_something_moved_no_pixel_is_masked_as_a_speck(
         full = SequenceProcessor(pipeline, calibration, WATER).process(scan.frames, AcquisitionSettings())
     last = in_a_hand.steps[-1]
     assert isinstance(last, FullCloud)
-    assert full.found.summary == last.found.summary
+    assert full.cloud.summary == last.cloud.summary
 
 
 def test_no_frame_is_read_before_it_arrives(in_a_hand: Worked) -> None:

@@ -56,10 +56,10 @@ def test_identity_comes_before_any_cloud_and_the_judges_between_the_two(processo
     coarse, full = steps[1], steps[-1]
     assert isinstance(coarse, CoarseCloud)
     assert isinstance(full, FullCloud)
-    assert 0 < coarse.found.summary.points < 1.01 * full.found.summary.points
-    assert coarse.found.gaps is None
-    assert full.found.gaps is not None, "the ray gaps are sampled from the full cloud's pixels"
-    assert len(processor.hold().cloud.pixel) == full.found.summary.points
+    assert 0 < coarse.cloud.summary.points < 1.01 * full.cloud.summary.points
+    assert coarse.cloud.gaps is None
+    assert full.cloud.gaps is not None, "the ray gaps are sampled from the full cloud's pixels"
+    assert len(processor.hold().cloud.pixel) == full.cloud.summary.points
     costs_s = [one.cpu_s for one in steps if isinstance(one, CoarseCloud | Verdicts | FullCloud)]
     assert min(costs_s) > 0.0
     assert 0.8 * took_s < sum(costs_s) <= took_s + 0.001, "each part of the work is told once"
@@ -108,7 +108,7 @@ def test_a_second_exposure_gives_one_bracket_or_the_fault_of_its_frames(
         assert {type(one) for one in others} == {WorkProgress}
         assert isinstance(bracket, Bracket)
         assert bracket.cpu_s > 0.0
-        assert (bracket.found is not None, bracket.pair.verdict.passed) == (right, right)
+        assert (bracket.cloud is not None, bracket.pair.verdict.passed) == (right, right)
         assert bracket.second[0].verdict.name == "identity"
         assert (len(bracket.second) > 1) == right
         if not right:

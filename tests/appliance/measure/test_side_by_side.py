@@ -62,7 +62,7 @@ def told(pipeline: Pipeline, steps: Iterator[SequenceFact], pause_s: float = 0.0
     for step in steps:
         heard.append(type(step).__name__)
         if isinstance(step, CoarseCloud | FullCloud):
-            cloud = pipeline.table.cloud(step.found)
+            cloud = pipeline.table.cloud(step.cloud)
             columns = (
                 cloud.points_mm,
                 cloud.intensity,

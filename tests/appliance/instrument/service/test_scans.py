@@ -20,7 +20,7 @@ from appliance.instrument.service.scans import ScanController
 from appliance.instrument.service.worker_reports import WorkerReports
 from appliance.instrument.worker.messages import Ready
 from appliance.instrument.worker.process import WorkerEvent
-from appliance.measure.cloud import Found
+from appliance.measure.cloud import CloudLocation
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import Overlap
 from appliance.measure.light.exposure import Exposure
@@ -216,7 +216,7 @@ def _save(root: Path, disk: BadDisk) -> tuple[list[on.Event], list[on.Event]]:
 SPOILT = Fault(FaultCode.MOVED, "the hands shook")
 GOOD, BAD = Judgement(Verdict("motion", True)), Judgement(Verdict("motion", False), SPOILT)
 PAIR = Judgement(Verdict("pair", True))
-RIGHT, FOUND = PatternIdentity(Judgement(Verdict("identity", True))), Found(((0, 5),), SUMMARY)
+RIGHT, FOUND = PatternIdentity(Judgement(Verdict("identity", True))), CloudLocation(((0, 5),), SUMMARY)
 DOWN = Fault(FaultCode.RECONSTRUCTION_FAILED, "the process ended with code -9")
 
 

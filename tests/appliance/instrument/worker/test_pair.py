@@ -33,11 +33,11 @@ def test_after_a_small_movement_the_clouds_are_laid_against_each_other() -> None
         processor = SequenceProcessor(pipeline, calibration, WATER)
         for one, exposure in zip((short, later), exposures, strict=True):
             held = processor.hold() if alone else None
-            alone.append(pipeline.table.cloud(processor.process(one.frames, AcquisitionSettings(exposure)).found))
+            alone.append(pipeline.table.cloud(processor.process(one.frames, AcquisitionSettings(exposure)).cloud))
         assert held is not None
         merged = processor.merge_with(held)
-        assert merged.found is not None
-        cloud = pipeline.table.cloud(merged.found)
+        assert merged.cloud is not None
+        cloud = pipeline.table.cloud(merged.cloud)
     together, apart = judge(short, cloud), (judge(short, alone[0]), judge(later, alone[1]))
     assert together.completeness_percent > max(97.0, 8.0 + max(one.completeness_percent for one in apart))
     assert together.rms_mm < max(one.rms_mm for one in apart), "none of the movement is in it"

@@ -23,7 +23,7 @@ from appliance.instrument.worker import child
 from appliance.instrument.worker import messages as say
 from appliance.instrument.worker.messages import WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker, WorkerEvent
-from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.cloud import CloudLocation, CloudSummary
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import LOST, Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
@@ -49,7 +49,7 @@ from tests.support import synthetic
 
 N = 3
 SECOND = AcquisitionSettings(Exposure(3_200))
-FOUND = Found(((0, 0),), CloudSummary(0, None, None, None, None))
+FOUND = CloudLocation(((0, 0),), CloudSummary(0, None, None, None, None))
 SAID = Judgement(Verdict("identity", True))
 WRONG = Judgement(Verdict("identity", False), Fault(FaultCode.PATTERN_WRONG))
 RIGHT, COARSE, FULL = PatternIdentity(SAID), CoarseCloud(FOUND, 0.1), FullCloud(FOUND, (SAID,), 0.3)

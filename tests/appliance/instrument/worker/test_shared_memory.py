@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.instrument.worker.memory import LONGEST_PX, CloudMemory, LivePicture, behind_picture
-from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.cloud import CloudLocation, CloudSummary
 from appliance.measure.points.table import POINT_BYTES, Cloud, PointTable
 
 CAPACITY = 50
@@ -33,7 +33,7 @@ def values(cloud: Cloud) -> list[list[float]]:
 
 
 def test_a_copy_is_the_same_to_the_last_bit_wherever_it_lies() -> None:
-    found = Found(PIECES, SUMMARY)
+    found = CloudLocation(PIECES, SUMMARY)
     kept = CloudMemory(CAPACITY).copied(table_of(3), found)
     assert values(kept) == values(table_of(3).cloud(found))
     assert [kept.modulation_dn.dtype, kept.pixel.dtype, kept.points_mm.shape] == [np.float32, np.uint32, (32, 3)]
@@ -43,29 +43,31 @@ def test_a_copy_is_the_same_to_the_last_bit_wherever_it_lies() -> None:
 @pytest.mark.parametrize("part", ["cloud", "column", "thinned"])
 def test_a_cloud_that_somebody_has_a_part_of_does_not_change(part: str) -> None:
     memory = CloudMemory(CAPACITY)
-    whole = memory.copied(table_of(1), Found(PIECES, SUMMARY))
+    whole = memory.copied(table_of(1), CloudLocation(PIECES, SUMMARY))
     parts: dict[str, Cloud] = {
         "cloud": whole,
-        "column": replace(table_of(7).cloud(Found(PIECES, SUMMARY)), sigma_mm=whole.sigma_mm[2:5]),
+        "column": replace(table_of(7).cloud(CloudLocation(PIECES, SUMMARY)), sigma_mm=whole.sigma_mm[2:5]),
         "thinned": whole.thinned(5),
     }
     held = parts[part]
     del whole, parts
     before = values(held)
-    later = [memory.copied(table_of(number), Found(PIECES, SUMMARY)) for number in (10, 20, 30)]
+    later = [memory.copied(table_of(number), CloudLocation(PIECES, SUMMARY)) for number in (10, 20, 30)]
     assert values(held) == before
-    assert [values(one) for one in later] == [values(table_of(k).cloud(Found(PIECES, SUMMARY))) for k in (10, 20, 30)]
+    assert [values(one) for one in later] == [
+        values(table_of(k).cloud(CloudLocation(PIECES, SUMMARY))) for k in (10, 20, 30)
+    ]
 
 
 def test_scan_after_scan_takes_no_new_memory() -> None:
     memory = CloudMemory(CAPACITY)
 
     def places() -> set[int]:
-        return {memory.copied(table_of(k), Found(PIECES, SUMMARY)).points_mm.ctypes.data for k in range(6)}
+        return {memory.copied(table_of(k), CloudLocation(PIECES, SUMMARY)).points_mm.ctypes.data for k in range(6)}
 
     first = places()
     assert len(first) == 1
-    held = memory.copied(table_of(0), Found(PIECES, SUMMARY))
+    held = memory.copied(table_of(0), CloudLocation(PIECES, SUMMARY))
     assert len(places() | first) == 2, "a scan that is still being published has the other one"
     assert held.points_mm.ctypes.data in first
 

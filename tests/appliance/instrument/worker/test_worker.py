@@ -64,10 +64,10 @@ def fact_of(event: WorkerEvent | None) -> object:
 def test_same_points_in_the_worker_of_one_sequence_and_of_two(worker: ReconstructionWorker, store: FrameStore) -> None:
     with Pipeline(CALIBRATION, synthetic.WATER, SEQUENCE) as pipeline:
         processor = SequenceProcessor(pipeline, CALIBRATION, synthetic.WATER)
-        expected = pipeline.table.cloud(processor.process({side: store.frames(side) for side in SIDES}, FIRST).found)
+        expected = pipeline.table.cloud(processor.process({side: store.frames(side) for side in SIDES}, FIRST).cloud)
         held = processor.hold()
         processor.process({side: store.frames(side, second=True) for side in SIDES}, SECOND)
-        merged = processor.merge_with(held).found
+        merged = processor.merge_with(held).cloud
         assert merged is not None
         both = pipeline.table.cloud(merged)
     worker.reprocess(1, FIRST)
@@ -81,7 +81,7 @@ def test_same_points_in_the_worker_of_one_sequence_and_of_two(worker: Reconstruc
     worker.finish()
     while not isinstance(pair := fact_of(worker.wait(PATIENCE_S)), Bracket):
         assert pair is not None
-    assert pair.found is not None
+    assert pair.cloud is not None
     assert worker.full is not None
     assert [one.verdict.name for one in pair.second][:1] == ["identity"]
     for found, wanted in ((full, expected), (worker.full, both)):

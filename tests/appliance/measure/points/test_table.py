@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.cloud import CloudLocation, CloudSummary
 from appliance.measure.points.table import POINT_BYTES, Cloud, PointTable
 
 SUMMARY = CloudSummary(5, 50.0, 500.0, 0.02, 0.01)
@@ -44,7 +44,7 @@ def test_two_tables_on_the_same_memory_hold_the_same_points_and_26_bytes_are_eno
 def test_the_pieces_of_several_threads_are_joined_without_what_lies_between() -> None:
     table, whole = PointTable(12), cloud(12)
     table.put(whole)
-    got = table.cloud(Found(((1, 4), (6, 6), (9, 12)), SUMMARY))
+    got = table.cloud(CloudLocation(((1, 4), (6, 6), (9, 12)), SUMMARY))
     kept = [1, 2, 3, 9, 10, 11]
     np.testing.assert_array_equal(got.points_mm, whole.points_mm[kept])
     np.testing.assert_array_equal(got.pixel, whole.pixel[kept])
