@@ -250,7 +250,7 @@ class SshLink:
             return self._final(
                 "it does not accept this key; enrol the public key (a stick with kingfisher-keys.pub while "
                 "TRANSFER is on), or give the right private key with --identity; a key with a passphrase "
-                "must be in ssh-agent ({text})"
+                f"must be in ssh-agent ({text})"
             )
         if isinstance(error, library.ChannelOpenError):
             return self._final(f"it has no SFTP; give the address of the instrument ({text})")
