@@ -43,7 +43,7 @@ class Disagreement(Enum):
     EARLY = "early"
     """Each frame from ``frame`` on shows the pattern after its own."""
     REPEATED = "repeated"
-    """``frame`` shows the same as ``other``."""
+    """``frame`` shows the same as ``other_frame``."""
     STILL = "still"
     """All frames from ``frame`` on show the same image."""
     MIRRORED = "mirrored left to right"
@@ -65,11 +65,11 @@ WAYS_ROUND = {
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """One disagreement and its frames; ``other``: the second one of two frames."""
+    """One disagreement and its frames; ``other_frame``: the second one of two frames."""
 
     kind: Disagreement
     frame: int
-    other: int | None = None
+    other_frame: int | None = None
     identical: bool = False
     """True if the frames are equal to the last bit: only a camera's memory repeats an image with its noise."""
     moved: float = 0.0

@@ -222,9 +222,9 @@ def _may_be_motion(explanation: Explanation, evidence: LineEvidence) -> bool:
         return True
     if explanation.moved <= LEAST_MOVED or explanation.kind not in (Disagreement.UNEXPLAINED, Disagreement.REPEATED):
         return False
-    growing_doubt = min(LARGER_DOUBT, DECIDED + DOUBT_PER_MOVED * explanation.moved)
+    doubt_limit = min(LARGER_DOUBT, DECIDED + DOUBT_PER_MOVED * explanation.moved)
     return evidence.worst < (
-        max(LARGE_DOUBT, growing_doubt) if explanation.kind is Disagreement.UNEXPLAINED else LARGE_DOUBT
+        max(LARGE_DOUBT, doubt_limit) if explanation.kind is Disagreement.UNEXPLAINED else LARGE_DOUBT
     )
 
 
@@ -336,7 +336,7 @@ def _without_patterns(cameras: list[_Camera]) -> Fault | None:
 
 
 def _named(explanation: Explanation, camera: _Camera, device: str) -> Fault:
-    frame, other_frame = explanation.frame, explanation.other
+    frame, other_frame = explanation.frame, explanation.other_frame
     numbers: dict[str, float] = {"frame": frame, "doubt": camera.evidence.worst}
     match explanation.kind:
         case Disagreement.LATE | Disagreement.EARLY:

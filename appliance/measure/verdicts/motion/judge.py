@@ -256,21 +256,21 @@ def _kind(
     if largest is None or largest < MOVED:
         return MotionKind.STILL
     sideways = 0.0 if lateral_mm_s is None else float(np.hypot(*lateral_mm_s))
-    if sideways > 1.5 * abs(axial_mm_s or 0.0) and not _turns(trend, most=1.5):
+    if sideways > 1.5 * abs(axial_mm_s or 0.0) and not _turns(trend, factor=1.5):
         return MotionKind.LATERAL
-    if _turns(trend, most=0.7):
+    if _turns(trend, factor=0.7):
         return MotionKind.ROTATION
     if scores.drift is not None and scores.drift >= MOVED:
         return MotionKind.AXIAL
     return MotionKind.LATERAL
 
 
-def _turns(trend: DriftTrend | None, most: float) -> bool:
-    """Return True if the drift's slope across the pattern exceeds its mean ``most`` times, and is certain."""
+def _turns(trend: DriftTrend | None, factor: float) -> bool:
+    """Return True if the drift's slope across the pattern exceeds its mean ``factor`` times, and is certain."""
     if trend is None:
         return False
     slope = float(np.hypot(trend.across, trend.down))
-    return slope > most * abs(trend.mean) and slope > MOVED * float(np.hypot(trend.sd[1], trend.sd[2]))
+    return slope > factor * abs(trend.mean) and slope > MOVED * float(np.hypot(trend.sd[1], trend.sd[2]))
 
 
 def _is_local(harm: Harm) -> bool:

@@ -303,11 +303,11 @@ def follow_px(decoded: CameraDecoder, means: Means) -> tuple[float, float] | Non
     bin_px = _bins(decoded.p_px.shape[1])[0]
     bin_centres = (slice(bin_px // 2, None, bin_px), slice(bin_px // 2, None, bin_px))
     inside = _inside(decoded, bin_centres, means.x.shape).astype(np.uint8)
-    pictures = []
+    textures = []
     for light in (means.x, means.y):
         around = cv2.boxFilter(light, -1, (SURROUNDINGS_PX, SURROUNDINGS_PX))
-        pictures.append(np.asarray(light / np.maximum(around, 1.0) - 1.0, np.float32))
-    before, after = pictures
+        textures.append(np.asarray(light / np.maximum(around, 1.0) - 1.0, np.float32))
+    before, after = textures
     window = np.asarray(cv2.createHanningWindow(before.shape[::-1], cv2.CV_32F), np.float32)
     (right, down), _ = cv2.phaseCorrelate(before, after, window)
     warp = np.array([[1.0, 0.0, right], [0.0, 1.0, down]], np.float32)
