@@ -51,7 +51,7 @@ _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
 _ALONG_MM = -0.67
-"""Displacement per frame at which the phase steps are so small that the albedo is needed: 40 mm/s at 60 Hz."""
+"""Displacement per frame along the fringes: a hand of 40 mm/s at 60 Hz."""
 
 
 def remaining_kernels(

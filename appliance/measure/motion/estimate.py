@@ -4,7 +4,7 @@ other.
 Robust Gauss-Newton goes from coarse to fine (``STAGES``). It begins with the x-sines alone, in blurred pictures: they
 tell velocity and acceleration well enough that the extrapolation finds the other images up to 15 mm away, so that no
 optical flow is needed. Then the Gray images make one Gaussian of the motion of all frames (``stripes``), which is the
-prior of what follows: the y-sines and the texture, ever sharper. Pictures are never looked at finer than 3 px: there
+prior of what follows: the texture, ever sharper. Pictures are never looked at finer than 3 px: there
 the second harmonic of the fringes, which four steps of 90° do not see, would speak.
 """
 
@@ -39,7 +39,6 @@ from appliance.measure.motion.residuals import (
     SMOOTH_TERMS,
     TEXTURE,
     X_STEPS,
-    Y_STEPS,
     Samples,
     accumulate,
 )
@@ -53,8 +52,6 @@ WORKING_WIDTH_PX = 800
 SAMPLES = 5_000
 FIT_POINTS = 1_200
 """Points that the projector is fitted to."""
-GRAY_IMAGES_AROUND = 4
-"""Number of Gray images before the x-sines, and after them, that tell the albedo."""
 GAIN_SD = 0.03
 """Prior of a frame's gain, as a share."""
 GAIN_MEAN_SD = 1e-5
@@ -103,9 +100,8 @@ class SearchStage:
 STAGES = (
     SearchStage(5.0, 8.0, (X_STEPS,), 5, 2, 4),
     SearchStage(5.0, 8.0, (X_STEPS, TEXTURE), 4, 2, 4),
-    SearchStage(5.0, 5.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 2, 2),
-    SearchStage(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 5, 1, 3),
-    SearchStage(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 1, 1),
+    SearchStage(3.0, 3.0, (X_STEPS, TEXTURE), 5, 1, 3),
+    SearchStage(3.0, 3.0, (X_STEPS, TEXTURE), 4, 1, 1),
 )
 
 
@@ -122,8 +118,6 @@ class MotionEstimate:
     """
     covariance_mm2: Array
     """(48, 48): covariance of ``motion_mm``, row by row."""
-    lateral_sd_mm: float
-    """Uncertainty (σ) of the place sideways in the Gray images around the x-sines, which tell the albedo."""
     gains: Array
     """(8,): by how much each frame is brighter than its block."""
     centre_mm: Array
@@ -220,7 +214,6 @@ def estimate(
         trajectory_mm=trajectory.conditional_mm(sines, solver.values[:MOTIONS].reshape(FRAMES, 6)),
         motion_mm=solver.values[:MOTIONS].reshape(FRAMES, 6).copy(),
         covariance_mm2=covariance,
-        lateral_sd_mm=trajectory.lateral_sd_mm(sines, covariance, _around(sequence)),
         gains=solver.values[GAINS : GAINS + FRAMES].copy(),
         centre_mm=centre,
         reference_s=reference_s,
@@ -231,15 +224,6 @@ def estimate(
         step_deg=_step_deg(samples["left"], solver.values),
         noise_factor=noise_factor,
         converged=step_mm < NEARLY_CONVERGED_MM,
-    )
-
-
-def _around(sequence: PatternSequence) -> tuple[int, ...]:
-    """Return the Gray images next to the x-sines in time: those that tell the albedo."""
-    first, last = min(sequence.axis(Direction.X).sine), sequence.axis(Direction.X).last
-    gray = (*sequence.axis(Direction.X).gray, *sequence.axis(Direction.Y).gray)
-    return tuple(
-        k for k in gray if first - k in range(1, GRAY_IMAGES_AROUND + 1) or k - last in range(1, GRAY_IMAGES_AROUND + 1)
     )
 
 
@@ -263,11 +247,11 @@ class _Equations(NamedTuple):
     vector: Array
     """(P,)."""
     residual_dn: Array
-    """(n, 3)."""
+    """(n, 2)."""
     modulation_dn: Array
-    """(n, 2)."""
+    """(n,)."""
     variance: Array
-    """(n, 2)."""
+    """(n,)."""
 
 
 class _Solver:
@@ -279,10 +263,10 @@ class _Solver:
         self._all, self._samples, self._prior = samples, samples, prior
         self._known: dict[float, Mapping[str, NDArray[np.float32]]] = {}
         self._steps_blur_px = self._texture_blur_px = 0.0
-        self._scale_dn = np.full(3, START_SCALE_DN)
+        self._scale_dn = np.full(2, START_SCALE_DN)
         self._matrix = prior
         self._vector = np.zeros(PARAMETERS)
-        self._variance = np.ones((1, 2))
+        self._variance = np.ones(1)
         self._mean = np.zeros(PARAMETERS)
 
     def information(self) -> tuple[Array, Array]:
@@ -323,7 +307,7 @@ class _Solver:
         """Take one step on residuals of these kinds; return its largest part among the x-sines, which make the depth,
         in mm."""
         residual_dn, _ = self._accumulate(self.values, kinds)
-        for kind in range(3):
+        for kind in (X_STEPS, TEXTURE):
             known = residual_dn[np.isfinite(residual_dn[:, kind]), kind]
             if known.size:
                 self._scale_dn[kind] = max(MAD_TO_SIGMA * float(np.median(np.abs(known))), LEAST_SCALE_DN)
@@ -338,14 +322,14 @@ class _Solver:
         The noise of the pictures that are looked at, ``noise_dn``, is taken out.
         """
         residual_dn, modulation_dn = self._accumulate(values, (X_STEPS,))
-        modulation_dn = np.maximum(modulation_dn[:, 0], noise_dn)
+        modulation_dn = np.maximum(modulation_dn, noise_dn)
         share = MAD_TO_SIGMA * float(np.nanmedian(np.abs(residual_dn[:, X_STEPS]) / modulation_dn))
         floor = noise_dn * float(np.nanmedian(1.0 / modulation_dn))
         return math.sqrt(max(share**2 - floor**2, 0.0))
 
     def noise_factor(self) -> float:
         """Return the root mean square noise of the x-sines' phases at the last step, over that by steps of 90°."""
-        known = self._variance[np.isfinite(self._variance[:, 0]), 0]
+        known = self._variance[np.isfinite(self._variance)]
         return math.sqrt(float(np.mean(np.minimum(known, MAX_VARIANCE)))) if known.size else math.inf
 
     def covariance(self) -> Array:
@@ -363,7 +347,7 @@ class _Solver:
         return [(self._texture_blur_px, (TEXTURE,)), (self._steps_blur_px, steps)]
 
     def _accumulate(self, values: Array, kinds: tuple[int, ...]) -> tuple[Array, Array]:
-        """Set up the normal equations at ``values``; return residuals (n, 3) and modulations (n, 2) of both cameras.
+        """Set up the normal equations at ``values``; return residuals (n, 2) and modulations (n,) of both cameras.
 
         Raises ValueError where no sample stays in the pictures.
         """
@@ -385,9 +369,9 @@ class _Solver:
         made = _Equations(
             np.zeros((PARAMETERS, PARAMETERS)),
             np.zeros(PARAMETERS),
-            np.full((n, 3), np.nan),
             np.full((n, 2), np.nan),
-            np.full((n, 2), np.nan),
+            np.full(n, np.nan),
+            np.full(n, np.nan),
         )
         for blur_px, some in self._looks(kinds):
             accumulate(

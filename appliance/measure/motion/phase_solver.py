@@ -1,5 +1,4 @@
-"""Owns the pixels' new pattern coordinates: the x-sines read where each point went, and solved with their true phase
-steps.
+"""New pattern coordinates of the pixels: the x-sines read where each point went, and solved with their true phase steps.
 
 A pixel's depth, its displacement and its phase depend on each other, so each pixel is solved in rounds: at a depth t
 its four sines are read and solved (least squares), the phase and the Gray images make a column p, and p makes a better
@@ -22,7 +21,6 @@ Legend of the kernels, per pixel number x of a list; ``s`` is a record of ``ROW`
     ψ_k          phase step of sine k: k π/2 and what the motion added
     a, m_c, m_s  offset and the two parts of the modulation: y_k = a + m_c cos ψ_k − m_s sin ψ_k; phase φ = atan2(m_s, m_c)
     n            (4,) the vector that contradicts every a, m_c, m_s
-    e, w         offset that the albedo makes expect, and its weight against one grey value
     V            variance of p, px²: (P/2π)² Var φ, P the fringes' period
 """
 
@@ -80,8 +78,6 @@ MAX_CONTRARY_DN = 20.0
 MOST_SHARE = 1e3
 """Largest variance of an offset, in variances of a grey value, that the sines' light is told by; steps of 15° leave
 200."""
-LEAST_DOUBT = 1e-3
-"""Least variance of the albedo, in variances of a grey value: it keeps the weight finite."""
 
 _SLOT = MAX_WIDTH_PX + 272
 """Room for a quantity of one row: so that equal places of two quantities do not compete for the same cache lines."""
@@ -89,9 +85,8 @@ ROW = np.dtype([(name, np.float32, (*shape, _SLOT)) for name, shape in {
     "depth": (),  # t at the round's beginning
     "u": (), "v": (), "turns": (), "grey": (),  # of the frame that is read: place, change of phase, grey value
     "sine_grey": (4,), "sine_noise": (4,), "sine_turns": (4,), "step_cosine": (4,), "step_sine": (4,),  # y_k, noise_k, ψ_k
-    "expected": (), "weight": (),  # e and w: the offset that the albedo makes expect
     "offset": (), "modulation": (), "phase": (), "variance": (), "misfit": (),  # solved; phase in turns, NaN: not good
-    "plain_offset": (), "plain_share": (),  # a without the albedo and its variance
+    "offset_share": (),  # variance of the offset, in variances of a grey value
     "contrary": (), "response": (),  # contradiction of the sines, and what a harmonic makes of it
     "p_parabola": (3,),
     "order": (), "agreed": (),  # fringe order, and whether the Gray images bear it out (1 or 0)
@@ -128,12 +123,6 @@ class Sources(NamedTuple):
 
     NaN: the pixel is not asked, it sees no fringes.
     """
-    albedo_dn: NDArray[np.float32]
-    """Grey values under full light, NaN where they are not known; (0, 0) where they are not used."""
-    backscatter_dn: NDArray[np.float32]
-    """Grey values without light: backscatter and ambient light; (0, 0) likewise."""
-    albedo_variance_dn2: NDArray[np.float32]
-    """Variance of the albedo; (0, 0) likewise."""
 
 
 class Terms(NamedTuple):
@@ -156,8 +145,6 @@ class Terms(NamedTuple):
     """A correction of the depth that changes nothing that is read."""
     harmonic: np.float32
     """Second harmonic of the fringes, as a share of the first."""
-    mean_share: np.float32
-    """Mean of the sines' light, as a share of full light; 0 where the albedo is not used."""
 
 
 class RedecodedMaps(NamedTuple):
@@ -169,7 +156,7 @@ class RedecodedMaps(NamedTuple):
     """Row that the fitted projector shows there."""
     modulation_half_dn: NDArray[np.uint8]
     variance_px2: NDArray[np.float32]
-    """Variance of p by the camera's noise and the albedo's, in px² of the pattern; NaN where there is no column."""
+    """Variance of p by the camera's noise, in px² of the pattern; NaN where there is no column."""
     misfit: NDArray[np.float32]
     """Contradiction of the x-sines, squared, over what noise makes it: 1 in the mean; NaN where there is no column."""
     bright: NDArray[np.uint8]
@@ -249,8 +236,8 @@ def solve_rows(
 ) -> None:
     """Solve every ``stride``-th row from ``start`` on into ``maps``; the other rows stay as they were.
 
-    Where ``stride`` is above 1, ``sums`` (2, 2) adds up Σ contradiction · response and Σ response² of the fringes'
-    second harmonic, then Σ offset · albedo and Σ albedo² of the sines' mean.
+    Where ``stride`` is above 1, ``sums`` (2,) adds up Σ contradiction · response and Σ response² of the fringes' second
+    harmonic.
     """
     (height, width), (_, nodes, coefficients) = sources.p_px.shape, field.nodes.shape
     frames, step = sources.frames, field.step_px
@@ -285,7 +272,6 @@ def solve_rows(
             t = decoded_t[x] + farther[x]
             s.depth[n] = t if abs(t) < MAX_T else _NAN
             n += 1
-        _expect_offsets(sources, terms, row, column[:n], scratch)
         for turn in range(BEGINNINGS * MAX_ROUNDS):
             if n == 0:
                 break
@@ -293,7 +279,7 @@ def solve_rows(
             _read_sines(pictures, at_row, chosen, row, cell, scratch)
             _solve_sines(n, sources.gains, terms, scratch)
             if stride > 1 and turn == 0:
-                _add_to_sums(sources, row, chosen.column, scratch, sums)
+                _add_to_sums(n, scratch, sums)
             _number_fringes(pictures, at_row, chosen, row, terms, scratch)
             _settle(at_row, chosen, terms, scratch)
             left = _NONE
@@ -319,7 +305,6 @@ def solve_rows(
                         farther[x] = _ZERO
                         continue
                 column[left], s.depth[left] = x, t
-                s.expected[left], s.weight[left] = s.expected[i], s.weight[i]
                 left += 1
             n = left
         n = _NONE
@@ -337,21 +322,6 @@ def solve_rows(
         for i in range(n):
             if s.grey[i] == s.grey[i]:
                 maps.bright[row, column[i]] = np.uint8(s.grey[i])
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _expect_offsets(sources: Sources, terms: Terms, row: int, column: NDArray[np.int32], scratch: Scratch) -> None:
-    """Write the offset that the albedo makes expect, EXPECTED, and its WEIGHT against one grey value; 0 where it is not
-    known."""
-    s = scratch[0]
-    per_variance = 1.0 / (float(terms.noise_dn) * float(terms.noise_dn))
-    for i in range(column.size):
-        x = column[i]
-        s.expected[i], s.weight[i] = _ZERO, _ZERO
-        if terms.mean_share > _ZERO and sources.albedo_dn.size > 0 and sources.albedo_dn[row, x] > _ZERO:
-            doubt = per_variance * float(sources.albedo_variance_dn2[row, x]) + LEAST_DOUBT
-            s.expected[i] = sources.backscatter_dn[row, x] + terms.mean_share * sources.albedo_dn[row, x]
-            s.weight[i] = np.float32(1.0 / (float(terms.mean_share) ** 2 * doubt))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -395,10 +365,7 @@ def _read_sines(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, scratch: Scratch) -> None:
-    """Solve the four sines of n pixels, with EXPECTED and WEIGHT of the albedo.
-
-    Writes OFFSET, MODULATION, PHASE, VARIANCE and MISFIT, and what the harmonic and the sines' mean follow from.
-    """
+    """Solve the four sines of n pixels: offset, modulation, phase, variance, misfit, and the terms of the harmonic."""
     s = scratch[0]
     for k in range(PHASE_STEPS):
         cosines(s.sine_turns[k][:n], s.step_cosine[k][:n], s.step_sine[k][:n])
@@ -416,24 +383,18 @@ def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, scratch: Scra
         n0, n1, n2, n3 = x12 + x23 - x13, x03 - x02 - x23, x01 + x13 - x03, x02 - x01 - x12
         size2 = n0 * n0 + n1 * n1 + n2 * n2 + n3 * n3
         per_size = _ONE / np.sqrt(size2)
-        # N = AᵀA with A = (1, cos, −sin), and its adjugate i; 4 + w is n00 where the offset is known with weight w.
+        # N = AᵀA with A = (1, cos, −sin), n00 = 4, and its adjugate i.
         n01, n02 = c0 + c1 + c2 + c3, -(s0 + s1 + s2 + s3)
         n11, n22 = c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3, s0 * s0 + s1 * s1 + s2 * s2 + s3 * s3
         n12 = -(c0 * s0 + c1 * s1 + c2 * s2 + c3 * s3)
-        w = s.weight[x]
-        e, n00 = w * s.expected[x], _FOUR + w
         i00, i01, i02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
-        i11, i12, i22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
-        det = _FOUR * i00 + n01 * i01 + n02 * i02
-        scale = _ONE / (det + w * i00)
+        i11, i12, i22 = _FOUR * n22 - n02 * n02, n01 * n02 - _FOUR * n12, _FOUR * n11 - n01 * n01
+        scale = _ONE / (_FOUR * i00 + n01 * i01 + n02 * i02)
         # Right sides Aᵀy, first with the harmonic.
-        b0, b1 = y0 + y1 + y2 + y3 + e, c0 * y0 + c1 * y1 + c2 * y2 + c3 * y3
+        b0, b1 = y0 + y1 + y2 + y3, c0 * y0 + c1 * y1 + c2 * y2 + c3 * y3
         b2 = -(s0 * y0 + s1 * y1 + s2 * y2 + s3 * y3)
         m_c, m_s = scale * (i01 * b0 + i11 * b1 + i12 * b2), scale * (i02 * b0 + i12 * b1 + i22 * b2)
-        # The offset without the albedo: i00, i01 and i02 do not depend on w.
-        per_det = _ONE / det
-        s.plain_offset[x] = per_det * (i00 * (b0 - e) + i01 * b1 + i02 * b2)
-        s.plain_share[x] = per_det * i00
+        s.offset_share[x] = scale * i00
         contrary = per_size * (n0 * y0 + n1 * y1 + n2 * y2 + n3 * y3)
         s.contrary[x] = contrary
         # Second harmonic: share · m cos 2(φ + ψ_k), with m cos 2φ = (m_c² − m_s²)/m and m sin 2φ = 2 m_c m_s/m.
@@ -462,11 +423,11 @@ def _solve_sines(n: int, gains: NDArray[np.float32], terms: Terms, scratch: Scra
         phase = _QUARTER - phase if abs_s > abs_c else phase
         phase = _HALF - phase if m_c < _ZERO else phase
         phase = -phase if m_s < _ZERO else phase
-        # ∂φ/∂y_k · m² = m_s w_c,k − m_c w_s,k, with each y's own noise, and of e, whose variance is 1 / w.
+        # ∂φ/∂y_k · m² = m_s w_c,k − m_c w_s,k, with each y's own noise.
         f0, f1, f2 = m_s * i01 - m_c * i02, m_s * i11 - m_c * i12, m_s * i12 - m_c * i22
         d0, d1, d2, d3 = f0 + f1 * c0 - f2 * s0, f0 + f1 * c1 - f2 * s1, f0 + f1 * c2 - f2 * s2, f0 + f1 * c3 - f2 * s3
         k0, k1, k2, k3 = s.sine_noise[0, x], s.sine_noise[1, x], s.sine_noise[2, x], s.sine_noise[3, x]
-        spread = d0 * d0 * k0 + d1 * d1 * k1 + d2 * d2 * k2 + d3 * d3 * k3 + w * f0 * f0
+        spread = d0 * d0 * k0 + d1 * d1 * k1 + d2 * d2 * k2 + d3 * d3 * k3
         against = n0 * n0 * k0 + n1 * n1 * k1 + n2 * n2 * k2 + n3 * n3 * k3
         # V = (P/2π)² σ² · spread / m⁴; misfit: the contradiction squared over its variance, both by the noise at this
         # offset.
@@ -571,21 +532,12 @@ def _settle(at_row: NDArray[np.float32], chosen: RowPixels, terms: Terms, scratc
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _add_to_sums(
-    sources: Sources, row: int, column: NDArray[np.int32], scratch: Scratch, sums: NDArray[np.float64]
-) -> None:
-    """Add what the pixels of a row tell of the fringes' harmonic and the sines' mean to ``sums`` (2, 2)."""
+def _add_to_sums(n: int, scratch: Scratch, sums: NDArray[np.float64]) -> None:
+    """Add Σ contradiction · response and Σ response² of n pixels to ``sums`` (2,)."""
     s = scratch[0]
-    for i in range(column.size):
-        x = column[i]
-        contrary, response, share = float(s.contrary[i]), float(s.response[i]), float(s.plain_share[i])
-        # Steps that are next to nothing leave no offset: what 32 bits make of it is not even noise.
-        if not (abs(contrary) < MAX_CONTRARY_DN and 0.0 < share < MOST_SHARE):
-            continue
-        sums[0, 0] += contrary * response
-        sums[0, 1] += response * response
-        albedo = float(sources.albedo_dn[row, x]) if sources.albedo_dn.size > 0 else 0.0
-        if albedo > 0.0:
-            # Mean light of the sines: a − backscatter = share · albedo, over the variance of a.
-            sums[1, 0] += (float(s.plain_offset[i]) - float(sources.backscatter_dn[row, x])) * albedo / share
-            sums[1, 1] += albedo * albedo / share
+    for x in range(n):
+        contrary, response, share = float(s.contrary[x]), float(s.response[x]), float(s.offset_share[x])
+        # Steps that are next to nothing tell nothing: what 32 bits make of them is not even noise.
+        if abs(contrary) < MAX_CONTRARY_DN and 0.0 < share < MOST_SHARE:
+            sums[0] += contrary * response
+            sums[1] += response * response

@@ -62,18 +62,6 @@ class Trajectory:
         weights = np.linalg.solve(covariance, motion_mm.ravel() - mean)
         return np.asarray(self.mean_mm + self.covariance_mm2[:, at] @ weights).reshape(-1, 6)
 
-    def lateral_sd_mm(self, frames: tuple[int, ...], motion_covariance_mm2: Array, of: tuple[int, ...]) -> float:
-        """Return the root mean square uncertainty, in mm, of a shift sideways (x, y) in the frames ``of``.
-
-        The displacements of the m ``frames`` are known with the covariance ``motion_covariance_mm2`` (6 m, 6 m).
-        """
-        at = parameters_of(frames)
-        known = self.covariance_mm2[np.ix_(at, at)]
-        # Σ + G (C − Σ_mm) Gᵀ with G = Σ_am Σ_mm⁻¹: what was measured replaces the prior's share.
-        gain = np.linalg.solve(known, self.covariance_mm2[at]).T
-        variance = np.diag(self.covariance_mm2 + gain @ (motion_covariance_mm2 - known) @ gain.T)
-        return float(np.sqrt(np.mean(variance.reshape(-1, 6)[list(of), :2].clip(0.0))))
-
 
 def trajectory_prior_precision(times_s: Array, reference_s: float) -> Array:
     """Return the precision (6 n, 6 n) in mm⁻² of displacements at ``times_s`` (n,) against ``reference_s``, by the

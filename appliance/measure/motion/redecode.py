@@ -1,9 +1,8 @@
-"""Owns the corrected maps: what both cameras would have decoded had nothing moved since the reference time.
+"""Corrected maps: what both cameras would have decoded had nothing moved since the reference time.
 
 Every pixel of both cameras is followed through the x-sines and the Gray images (``displacement``) and solved for its
-true phase steps (``phase_solver``), with its albedo (``albedo``) where the steps alone do not suffice. Then what is an
-edge, or is not confirmed beside a hole, is dropped, and what the frames contradict is counted as noise: the maps carry
-the variance of each coordinate beside the modulation that the camera saw.
+true phase steps (``phase_solver``). Then edges, and points beside a hole that the plain decoding does not confirm, are
+dropped. What the frames contradict counts as noise: the maps carry the variance of each coordinate.
 """
 
 from __future__ import annotations
@@ -23,16 +22,14 @@ from appliance.measure.light.patterns import RISING_STEPS, Direction
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.sine import PHASE_STEPS
 from appliance.measure.light.water import Water
-from appliance.measure.motion.albedo import known_mean, scaled_window, with_albedo
 from appliance.measure.motion.displacement import (
     FIRST_FRAME,
     FRAME_COEFFICIENTS,
-    OF_PHASE,
     DisplacementField,
     displacement_field,
 )
 from appliance.measure.motion.estimate import WORKING_WIDTH_PX, MotionEstimate, noise_dn
-from appliance.measure.motion.phase_solver import MAX_T, RedecodedMaps, Sources, Terms, depth_rows, solve_rows
+from appliance.measure.motion.phase_solver import RedecodedMaps, Sources, Terms, depth_rows, solve_rows
 from appliance.measure.points.rows import LeftMaps
 from appliance.measure.scan_images import ScanImages
 
@@ -45,10 +42,8 @@ PROBE_ROWS = 16
 """Every so many rows of pictures 800 px wide tell the fringes' second harmonic and the sines' mean light."""
 MAX_HARMONIC = 0.3
 """The largest second harmonic that is believed, as a share of the first."""
-ROUGH_ROWS = 4
-"""Every so many rows of pictures 800 px wide are solved to know where the albedo lies."""
-GOOD_VARIANCE = 1.15
-"""The albedo is used where the variance of a phase is more than this, over that by steps of 90°."""
+WIDE_PX = 8
+"""Size of a wide window in the smaller image that its mean is taken in."""
 EXACT_PX, EXACT_TURNS = 0.02, 0.001
 """Errors of a displacement and a phase step that are not worth reading again."""
 MAX_SETTLED_T = 0.02
@@ -99,8 +94,7 @@ def compensate(
             float(sequence.period_px),
             rig.volume,
         )
-        px_per_mm = camera.lens.f_px[0] * water.index / float(motion.centre_mm[2])
-        return _redecode(images, side, motion, followed, field, motion.lateral_sd_mm * px_per_mm)
+        return _redecode(images, side, motion, followed, field)
 
     with ThreadPoolExecutor(len(SIDES), "kf-compensate") as pool:
         return dict(zip(SIDES, pool.map(solve, SIDES), strict=True))
@@ -112,7 +106,6 @@ def _redecode(
     motion: MotionEstimate,
     followed: tuple[int, ...],
     field: DisplacementField,
-    lateral_sd_px: float,
 ) -> LeftMaps:
     """Decode one camera's frames along its displacement field."""
     sequence, decoder = images.sequence, images.decoded[side]
@@ -121,11 +114,10 @@ def _redecode(
     # One kind of array, whether it may be written or not: each kind would be compiled for itself.
     frames = images.frames[side].view()
     frames.flags.writeable = False
-    unused = np.zeros((0, 0), np.float32)
     rough_t = rough_depth(decoder.p_px, field)
     rough_t[~sees_fringes(frames[list(sequence.axis(Direction.X).sine)], field)] = np.nan
     gains = (1.0 / (1.0 + motion.gains)).astype(np.float32)
-    sources = Sources(frames, np.asarray(followed, np.int64), gains, decoder.p_px, rough_t, unused, unused, unused)
+    sources = Sources(frames, np.asarray(followed, np.int64), gains, decoder.p_px, rough_t)
     terms = Terms(
         period_px=np.float32(sequence.period_px),
         width_px=np.float32(sequence.width_px),
@@ -137,23 +129,10 @@ def _redecode(
         fill_px=round(FILL_SHARE * width),
         settled_t=np.float32(settled_t(field)),
         harmonic=np.float32(0.0),
-        mean_share=np.float32(0.0),
     )
-    # As many rows of a large picture tell as much as those of a small one.
-    rough_rows = ROUGH_ROWS * max(1, width // WORKING_WIDTH_PX)
-    if phase_variance(field) > GOOD_VARIANCE:
-        sources = with_albedo(sequence, sources, terms, field, lateral_sd_px, rough_rows)
     solved = empty_maps(height, width)
-    # First of the light, then, with that, of harmonics.
-    for _ in range(2 if sources.albedo_dn.size else 1):
-        terms = _probed(sources, field, terms, solved)
-    if sources.albedo_dn.size:
-        # Where the albedo lies follows from the depth: once more, with that of the depth that the first one leads to.
-        solve_rows(sources, field, terms, 0, rough_rows, solved, np.zeros((2, 2)))
-        nearer = sources._replace(rough_t=_nearest_rows(solved.p_px, sources.rough_t, field, rough_rows))
-        sources = with_albedo(sequence, nearer, terms, field, lateral_sd_px)
-        terms = _probed(sources, field, terms, solved)
-    solve_rows(sources, field, terms, 0, 1, solved, np.zeros((2, 2)))
+    terms = _probed(sources, field, terms, solved)
+    solve_rows(sources, field, terms, 0, 1, solved, np.zeros(2))
     jump_px, bend_px = edge_limits_px(sequence.period_px, width, sequence.width_px)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
     drop_new_borders(solved.p_px, solved.q_px, decoder.p_px)
@@ -201,15 +180,6 @@ def sees_fringes(sines: NDArray[np.uint8], field: DisplacementField) -> NDArray[
     return np.asarray(cv2.dilate(lit, np.ones((reach, reach), np.uint8)), np.bool_)
 
 
-def _nearest_rows(p_px: Map, rough_t: Map, field: DisplacementField, every: int) -> Map:
-    """Return the depth t (h, w) by every ``every``-th row of columns ``p_px``; ``rough_t`` where they say nothing, or
-    it is NaN."""
-    height, width = p_px.shape
-    depth = np.empty_like(rough_t)
-    depth_rows(np.repeat(p_px[::every], every, axis=0)[:height], field, round(FILL_SHARE * width), depth)
-    return np.asarray(np.where((np.abs(depth) < MAX_T) & np.isfinite(rough_t), depth, rough_t), np.float32)
-
-
 def rough_depth(p_px: Map, field: DisplacementField) -> Map:
     """Return where the surface roughly is, t (h, w), everywhere in a picture, by decoded columns ``p_px`` (h, w).
 
@@ -249,20 +219,6 @@ def _medians(values: Map, step: int, fewest: int) -> Map:
     return np.where(known >= fewest, middle, np.float32(np.nan))
 
 
-def phase_variance(field: DisplacementField) -> float:
-    """Return the variance of the x-sines' phases where points are followed, over that by steps of 90°.
-
-    In the middle of the volume (t = 0), median over the image, mean over all phases.
-    """
-    first = FIRST_FRAME + OF_PHASE
-    moved = field.nodes[..., first : first + PHASE_STEPS * FRAME_COEFFICIENTS : FRAME_COEFFICIENTS].astype(np.float64)
-    steps = 2.0 * np.pi * (moved + 0.25 * np.arange(PHASE_STEPS))
-    # Covariance (AᵀA)⁻¹ of y = a + c cos ψ − s sin ψ; the mean over phases is the trace of its part of c and s.
-    A = np.stack([np.ones_like(steps), np.cos(steps), -np.sin(steps)], -1)
-    inverse = np.linalg.inv(np.einsum("...ki,...kj->...ij", A, A) + 1e-9 * np.eye(3))
-    return float(np.median(inverse[..., 1, 1] + inverse[..., 2, 2]))
-
-
 def settled_t(field: DisplacementField) -> float:
     """Return by how much a depth t may be wrong without anything being read elsewhere for it.
 
@@ -274,16 +230,13 @@ def settled_t(field: DisplacementField) -> float:
 
 
 def _probed(sources: Sources, field: DisplacementField, terms: Terms, solved: RedecodedMaps) -> Terms:
-    """Return ``terms`` with what some rows tell of fringes and light."""
+    """Return ``terms`` with the fringes' second harmonic, fitted to some rows."""
     _, width = sources.p_px.shape
     every = PROBE_ROWS * max(1, width // WORKING_WIDTH_PX)
-    sums = np.zeros((2, 2))
+    sums = np.zeros(2)
     solve_rows(sources, field, terms, every // 2, every, solved, sums)
-    harmonic, mean = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
-    return terms._replace(
-        harmonic=np.float32(np.clip(harmonic, -MAX_HARMONIC, MAX_HARMONIC)),
-        mean_share=np.float32(np.clip(mean, 0.0, 1.0)),
-    )
+    harmonic = sums[0] / max(sums[1], 1e-9)
+    return terms._replace(harmonic=np.float32(np.clip(harmonic, -MAX_HARMONIC, MAX_HARMONIC)))
 
 
 def drop_new_borders(p_px: Map, q_px: Map, plain_px: Map) -> None:
@@ -310,6 +263,29 @@ def misfit_factor(misfit: Map, ripple: float, width: int) -> Map:
     usual = float(np.median(known)) if known.size else 1.0
     beyond = np.maximum(np.nan_to_num(around, nan=usual) - BY_CHANCE * max(usual, 1.0), 0.0)
     return np.asarray(1.0 + ripple**2 + MISFIT_SHARE * beyond, np.float32)
+
+
+def scaled_window(px: int, width: int) -> int:
+    """Return a window of ``px`` of 800 in px of a picture ``width`` px wide; odd."""
+    return 2 * round(0.5 * px * width / 800.0) + 1
+
+
+def known_mean(values: Map, window_px: int) -> Map:
+    """Return the mean (h, w) of the finite ``values`` within ``window_px`` around each pixel; NaN where there is none.
+
+    It is taken in a smaller image, of which the window covers about ``WIDE_PX``.
+    """
+    height, width = values.shape
+    times = max(1, window_px // WIDE_PX)
+    known = np.isfinite(values)
+    size = (-(-width // times), -(-height // times))
+    share = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(np.where(known, values, np.float32(0.0)), size, interpolation=cv2.INTER_AREA)
+    window = (window_px // times | 1, window_px // times | 1)
+    share, total = cv2.boxFilter(share, -1, window), cv2.boxFilter(total, -1, window)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(share > 1e-6, total / share, _NAN).astype(np.float32)
+    return np.asarray(cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

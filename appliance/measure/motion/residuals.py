@@ -1,8 +1,8 @@
 """Owns what the sine frames say against a motion: each sample's disagreements, and the normal equations of all of them.
 
-Per sample and camera there are three. The four x-sines, read where the motion takes the point and with the phase steps
-that it makes, leave one of four degrees of freedom: what contradicts every offset, modulation and phase. So do the four
-y-sines. And the offsets of the two are the same texture, but for a gain that is smooth over the picture.
+Per sample and camera there are two. The four x-sines, read where the motion takes the point and with the phase steps
+that it makes, leave one of four degrees of freedom: what contradicts every offset, modulation and phase. And their offset
+and that of the y-sines are the same texture, but for a gain that is smooth over the image.
 
 Parameters: for each of the 8 sine frames 3 mm of shift and 3 mm of turn (at the lever), a gain for each, and six
 coefficients of the smooth gain per camera.
@@ -37,7 +37,7 @@ SMOOTH_GAIN = MOTIONS + FRAMES
 """Place of the first camera's coefficients of the smooth gain."""
 SMOOTH_TERMS = 6
 PARAMETERS = SMOOTH_GAIN + 2 * SMOOTH_TERMS
-X_STEPS, Y_STEPS, TEXTURE = 0, 1, 2
+X_STEPS, TEXTURE = 0, 1
 """Kinds of residuals."""
 FRAME_UNKNOWNS = 7
 """Each frame has three unknowns of shift, three of turn and one of gain."""
@@ -183,9 +183,8 @@ def accumulate(
     (P,).
 
     ``pictures`` (8, h, w) float32; ``side`` is the camera's number; ``kinds``: bit k lets residuals of kind k count.
-    ``scale_dn`` (3,) are the kinds' robust scales. Per sample, ``residual_dn`` (n, 3) gets the residuals, NaN where a
-    point leaves the picture; ``modulation_dn`` (n, 2) the modulations, and ``variance`` (n, 2) that of the phases over
-    that by steps of 90°. Where only x-sines count, the other frames are not read, and what belongs to them stays as it
+    ``scale_dn`` (2,) are the kinds' robust scales. Per sample, ``residual_dn`` (n, 2) gets the residuals, NaN where a
+    point leaves the picture; ``modulation_dn`` (n,) the modulation of the x-sines, and ``variance`` (n,) that of their phase over that by steps of 90°. Where only x-sines count, the other frames are not read, and what belongs to them stays as it
     was.
     """
     uv, J, e, G, eg, lever, basis = samples
@@ -196,7 +195,7 @@ def accumulate(
     grey = np.empty(FRAMES)
     solved = np.empty((2, 3))
     weights = np.empty((2, 4, 4))
-    along = np.empty(2)
+    contradiction = np.empty(2)
     row = np.empty(_ROW)
     # Sums in the order of ``row``: what is added up then lies side by side.
     products, sums = np.zeros((_ROW, _ROW)), np.zeros(_ROW)
@@ -232,22 +231,20 @@ def accumulate(
                 break
             # a, c, s and the contradiction of y_m = a + c cos ψ_m − s sin ψ_m.
             invert_steps(cosine, sine, weights[block])
-            solved[block, 0], solved[block, 1], solved[block, 2], along[block] = apply_steps(weights[block], y)
+            solved[block, 0], solved[block, 1], solved[block, 2], contradiction[block] = apply_steps(weights[block], y)
             # ∂(y − a − c cos ψ + s sin ψ)/∂d: the model moves with the phase, too (h = ∂model/∂ψ).
             for m in range(4):
                 h[m] = -solved[block, 1] * sine[m] - solved[block, 2] * cosine[m]
                 for a in range(3):
                     D[4 * block + m, a] -= h[m] * G[i, block, a]
-            # Modulation √(c² + s²), and what its phase scatters more than by steps of 90°.
-            modulation_dn[i, block] = np.sqrt(solved[block, 1] ** 2 + solved[block, 2] ** 2)
-            variance[i, block] = _phase_variance(weights[block], solved[block, 1], solved[block, 2])
         if not inside:
             residual_dn[i, :] = np.nan
             continue
-        residual_dn[i, X_STEPS] = along[0]
+        residual_dn[i, X_STEPS] = contradiction[0]
+        modulation_dn[i] = np.sqrt(solved[0, 1] ** 2 + solved[0, 2] ** 2)
+        variance[i] = _phase_variance(weights[0], solved[0, 1], solved[0, 2])
         mean, doubt = 0.0, 0.0
         if blocks == 2:
-            residual_dn[i, Y_STEPS] = along[1]
             # Texture: a_y − (1 + smooth gain) a_x, over its noise (1 by steps of 90°). Moving sideways, a point may see
             # nearly equal phases in all steps: its offset is then hardly known.
             for t in range(SMOOTH_TERMS):
@@ -256,13 +253,13 @@ def accumulate(
                 doubt += 2.0 * (weights[0, 0, m] ** 2 + weights[1, 0, m] ** 2)
             doubt = np.sqrt(doubt)
             residual_dn[i, TEXTURE] = (solved[1, 0] - (1.0 + mean) * solved[0, 0]) / doubt
-        # One row of the normal equations for each kind: x-sines touch frames 0 … 3, y-sines 4 … 7, texture all.
-        for kind in range(3):
+        # One row of the normal equations for each kind: x-sines touch frames 0 … 3, texture all.
+        for kind in range(2):
             if not kinds >> kind & 1:
                 continue
-            begin, stop = (0, 4) if kind == X_STEPS else ((4, 8) if kind == Y_STEPS else (0, 8))
+            stop = 4 if kind == X_STEPS else 8
             # ``row``: ∂residual/∂y_k times ∂y_k/∂(shift, turn, gain); a turn's derivative is lever × that of a shift.
-            for k in range(begin, stop):
+            for k in range(stop):
                 block, m = k // 4, k % 4
                 if kind == TEXTURE:
                     part = (weights[block, 0, m] if block == 1 else -(1.0 + mean) * weights[block, 0, m]) / doubt
@@ -275,7 +272,7 @@ def accumulate(
                 row[at + 4] = lever[i, 2] * g0 - lever[i, 0] * g2
                 row[at + 5] = lever[i, 0] * g1 - lever[i, 1] * g0
                 row[at + 6] = -part * grey[k]
-            first, last = FRAME_UNKNOWNS * begin, FRAME_UNKNOWNS * stop
+            last = FRAME_UNKNOWNS * stop
             # ∂texture/∂(coefficient of the smooth gain) = −basis · a_x / doubt.
             if kind == TEXTURE:
                 for t in range(SMOOTH_TERMS):
@@ -284,10 +281,10 @@ def accumulate(
             # Normal equations with Cauchy weights; the lower triangle is enough.
             r = residual_dn[i, kind]
             weight = 1.0 / (scale_dn[kind] ** 2 + CAUCHY * r * r)
-            for a in range(first, last):
+            for a in range(last):
                 wa = weight * row[a]
                 sums[a] += wa * r
-                for b in range(first, a + 1):
+                for b in range(a + 1):
                     products[a, b] += wa * row[b]
     # From the order of ``row`` to that of the parameters, where the two cameras share the motion but not the smooth
     # gain.

@@ -57,7 +57,7 @@ class Stripes(NamedTuple):
     frames: NDArray[np.int64]
     """(n,): their numbers in the sequence."""
     axes: NDArray[np.int64]
-    """(n,): 0 where they vary along p, 1 along q, −1 where the light is on everywhere."""
+    """(n,): 0 where they vary along p, 1 along q."""
     widths_px: Array
     """(n,): widths of their stripes in the pattern."""
 

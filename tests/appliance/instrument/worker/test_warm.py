@@ -71,10 +71,10 @@ def test_no_scan_needs_a_kernel_that_is_not_there(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("warm")
 def test_a_scan_that_moves_along_with_the_fringes_needs_no_compiler_either() -> None:
-    # Its steps shrink until the albedo is asked for: the scans above do not move so.
+    # The scans above do not move so.
     known = signatures()
     kernels = {
         "residuals.accumulate", "stripes.accumulate_gray", "phase_solver.depth_rows", "phase_solver.solve_rows",
-        "albedo.gather", "redecode.drop_edges",
+        "redecode.drop_edges",
     }  # fmt: skip
     assert {kernel: known[f"appliance.measure.motion.{kernel}"] for kernel in kernels} == dict.fromkeys(kernels, 1)
