@@ -546,13 +546,13 @@ def _describe(point: TrendPoint, reference: Reference) -> str:
         return f"the ray gaps have changed since the calibration: {parts}; {point.score:.1f} standard deviations"
     scans = len(reference.rests_um)
     learning = f"; {scans} of {LEARNT_SCANS} scans of the reference" if scans < LEARNT_SCANS else ""
-    return f"as since the calibration: {parts}{learning}"
+    return f"unchanged since the calibration: {parts}{learning}"
 
 
 def _undetected_turns(detectable_deg: tuple[float, float, float]) -> str:
     """Return in words which turns such scans detect late."""
     limits = [f"{axis} below {deg:.2g}°" for axis, deg in zip("xyz", detectable_deg, strict=True) if deg > MATTERS_DEG]
-    return f"{SCANS_TO_FIND} such scans do not find turns of a camera about {', '.join(limits)}"
+    return f"{SCANS_TO_FIND} such scans do not show rotations of a camera about {', '.join(limits)}"
 
 
 def _backscatter_note(gaps: PatchGaps) -> str:

@@ -288,7 +288,7 @@ def _warnings(
         )
     if solved.placed.unchecked:
         pairs = ", ".join(f"{clouds[edge.first][0]}-{clouds[edge.second][0]}" for edge in solved.placed.unchecked)
-        warnings.append(f"in no loop, so that nothing checks them: {pairs}; a scan across them would")
+        warnings.append(f"scan pairs in no loop, and so not checked: {pairs}; add a scan that overlaps both")
     if solved.placed.variance_factor > CLEAR_FACTOR:
         warnings.append(
             f"the scan pairs contradict each other by {np.sqrt(solved.placed.variance_factor):.1f} times their "

@@ -90,7 +90,7 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     surface = surface_of(first.cloud, second.cloud, (height_px, width_px)) if len(first.cloud.pixel) else None
     registration = None if surface is None else register_exposures(surface, second.cloud)
     if surface is None or registration is None:
-        return evidence.refused("the two exposures have too little in common to tell how they lie to each other")
+        return evidence.refused("the two exposures have too little overlap for a registration")
     evidence.numbers |= _registration(registration)
     # Pixel by pixel without motion, which loses no points; otherwise in space, which needs points of one moment.
     if registration.moved_px < STILL_PX and not first.moved and not second.moved:

@@ -339,8 +339,7 @@ class Library:
             if folder is not None:
                 return folder_kind, folder
         raise UnknownScan(
-            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows "
-            "what there is"
+            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` lists all scans"
         )
 
     def _find_on(self, folder_kind: LibraryFolder, scan_id: str) -> Path | None:

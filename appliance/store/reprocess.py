@@ -69,7 +69,7 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     # meet (the calibration); points that meet and were masked.
     if decoded < LEAST_DECODED_SHARE * mask.size:
         return EmptyCloud(
-            f"shows no pattern on anything: {decoded} of {mask.size} pixels of the left camera could be decoded"
+            f"shows no pattern: {decoded} of {mask.size} pixels of the left camera could be decoded"
             f"{_faults_in_words(judgements)}; scan again, nearer or in clearer water",
             by_calibration=False,
         )
@@ -196,9 +196,7 @@ def reprocess_bracket(
         merged = processor.merge_with(first_results[0])
         verdict = merged.pair.verdict
         if merged.cloud is None:
-            raise stored.ScanError(
-                f"{first.folder}: {verdict.text}; two exposures make one cloud where they were taken from one place"
-            )
+            raise stored.ScanError(f"{first.folder}: {verdict.text}; merge two exposures from one place")
         cloud = pipeline.table.cloud(merged.cloud)
         empty = why_empty(pipeline, cloud, judged)
         return ReprocessedScan(pipeline, cloud, water, (*judgements, merged.pair), empty, verdict)

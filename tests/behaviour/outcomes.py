@@ -32,9 +32,13 @@ from appliance.instrument.worker.neighbours import Neighbours
 from appliance.measure import NotFound
 from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.sides import SIDES
+from appliance.measure.motion.estimate import estimate
+from appliance.measure.motion.redecode import compensate
 from appliance.measure.news import CoarseCloud, FullCloud, PatternIdentity, Verdicts
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor
+from appliance.measure.scan_images import ScanImages
 from appliance.store.config import load_rig
 from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.origin import SourceScan
@@ -139,6 +143,7 @@ VARYING = re.compile(
 """Keys of what differs from run to run or from processor to processor: durations, the program's version, and checksums over times, programs or clouds."""
 FIELDS = {"float": "<f4", "double": "<f8", "uchar": "u1", "int": "<i4", "uint": "<u4"}
 BAR_MM, BALL_MM = 150.0, 15.0
+SPEED_MM_S = 30.0
 FLOOR = 1e-6
 """Numbers below it are compared as if they were as large."""
 ERRORS = "depth_error_mm2"
@@ -167,6 +172,7 @@ def outcome_of(folder: Path) -> Outcome:
         outcome.said[f"verdicts with {name}"], _ = _processed(Path("root/scans") / scan_id, ROOTS["root"], change)
     outcome.said["overlaps"] = list(_overlaps(["000001", "000002", "000003", "000004", "000013"]))
     outcome.said["recording of a plane"] = _recording("000013")
+    outcome.said["followed along the fringes"] = _followed_along_the_fringes("000001")
     for name, words in CALLS:
         outcome.said[name] = _answer(shlex.split(words), today)
     for method in Method:
@@ -210,6 +216,11 @@ def _facts(scan: StoredScan, calibration: Calibration, settings: AcquisitionSett
     water = scan.water(calibration)
     with Pipeline(calibration, water, scan.sequence, noise=settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
+        # A sequence that was cut off leaves nothing behind.
+        processor.begin(settings)
+        for index in range(len(scan.sequence) // 2):
+            for side, frames in scan.frames.items():
+                processor.push(side, frames[::-1], index)
         processor.begin(settings)
         for _ in processor.push_all(scan.frames):
             pass
@@ -243,7 +254,7 @@ def _overlaps(scan_ids: Iterable[str]) -> Iterator[Any]:
         neighbours.add_full(scan.frames["left"])
         while neighbours.has_work:
             if (fact := neighbours.go_on()) is not None:
-                yield [scan_id, fact.overlap.share]
+                yield [scan_id, fact.overlap.share, fact.overlap.none, fact.overlap.scant]
         neighbours.keep()
 
 
@@ -255,6 +266,34 @@ def _recording(scan_id: str) -> Any:
     if isinstance(recording, NotFound):
         return recording.reason
     return [len(recording.left_px), recording.left_px.mean(0).tolist(), recording.right_px.mean(0).tolist()]
+
+
+def _followed_along_the_fringes(scan_id: str) -> Any:
+    """Return what is decoded of a scan whose points are followed as if the hand moved along with the fringes."""
+    wish = ScanOptions(rig=load_rig(Path(ROOTS["root"])), root=Path("root"))
+    source = SourceScan.open(Path("root/scans") / scan_id, wish)
+    scan, calibration = source.scan, source.calibration_for(wish).calibration
+    water, settings = scan.water(calibration), Instrument(source.rig).settings_of_scan(scan.manifest.record)
+    with Pipeline(calibration, water, scan.sequence, noise=settings.noise) as pipeline:
+        for index in range(len(scan.sequence)):
+            for side, frames in scan.frames.items():
+                pipeline.push(side, frames, index)
+        pipeline.find_coarse()
+        sample = pipeline.sample(pipeline.coarse_stride)
+        images = ScanImages(scan.sequence, scan.frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
+        motion = estimate(images, calibration, water, sample.points_mm, sample.pixel)
+        moved_mm = motion.trajectory_mm.copy()
+        moved_mm[:, 0] += SPEED_MM_S * (settings.frame_s * np.arange(len(moved_mm)) - motion.reference_s)
+        maps = compensate(images, calibration, water, replace(motion, trajectory_mm=moved_mm))
+    finite = {side: np.isfinite(maps[side].p_px) for side in SIDES}
+    return {
+        side: [
+            int(np.count_nonzero(finite[side])),
+            float(maps[side].p_px[finite[side]].mean(dtype=np.float64)),
+            float(np.median(maps[side].variance_px2[finite[side]])),
+        ]
+        for side in SIDES
+    }
 
 
 def _calibrated_in_water(folder: Path, method: Method, today: str) -> Any:

@@ -106,7 +106,7 @@ WRONG = (
         **n, "K1": np.diag([0.5, 0.5, 1.0]) @ n["K1"], "K2": np.diag([0.5, 0.5, 1.0]) @ n["K2"]}, needs=lambda one: one.two_cameras),
     Wrong("another setting's file", CAMERAS, PLACES, numbers=_other_setting),
     Wrong("turned about the rows", CAMERAS, PLACES + r"|cameras: a turn about the rows", numbers=_turned("rows")),
-    Wrong("turned about the columns", CAMERAS, PLACES + r"|cameras: a turn about the columns", numbers=_turned("columns")),
+    Wrong("turned about the columns", CAMERAS, PLACES + r"|cameras: a rotation about the columns", numbers=_turned("columns")),
 )  # fmt: skip
 
 

@@ -94,7 +94,7 @@ def warnings_about(
     if systematic > SYSTEMATIC_SHARE * noise_px:
         remedy = "adjust with the image correction" if is_refinable else "record more planes, over the whole volume"
         warnings.append(
-            f"{systematic:.3f} px remain systematically over the image: lens or port are not as modelled; {remedy}"
+            f"{systematic:.3f} px of systematic residuals over the image: lens or port differ from the model; {remedy}"
         )
     warnings += [
         f"{e.name} changed by {e.change:.4g}, its prior allows ±{e.prior_sd:.2g}: check the rig file and the housing"

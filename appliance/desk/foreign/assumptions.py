@@ -183,7 +183,7 @@ def _check_code(
         text = f"{changes} borders of stripes are found; {LEAST_CHANGES} of {LEAST_BITS} images are needed"
         return [fits_or_unchecked(subject, False, text) for subject in names]
     share = shares[described]
-    share_text = f"{100 * share:.0f} % of {changes} borders are between neighbouring stripes"
+    share_text = f"{100 * share:.0f} % of {changes} borders lie between neighbouring stripes"
     if share < GOOD_CODE:
         # Of several that fit alike, the one nearest to the description.
         best = max(shares, key=lambda candidate: (shares[candidate], -np.not_equal(candidate, described).sum()))
@@ -242,7 +242,7 @@ def _check_phase_against_code(
     fits = {key: float(abs(sum_)) for key, sum_ in sums.items()}
     best, fit = max(fits, key=lambda key: fits[key]), fits[1, 1.0]
     if fit < POOR_FIT and fits[best] > GOOD_FIT:
-        text = f"R of phase and code is {fit:.2f}, and {fits[best]:.2f} with"
+        text = f"the correlation of phase and code is {fit:.2f}, and {fits[best]:.2f} with"
         return [correction(axis, text, sign=best[0] * axis.sign, stripe_px=best[1] * axis.stripe_px)]
     if fit < POOR_FIT:
         text = (
@@ -256,7 +256,9 @@ def _check_phase_against_code(
         ]
     rivals = fits[-1, 1.0], max(fits[1, 0.5], fits[1, 2.0])
     results = [
-        fits_or_unchecked(word, rival < POOR_FIT, f"R of phase and code is {fit:.2f}, {rival:.2f} with another one")
+        fits_or_unchecked(
+            word, rival < POOR_FIT, f"the correlation of phase and code is {fit:.2f}, {rival:.2f} with another one"
+        )
         for word, rival in zip(keys, rivals, strict=False)
     ]
     off_turns = float(np.angle(sums[1, 1.0])) / (2.0 * np.pi) - axis.begins_deg[axis.numbered] / 360.0

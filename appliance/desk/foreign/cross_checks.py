@@ -70,7 +70,7 @@ SCALES, SHIFTS = (0.5, 0.8, 1.25, 2.0), (-0.125, 0.125)
 CENTRED, NEARLY_CENTRED = 0.12, 0.06
 """Largest distance of a principal point from the middle of its image, over its size: for a whole sensor, and for an
 image size that was corrected by a factor."""
-POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a turn about the columns", 0.3
+POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a rotation about the columns", 0.3
 WHICH_IS_LEFT = "cameras: which is left"
 REMEDIES = (
     "check that the calibration is of this setting and of images of this size, cameras.unit, water and ports, and range"
@@ -206,7 +206,10 @@ def examine_cameras(
         return results
     if rig.calibration is None and rig.scale_known:
         apart_mm = float(np.linalg.norm(rig.rig.right.translation_mm))
-        text = f"no image tells lengths: with it both are {apart_mm:.4g} mm apart, and the object is {described.depth_mm:.4g} mm away"
+        text = (
+            f"images do not show lengths: with this unit the baseline is {apart_mm:.4g} mm, and the object is "
+            f"{described.depth_mm:.4g} mm away"
+        )
         results.append(fits_or_unchecked("cameras.unit", False, text))
     return [*results, size]
 
@@ -379,7 +382,7 @@ def _check_image_size(rig: StereoRig, of_projector: bool) -> ExaminedAssumption:
     ]
     off_centre = {scale: max(abs(scale * centre - 0.5) for centre in centres) for scale in (1.0, 2.0, 0.5)}
     text = (
-        f"their axes meet the images at {', '.join(f'{100 * centre:.0f} %' for centre in centres)} of width and height"
+        f"their principal points are at {', '.join(f'{100 * centre:.0f} %' for centre in centres)} of width and height"
     )
     if off_centre[1.0] <= CENTRED:
         return fits_or_unchecked(subject, True, text)

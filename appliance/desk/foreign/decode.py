@@ -88,7 +88,7 @@ class Reason(IntEnum):
     CONTRADICTION = 3, "the parts of the code contradict each other", 214, 39, 40
     OUTSIDE = 4, "beyond the pattern, whose size is in [projector], [x] and [y]", 148, 103, 189
     NO_RAY = 5, "the lens model is not invertible there", 140, 86, 75
-    NO_MATCH = 6, "nothing on the other side has that coordinate where the pixel looks", 31, 119, 180
+    NO_MATCH = 6, "the other side has no such coordinate along the pixel's ray", 31, 119, 180
     GAP = 7, _GAP, 255, 127, 14
     SIGMA = 8, _SIGMA, 44, 160, 44
     DEPTH = 9, "outside range.near_mm to range.far_mm", 23, 190, 207

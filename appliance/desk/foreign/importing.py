@@ -137,7 +137,7 @@ def _report(scan: ForeignScan, foreign_cloud: ForeignCloud) -> dict[str, Any]:
     unit = _unit(scan) or "mm"
     needed = "need four steps of 90° in two directions with bright and dark"
     if not isinstance(own_sequence(scan.description, scan.cameras["left"].images), str):
-        needed = "are asked when the scan folder is reconstructed"
+        needed = "are judged when the scan folder is reconstructed"
     tested = {
         outcome: [str(assumption) for assumption in scan.tested if assumption.outcome is outcome] for outcome in Outcome
     }

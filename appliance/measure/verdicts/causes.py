@@ -153,7 +153,10 @@ def with_causes(
     numbers: dict[str, float | None] = {
         f"{cause.fault.code.value.lower()}_percent": 100.0 * cause.share for cause in causes
     }
-    text = ", ".join(f"{cause.fault.code.value} {100.0 * cause.share:.0f} %" for cause in causes) or "nothing ails it"
+    text = (
+        ", ".join(f"{cause.fault.code.value} {100.0 * cause.share:.0f} %" for cause in causes)
+        or "no cause of poor points"
+    )
     verdict = Verdict(CAUSES_NAME, not causes, numbers, text)
     weighed = [
         replace(judgement, verdict=verdict) if judgement.verdict.name == CAUSES_NAME else judgement
@@ -209,7 +212,7 @@ def _failed(verdict: Verdict, cause: Cause) -> Verdict:
 def _without_fault(judgement: Judgement) -> Judgement:
     if judgement.fault is None:
         return judgement
-    explained = replace(judgement.verdict, passed=None, text=f"{judgement.verdict.text}; explained by something else")
+    explained = replace(judgement.verdict, passed=None, text=f"{judgement.verdict.text}; explained by another cause")
     return replace(judgement, fault=None, verdict=explained)
 
 
@@ -276,7 +279,7 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
     turbid = (water.get("veil_percent") or 0.0) >= CLEAR_WATER_PERCENT
     if turbid or _saturated(light, water) > MOST_SATURATED:
         return None
-    detail = f"fringes of {fringe:.0f} DN that contradict each other: something moves fast"
+    detail = f"fringes of {fringe:.0f} DN that contradict each other: fast motion"
     return Cause(Fault(FaultCode.MOVED, detail), 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0), True)
 
 
@@ -415,12 +418,9 @@ def _faint(
     if best >= ENOUGH_FRINGE_DN:
         if room <= 1.25:
             return None
-        detail = f"fringes of {fringe:.1f} DN; a longer exposure makes {best:.0f} DN of them"
+        detail = f"fringes of {fringe:.1f} DN; a longer exposure gives {best:.0f} DN"
         return Cause(Fault(FaultCode.TOO_DARK, detail, numbers), share, False)
-    detail = (
-        f"fringes of {fringe:.1f} DN, and no exposure makes more than {best:.1f} DN of them: the water absorbs "
-        "the light"
-    )
+    detail = f"fringes of {fringe:.1f} DN, and no exposure gives more than {best:.1f} DN: the water absorbs the light"
     return Cause(Fault(FaultCode.WATER_DIRTY, detail, numbers), share, False)
 
 

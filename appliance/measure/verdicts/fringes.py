@@ -24,7 +24,7 @@ def judge_fringes(bend: PhaseBend, period_px: int) -> Judgement:
     noisier = math.sqrt(bend.variance_factor(period_px)) if bend.counts else 1.0
     numbers: dict[str, float | None] = {"bend_px": bend.rms_px, "noise_factor": noisier, "limit": MOST_NOISIER}
     if noisier <= MOST_NOISIER:
-        return Judgement(Verdict(NAME, True, numbers, "sines, or nearly so"))
+        return Judgement(Verdict(NAME, True, numbers, "the fringes are sinusoidal"))
     percent = 100.0 * (noisier - 1.0)
     text = (
         f"this exposure distorts the fringes by {bend.rms_px:.2f} px; after response correction, points are "

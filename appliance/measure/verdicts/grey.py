@@ -63,7 +63,7 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
     numbers["limit"] = MOST_APART
     left, right = shares["left"], shares["right"]
     if left is None or right is None:
-        return Judgement(Verdict(NAME, None, numbers, "too little is well lit to compare the cameras' grey"))
+        return Judgement(Verdict(NAME, None, numbers, "too few well-lit pixels to compare the cameras' grey values"))
     apart = {d: left.by_direction[d] - right.by_direction[d] for d in Direction}
     # Few pixels with much noise must accuse no camera.
     limit = max(MOST_APART, SURE * math.hypot(left.error, right.error))
@@ -80,7 +80,7 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
         )
         return Judgement(Verdict(NAME, False, numbers, text), Fault(FaultCode.GREY_BENT, text, device=f"camera.{side}"))
     if all(abs(difference) <= limit for difference in apart.values()):
-        return Judgement(Verdict(NAME, True, numbers, "both cameras see grey alike"))
+        return Judgement(Verdict(NAME, True, numbers, "both cameras have the same grey response"))
     return Judgement(
         Verdict(NAME, None, numbers, "not judged: the images change too much to compare the cameras' grey values")
     )

@@ -81,7 +81,9 @@ def judge_holes(
             if ambient >= _LIGHT
             else (FaultCode.TOO_BRIGHT, "it is saturated")
         )
-    text = f"{100.0 * share:.0f} % of the seen surface has no points, {100.0 * float(largest):.0f} % in one hole: {why}"
+    text = (
+        f"{100.0 * share:.0f} % of the visible surface has no points, {100.0 * float(largest):.0f} % in one hole: {why}"
+    )
     return Judgement(Verdict(NAME, False, numbers, f"{code.value}: {text}"), Fault(code, text, fault_numbers))
 
 

@@ -48,7 +48,9 @@ def judge_medium(
     water_mm, air_mm = (_spread_mm(signed_gap_mm(rig, index, left_px, right_px)) for index in (water_index, AIR))
     numbers: dict[str, float | None] = {"water_gap_mm": water_mm, "air_gap_mm": air_mm}
     if water_mm < rig.volume.scaled(LEAST_APART_MM) or air_mm >= MEETS * water_mm:
-        return Judgement(Verdict(NAME, True if water_mm < air_mm else None, numbers, "nothing speaks for air"))
+        return Judgement(
+            Verdict(NAME, True if water_mm < air_mm else None, numbers, "the ray gaps do not indicate air")
+        )
     text = (
         f"ray gaps are {water_mm:.2f} mm in the stated water, and {air_mm:.2f} mm in air: the "
         "points are wrong; scan under "

@@ -65,7 +65,10 @@ def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: fl
     passed = True if gap_mm < MEETS * apart_mm else None
     return Judgement(
         Verdict(
-            NAME, passed, numbers, "left is left" if passed else "the ray gaps are large in either order of the cameras"
+            NAME,
+            passed,
+            numbers,
+            "left and right are not exchanged" if passed else "the ray gaps are large in either order of the cameras",
         )
     )
 

@@ -122,9 +122,9 @@ def test_a_scan_that_would_miss_a_turn_says_which_and_a_keen_one_says_nothing() 
     rng = np.random.default_rng(10_008)
     trend = learnt(rng, np.zeros(PatchGaps.COUNT), None)
     _, keen = judge_health(trend, replace(gaps(rng, np.zeros(PatchGaps.COUNT), None), turns_um=4.0 * TURNS_UM))
-    assert "do not find" not in keen.text
+    assert "do not show" not in keen.text
     _, blind = judge_health(trend, replace(gaps(rng, np.zeros(PatchGaps.COUNT), 9.0), turns_um=TURNS_UM))
-    assert "3 such scans do not find turns of a camera about z below" in blind.text
+    assert "3 such scans do not show rotations of a camera about z below" in blind.text
     assert "backscatter may move the gaps by" in blind.text
     x_deg, z_deg = blind.numbers["found_x_deg"], blind.numbers["found_z_deg"]
     assert x_deg is not None

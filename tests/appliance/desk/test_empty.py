@@ -98,7 +98,7 @@ def test_rays_that_pass_each_other_are_the_calibrations_fault_whatever_the_judge
     empty = said(pipeline, 0, MURKY, Judgement(Verdict("motion", True)))
     assert empty is not None
     assert not empty.by_calibration
-    assert empty.reason.startswith(f"shows no pattern on anything: {least - 1} of {mask.size} pixels")
+    assert empty.reason.startswith(f"shows no pattern: {least - 1} of {mask.size} pixels")
     assert f"({FaultCode.TOO_DARK.value}: of 2 % of the picture)" in empty.reason
     mask.ravel()[:least] = Mask.VALID
     enough = said(pipeline, 0)

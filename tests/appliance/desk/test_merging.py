@@ -65,6 +65,6 @@ def test_scans_between_which_the_instrument_moved_and_of_other_patterns_are_refu
     scans = [render_scan(scene, "realistic", 5, SIZE_PX[0], 16, exposure_s=0.006) for scene in (still, moved)]
     scans.append(render_scan(still, "nominal", 1, 64, 32, height_px=48))
     loaded = [StoredScan.load(store(scan, tmp_path / f"{k:06d}")) for k, scan in enumerate(scans, 1)]
-    for other, said in ((loaded[1], r"moved by|too little in common|one rigid object"), (loaded[2], "patterns")):
+    for other, said in ((loaded[1], r"moved by|too little overlap|one rigid object"), (loaded[2], "patterns")):
         with pytest.raises(ScanError, match=said):
             merge_clouds((loaded[0], other), rig, true_calibration(scans[0].renderer.truth), silent)

@@ -124,7 +124,7 @@ def test_points_that_motion_spoilt_or_that_are_hardly_any_are_not_mixed_with_oth
     for cloud in (few, none):
         merged, _ = desk.merged(replace(desk.first, cloud=cloud))
         assert merged.cloud is None
-        assert "too little in common" in merged.pair.verdict.text
+        assert "too little overlap" in merged.pair.verdict.text
     for which, first in (("first", replace(desk.first, moved=True, spoilt=True)), ("second", desk.first)):
         desk.processor._moved = which == "second"
         merged, _ = desk.merged(first)

@@ -146,10 +146,10 @@ def judge_identity(
         text = f"{fault.code.value}: {fault.detail}"
         return Judgement(Verdict(IDENTITY_NAME, False, numbers, text), fault)
     if not judged:
-        text = "too little is seen of the patterns, or too much moves before them"
+        text = "not judged: the patterns are too faint, or too much moves in front of them"
         return Judgement(Verdict(IDENTITY_NAME, None, numbers, text))
     devices = " and ".join(camera.device for camera in judged)
-    return Judgement(Verdict(IDENTITY_NAME, True, numbers, f"each frame of {devices} is its pattern"))
+    return Judgement(Verdict(IDENTITY_NAME, True, numbers, f"each frame of {devices} shows its pattern"))
 
 
 def _look(

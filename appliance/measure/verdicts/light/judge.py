@@ -187,7 +187,7 @@ def judge_light(
         numbers["proposed_ms"], numbers["proposed_gain_db"] = proposal.time_us / 1000.0, proposal.gain_db
     judged = any(levels[side].illuminated_share > 0.0 for side in SIDES)
     passed = fault is None if judged else None
-    text = "enough light, not too much, and steady" if fault is None else f"{fault.code.value}: {fault.detail}"
+    text = "light is sufficient, not saturated, and steady" if fault is None else f"{fault.code.value}: {fault.detail}"
     verdict = Verdict("light", passed, numbers, text if judged else "the projector illuminates nothing")
     return Judgement(verdict, fault, proposal, second)
 
@@ -214,7 +214,7 @@ def _flickers(changes: dict[str, Changes], bend_px: float) -> Fault | None:
     if max(c.ripple_px or 0.0 for c in measured) <= BEND_AS_LIGHT * bend_px:
         return None
     harmed = 100.0 * smaller.harmed
-    what = f"light that is not the projector's changed during the scan and biases {harmed:.0f} % of the points"
+    what = f"ambient light changed during the scan and biases {harmed:.0f} % of the points"
     return Fault(FaultCode.LIGHT_FLICKERS, what, {"harmed_percent": harmed, "ripple": smaller.ripple or 0.0})
 
 
@@ -241,7 +241,7 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
                 exposed / MAX_SATURATED,
                 Fault(
                     FaultCode.TOO_BRIGHT,
-                    f"{saturated:.0f} % of the lit pixels are saturated ({side} camera, {level.where})",
+                    f"{saturated:.0f} % of the illuminated pixels are saturated ({side} camera, {level.where})",
                     {"saturated_percent": saturated},
                 ),
             ),

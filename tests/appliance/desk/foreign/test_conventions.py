@@ -100,7 +100,7 @@ def test_of_one_direction_texture_checks_the_cameras(shell: Shell, foreign_set: 
     found = shell("import", made.description, "--out", tmp_path / "cloud.npz", "--json")
     for about in ("cameras: which is left", "cameras: rotation and translation"):
         assert any(line.startswith(about) for line in found.document["fits"])
-    assert any(line.startswith("cameras: a turn about the columns: ") for line in found.document["unchecked"])
+    assert any(line.startswith("cameras: a rotation about the columns: ") for line in found.document["unchecked"])
     assert found.document["unchecked"][-1].endswith(NEED_FOUR_STEPS)
     other = made.described(('left = "cam0', 'left = "camX'), ('right = "cam1', 'right = "cam0'), ("camX", "cam1"))
     refused = shell("import", other, "--out", tmp_path / "cloud.npz")

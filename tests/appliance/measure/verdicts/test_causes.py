@@ -402,7 +402,7 @@ def test_a_scan_that_nothing_ails_says_so() -> None:
     found = with_causes((said("light"), said("window")), GOOD, USUAL, LONGER)
     assert [one.verdict.name for one in found] == ["causes", "light", "window"]
     assert (found[0].verdict.passed, found[0].fault, dict(found[0].verdict.numbers)) == (True, None, {})
-    assert found[0].verdict.text == "nothing ails it"
+    assert found[0].verdict.text == "no cause of poor points"
 
 
 def test_a_movement_that_was_undone_leaves_its_verdict_as_it_is() -> None:

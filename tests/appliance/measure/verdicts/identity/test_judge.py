@@ -278,7 +278,7 @@ def test_a_camera_that_reads_one_direction_only_is_not_said_to_show_its_patterns
     right[list(across.gray)] = np.rint(0.5 * (gray.max(axis=0) + gray.min(axis=0)))
     judgement = judge_identity({"left": frames["left"], "right": right}, SEQUENCE)
     assert judgement.fault is None
-    assert judgement.verdict.text == "each frame of camera.left is its pattern"
+    assert judgement.verdict.text == "each frame of camera.left shows its pattern"
     assert judgement.verdict.numbers["right_doubt"] is None
 
 
