@@ -16,16 +16,12 @@ WHOLE_BEGIN, WHOLE_END = (
     "<!-- whole scan: ./dev bench whole_scan, ./dev bench --write-docs -->",
     "<!-- end of whole scan -->",
 )
-AGAINST_BEGIN, AGAINST_END = (
-    "<!-- against: ./dev bench whole_scan --against REV, ./dev bench --write-docs -->",
-    "<!-- end of against -->",
-)
 COMPILE_BEGIN, COMPILE_END = (
     "<!-- compiling: ./dev bench compile, ./dev bench --write-docs -->",
     "<!-- end of compiling -->",
 )
 AGAINST, COMPILING = "whole_scan_against.md", "compile.md"
-"""Tables that their benches write beside ``latest.json``, whole."""
+"""Tables that their benches write beside ``latest.json``; the first one is no part of the page."""
 TIMELINE = "timeline.png"
 WHOLE_SCAN: dict[str, tuple[tuple[str, str, str], ...]] = {
     "By the clock of the reference machine": (
@@ -219,10 +215,11 @@ def write_figures(latest: Path, document: Path) -> None:
             (document.parent / "pictures" / TIMELINE).write_bytes(picture.read_bytes())
     if BEGIN not in text or any(key in latest_figures for rows in TABLES.values() for key, _, _ in rows):
         text = _replaced(document, text, (BEGIN, END), [on, *_with_targets(latest_figures, TABLES)])
-    for marks, name in (((AGAINST_BEGIN, AGAINST_END), AGAINST), ((COMPILE_BEGIN, COMPILE_END), COMPILING)):
-        part_file = latest.parent / name
-        if part_file.exists():
-            text = _replaced(document, text, marks, part_file.read_text(encoding="utf-8").splitlines())
+    compiling = latest.parent / COMPILING
+    if compiling.exists():
+        text = _replaced(
+            document, text, (COMPILE_BEGIN, COMPILE_END), compiling.read_text(encoding="utf-8").splitlines()
+        )
     document.write_text(text, encoding="utf-8")
 
 
