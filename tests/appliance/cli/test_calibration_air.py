@@ -95,7 +95,7 @@ def test_a_folder_becomes_a_start_for_water_and_the_one_before_is_kept(
     # Nothing measures in water with a calibration in air.
     shutil.copy(out, kept / "current.json")
     used, (condition,) = Instrument(parse_rig(rig.read_text(encoding="utf-8"))).calibration()
-    assert (used.method, "in air" in condition.detail) == ("design", True)
+    assert (used.method, "an air calibration" in condition.detail) == ("design", True)
     said = shell("cloud", "1", "--rig", rig, "--calibration", kept / "current.json")
     assert (said.code, "air calibration" in said.error) == (2, True)
 

@@ -137,7 +137,7 @@ def test_the_bench_plays_pictures_in_any_order_and_a_fault_only_thrice(desk: Des
     assert [images[side][:, 1, 2].tolist() for side in ("left", "right")] == 2 * [list(range(1, N + 1))]
     assert {"left 8000 us 6 dB", "right 8000 us 6 dB", f"arm {N} delay 500 width 8000"} <= set(desk.said())
     desk.script.lasers = LaserState(True, False)
-    with pytest.raises(BringupError, match=r"3 recordings failed .*LASER_ON"):
+    with pytest.raises(BringupError, match=r"3 recordings in a row failed: .*LASER_ON"):
         bench.take(range(N), Shot(500, 8_000))
     assert desk.said().count("lasers False False") == TRIES
 

@@ -515,7 +515,7 @@ def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: 
     assert desk.after(1.5) is None, "it is asked"
     desk.cpu_s += 2.0
     assert desk.after(6.0) is None, "it computes"
-    assert failed(desk.after(6.0), "sign of life") is None, "it hangs"
+    assert failed(desk.after(6.0), "sent nothing") is None, "it hangs"
 
 
 def test_a_process_that_loads_for_ever_is_started_again(desk: Desk) -> None:

@@ -98,7 +98,7 @@ def test_a_scan_listed_twice_and_a_page_over_the_list_are_refused(bench: Bench, 
     plane = '[[scan]]\nscan = "{}"\nartefact = "plane"\n'
     assert evaluate(folder, plane.format("./plane") + plane.format(folder / "ballbar" / ".." / "plane")) == 2
     assert "scan[1] ('" in (said := capsys.readouterr().err)
-    assert "is scan[0] ('./plane') once more" in said
+    assert "is scan[0] ('./plane') again" in said
     assert not (folder / "report.html").exists()
     assert evaluate(folder, "{}", "report.json") == 2
     assert "is the list of scans" in capsys.readouterr().err
