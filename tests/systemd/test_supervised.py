@@ -85,7 +85,7 @@ def test_a_main_loop_that_hangs_falls_silent_and_says_where_when_it_is_ended(tmp
         service.process.send_signal(signal.SIGABRT)  # as the manager does
         assert service.process.wait(30) == -signal.SIGABRT
     main_thread = (tmp_path / "stderr").read_text().partition("Current thread")[2]
-    assert ("instrument/service/status.py" in main_thread, "in beat" in main_thread) == (True, True)
+    assert ("instrument/service/status.py" in main_thread, "in run_cycle" in main_thread) == (True, True)
 
 
 @pytest.mark.dive
