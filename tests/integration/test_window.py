@@ -141,7 +141,7 @@ def test_without_a_display_server_one_line_says_what_to_do(tmp_path: Path) -> No
     with windowed(tmp_path / "none", None) as it:
         said = str(it.process.communicate(timeout=60)[1])
     (error,) = [line for line in said.splitlines() if "uncalibrated" not in line]
-    assert (it.process.returncode, error.startswith("kingfisher: window: none can be opened")) == (1, True)
+    assert (it.process.returncode, error.startswith("kingfisher: window: cannot be opened")) == (1, True)
     assert all(word in error for word in ("DISPLAY", "xvfb-run"))
 
 
