@@ -100,6 +100,7 @@ class SearchStage:
 STAGES = (
     SearchStage(5.0, 8.0, (X_STEPS,), 5, 2, 4),
     SearchStage(5.0, 8.0, (X_STEPS, TEXTURE), 4, 2, 4),
+    SearchStage(5.0, 5.0, (X_STEPS, TEXTURE), 4, 2, 2),
     SearchStage(3.0, 3.0, (X_STEPS, TEXTURE), 5, 1, 3),
     SearchStage(3.0, 3.0, (X_STEPS, TEXTURE), 4, 1, 1),
 )
