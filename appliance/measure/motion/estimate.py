@@ -117,8 +117,6 @@ class MotionEstimate:
     motion_mm: Array
     """(8, 6) mm: those of the sine frames; shift of the middle of the volume, and turn as mm at ``LEVER_MM`` from it.
     """
-    covariance_mm2: Array
-    """(48, 48): covariance of ``motion_mm``, row by row."""
     gains: Array
     """(8,): by how much each frame is brighter than its block."""
     centre_mm: Array
@@ -204,7 +202,7 @@ def estimate(
         # Blurring leaves 1 / (2 √π σ) of the noise of a grey value.
         averaged_px = 2.0 * math.sqrt(math.pi) * STAGES[-1].steps_blur_px * scale * binning
         after = solver.contradiction(solver.values, grey_dn / averaged_px)
-        noise_factor, covariance = solver.noise_factor(), solver.covariance()
+        noise_factor = solver.noise_factor()
         # What the frames' brightness explains is no motion's doing: the gains stay, the motion is taken away.
         still = solver.values.copy()
         still[:MOTIONS] = 0.0
@@ -214,7 +212,6 @@ def estimate(
         frames=sines,
         trajectory_mm=trajectory.conditional_mm(sines, solver.values[:MOTIONS].reshape(FRAMES, 6)),
         motion_mm=solver.values[:MOTIONS].reshape(FRAMES, 6).copy(),
-        covariance_mm2=covariance,
         gains=solver.values[GAINS : GAINS + FRAMES].copy(),
         centre_mm=centre,
         reference_s=reference_s,
@@ -332,10 +329,6 @@ class _Solver:
         """Return the root mean square noise of the x-sines' phases at the last step, over that by steps of 90°."""
         known = self._variance[np.isfinite(self._variance)]
         return math.sqrt(float(np.mean(np.minimum(known, MAX_VARIANCE)))) if known.size else math.inf
-
-    def covariance(self) -> Array:
-        """Return the covariance (48, 48) of the motion in mm²."""
-        return np.asarray(np.linalg.inv(self._matrix)[:MOTIONS, :MOTIONS])
 
     def _looks(self, kinds: tuple[int, ...]) -> list[tuple[float, tuple[int, ...]]]:
         """Return the blurs to look at and the kinds of residuals each serves.

@@ -55,8 +55,7 @@ MOST_MISFIT = 100.0
 BY_CHANCE = 1.3
 """Mean misfits up to so many times the usual are noise, which neighbours share."""
 MISFIT_SHARE = 0.5
-"""Share of the misfit beyond noise that is in the phase: half of what wrong steps contradict, all of what a wrong
-albedo does."""
+"""Share of the misfit beyond noise that is in the phase: half of what wrong steps contradict."""
 BLOCKS_ACROSS = 100
 """Blocks across the image whose depths make the rough surface."""
 FEWEST = 3

@@ -37,6 +37,11 @@ def corrected(motion: Motion) -> Corrected:
         pipeline.find_coarse()
         found = pipeline.find_full(straightened=False)
         plain, taken = pipeline.table.cloud(found), recorded(scan, pipeline)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("appliance.measure.motion.attempt.MOST_ERROR", 0.1)
+            refused = attempt(pipeline, found, taken, calibration, WATER)
+            assert refused.found is None, "what errs more than is allowed is not shown"
+        found = pipeline.find_full(straightened=False)
         said = attempt(pipeline, found, taken, calibration, WATER)
         assert said.motion is not None
         maps = compensate(taken, calibration, WATER, said.motion)
